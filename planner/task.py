@@ -1,0 +1,209 @@
+"""The grounded finite-domain task.
+
+`load` takes the PDDL files to a frozen `Task`: variables with finitely many values, ground actions with
+their costs, operators as preconditions and (conditional) effects, axioms, the initial state and the
+goal, all numbers. It is what Fast Downward's translator writes (SAS+, Bäckström and Nebel 1995; Helmert,
+"Concise finite-domain representations for PDDL planning tasks", 2009), read once and never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from . import fast_downward, pddl
+from .fast_downward import NO_LIMITS, Limits
+
+Fact = tuple[int, int]
+"""A variable and one of its values."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A finite-domain variable; `facts[v]` says in PDDL what its value `v` means.
+
+    A derived variable has an axiom layer of 0 or more, a primary one -1.
+    """
+
+    name: str
+    facts: tuple[str, ...]
+    axiom_layer: int
+
+
+@dataclass(frozen=True)
+class Effect:
+    """`variable := value` where all conditions hold in the state before."""
+
+    conditions: tuple[Fact, ...]
+    variable: int
+    value: int
+
+
+@dataclass(frozen=True)
+class Operator:
+    """One way in which a ground action can be applied (disjunctions give an action several)."""
+
+    action: int
+    preconditions: tuple[Fact, ...]
+    effects: tuple[Effect, ...]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A planning task, grounded.
+
+    Attributes
+    ----------
+    instance : Instance
+        The files that it was read from.
+    sas : str
+        The text of Fast Downward's translator that everything else here was read from.
+    variables : tuple of Variable
+    actions : tuple of str
+        Ground actions as `(name arg ...)`, each once, sorted.
+    costs : tuple of int
+        The cost of each action: its PDDL cost, or 1 where the problem has no metric.
+    operators, axioms : tuple
+        The head of an axiom is its only effect.
+    initial : tuple of int
+        Value of each variable; a derived variable has the value that it takes when no axiom applies.
+    goal : tuple of Fact
+    """
+
+    instance: pddl.Instance
+    sas: str
+    variables: tuple[Variable, ...]
+    actions: tuple[str, ...]
+    costs: tuple[int, ...]
+    operators: tuple[Operator, ...]
+    axioms: tuple[Effect, ...]
+    initial: tuple[int, ...]
+    goal: tuple[Fact, ...]
+
+    @property
+    def name(self) -> str:
+        """The problem file's name without its ending."""
+        return Path(self.instance.problem).stem
+
+    @property
+    def relaxed_unsolvable(self) -> bool:
+        """Whether the translator found the goal unreachable and dropped the task itself."""
+        return not self.operators and any("dummy" in fact for v in self.variables for fact in v.facts)
+
+    @cached_property
+    def action_index(self) -> dict[str, int]:
+        """The number of each ground action."""
+        return {action: index for index, action in enumerate(self.actions)}
+
+    def plan_cost(self, plan: Sequence[str]) -> int:
+        """Add up the costs of a plan's actions."""
+        return sum(self.costs[self.action_index[action]] for action in plan)
+
+
+def load(
+    problem: str | Path | pddl.Instance, domain: str | Path | None = None, *, limits: Limits = NO_LIMITS
+) -> Task:
+    """Read, validate and ground a PDDL instance.
+
+    Parameters
+    ----------
+    problem : path or Instance
+        The problem file.
+    domain : path, optional
+        The domain file; `domain.pddl` beside the problem unless given.
+    limits : Limits
+        Time and memory of the grounding.
+
+    Raises
+    ------
+    PDDLError
+        The files are not valid, with file and line.
+    LimitError
+        Grounding ran out of time or memory.
+    """
+    instance = problem if isinstance(problem, pddl.Instance) else pddl.instance(problem, domain)
+    pddl.read(instance)
+    return from_sas(fast_downward.translate(instance, limits), instance)
+
+
+def from_sas(sas: str, instance: pddl.Instance) -> Task:
+    """Read the SAS text of Fast Downward's translator (file format version 3)."""
+    lines = iter(sas.split("\n"))
+
+    def expect(word: str) -> None:
+        if (line := next(lines)) != word:
+            raise ValueError(f"SAS text: expected '{word}', found '{line}'")
+
+    def number() -> int:
+        return int(next(lines))
+
+    def facts() -> tuple[Fact, ...]:
+        pairs = (next(lines).split() for _ in range(number()))
+        return tuple((int(variable), int(value)) for variable, value in pairs)
+
+    expect("begin_version")
+    expect("3")
+    expect("end_version")
+    expect("begin_metric")
+    has_costs = number() == 1
+    expect("end_metric")
+
+    variables = []
+    for _ in range(number()):
+        expect("begin_variable")
+        name, layer = next(lines), number()
+        variables.append(Variable(name, tuple(next(lines) for _ in range(number())), layer))
+        expect("end_variable")
+
+    for _ in range(number()):  # mutex groups: what they say is in the variables already
+        expect("begin_mutex_group")
+        facts()
+        expect("end_mutex_group")
+
+    expect("begin_state")
+    initial = tuple(number() for _ in variables)
+    expect("end_state")
+    expect("begin_goal")
+    goal = facts()
+    expect("end_goal")
+
+    grounded: list[tuple[str, int, tuple[Fact, ...], tuple[Effect, ...]]] = []
+    for _ in range(number()):
+        expect("begin_operator")
+        action = f"({next(lines)})"
+        preconditions, effects = list(facts()), []
+        for _ in range(number()):
+            words = [int(word) for word in next(lines).split()]
+            conditions = tuple(zip(words[1:-3:2], words[2:-3:2], strict=True))
+            variable, before, after = words[-3:]
+            if before != -1:
+                preconditions.append((variable, before))
+            effects.append(Effect(conditions, variable, after))
+        cost = number()
+        expect("end_operator")
+        grounded.append((action, cost if has_costs else 1, tuple(preconditions), tuple(effects)))
+
+    axioms = []
+    for _ in range(number()):
+        expect("begin_rule")
+        conditions = facts()
+        variable, _, after = (int(word) for word in next(lines).split())
+        axioms.append(Effect(conditions, variable, after))
+        expect("end_rule")
+
+    costs = {action: cost for action, cost, _, _ in grounded}
+    actions = tuple(sorted(costs))
+    index = {action: number for number, action in enumerate(actions)}
+    return Task(
+        instance=instance,
+        sas=sas,
+        variables=tuple(variables),
+        actions=actions,
+        costs=tuple(costs[action] for action in actions),
+        operators=tuple(Operator(index[a], preconditions, effects) for a, _, preconditions, effects in grounded),
+        axioms=tuple(axioms),
+        initial=initial,
+        goal=goal,
+    )
