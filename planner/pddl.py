@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -141,6 +141,29 @@ def read(instance: Instance) -> Problem:
             _reject(instance.problem, problem_text, domain_text + problem_text, fault)
     _check_classical(instance, domain_text, problem)
     return problem
+
+
+class InvalidPlanError(AssertionError):
+    """A plan that unified-planning's validator rejects."""
+
+
+def validate(problem: Problem, plan: Sequence[str]) -> None:
+    """Check a plan, ground actions as `(name arg ...)`, with unified-planning's own validator.
+
+    Raises
+    ------
+    InvalidPlanError
+        The plan does not lead to the goal, or an action of it is not applicable.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from unified_planning.engines import SequentialPlanValidator, ValidationResultStatus
+        from unified_planning.io import PDDLReader
+
+        parsed = PDDLReader(problem.environment).parse_plan_string(problem, "\n".join(plan))
+        result = SequentialPlanValidator(environment=problem.environment).validate(problem, parsed)
+    if result.status != ValidationResultStatus.VALID:
+        raise InvalidPlanError(f"unified-planning's validator rejects the plan: {result.reason}")
 
 
 def _text(file: Path, kind: str) -> str:

@@ -1,0 +1,136 @@
+"""Belief over a person's expertise and influence.
+
+The hidden pair (beta, theta) is kept on a small `Grid`; a belief is an array of probabilities of shape
+(..., B, T). Beta never changes. Theta moves by a known map, whose result is shared between the two
+neighbouring grid points so that its mean is kept (`shares`); snapping to the nearest point would freeze
+trust whenever a step is shorter than half a cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .human import Floats, Population
+
+
+class ImpossibleObservationError(ValueError):
+    """An observation that has probability zero under a belief."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The values of beta and theta that a belief distinguishes.
+
+    Attributes
+    ----------
+    beta : float array, shape (B,)
+    theta : float array, shape (T,)
+        Ascending, from 0 to 1.
+    """
+
+    beta: Floats
+    theta: Floats
+
+    def __post_init__(self) -> None:
+        if self.beta.ndim != 1 or len(self.beta) < 1 or (np.diff(self.beta) <= 0).any() or self.beta[0] < 0:
+            raise ValueError("beta: expected one or more ascending values from 0 upwards")
+        if self.theta.ndim != 1 or len(self.theta) < 2 or (np.diff(self.theta) <= 0).any():
+            raise ValueError("theta: expected two or more ascending values")
+        if self.theta[0] != 0 or self.theta[-1] != 1:
+            raise ValueError("theta: expected a grid from 0 to 1, because trust can move that far")
+        self.beta.flags.writeable = False
+        self.theta.flags.writeable = False
+
+    @classmethod
+    def regular(cls, population: Population, betas: int = 6, thetas: int = 10) -> Grid:
+        """Divide the population's range of beta into equal cells (their middles), and [0, 1] for theta."""
+        low, high = population.beta
+        edges = np.linspace(low, high, betas + 1)
+        middles = (edges[1:] + edges[:-1]) / 2
+        return cls(np.unique(middles), np.linspace(0.0, 1.0, thetas))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The shape (B, T) of a belief."""
+        return len(self.beta), len(self.theta)
+
+    def shares(self, theta: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
+        """Share values of theta between neighbouring grid points.
+
+        Returns
+        -------
+        low : int array
+            The grid point at or below; `low + 1` is the one above.
+        weight : float array
+            The share of `low + 1`; `low` has the rest.
+        """
+        theta = np.asarray(theta, dtype=float)
+        low = np.clip(np.searchsorted(self.theta, theta, side="right") - 1, 0, len(self.theta) - 2)
+        weight = (theta - self.theta[low]) / (self.theta[low + 1] - self.theta[low])
+        return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
+
+    def prior(self, population: Population) -> Floats:
+        """Give the belief, shape (B, T), in a person drawn from a population.
+
+        Beta is uniform over the grid's values in the population's range (over the nearest one, where
+        none is). The uniform density of theta is shared between grid points like single values are,
+        so that its mean is exact.
+        """
+        low, high = population.beta
+        inside = (self.beta >= low) & (self.beta <= high)
+        if not inside.any():
+            inside = np.arange(len(self.beta)) == np.abs(self.beta - (low + high) / 2).argmin()
+        beta = inside / inside.sum()
+        low, high = population.theta
+        knots = np.unique(np.concatenate([[low, high], self.theta[(self.theta > low) & (self.theta < high)]]))
+        theta = np.zeros(len(self.theta))
+        if high > low:  # between knots the shares are linear, so that the middle stands for the interval
+            nodes, mass = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / (high - low)
+        else:
+            nodes, mass = np.array([low]), np.array([1.0])
+        at, weight = self.shares(nodes)
+        np.add.at(theta, at, mass * (1 - weight))
+        np.add.at(theta, at + 1, mass * weight)
+        return beta[:, None] * theta[None, :]
+
+
+def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
+    """Update beliefs by Bayes' rule, then move theta.
+
+    b'(beta, theta') proportional to sum over theta of b(beta, theta) P(a | x, r, beta, theta) T(theta' | theta)
+
+    Parameters
+    ----------
+    belief : float array, shape (N, B, T)
+    likelihood : float array, shape (N, B, T)
+        Probability of what was observed.
+    low, weight : int and float arrays, shape (N, T)
+        Where theta moves, as `Grid.shares` gives it.
+
+    Returns
+    -------
+    float array, shape (N, B, T)
+
+    Raises
+    ------
+    ImpossibleObservationError
+        An observation of probability zero.
+    """
+    joint = belief * likelihood
+    evidence = joint.sum(axis=(1, 2))
+    if not (evidence > 0).all():
+        row = int(np.flatnonzero(~(evidence > 0))[0])
+        raise ImpossibleObservationError(
+            f"row {row}: the observation has probability {evidence[row]:g} under the belief {belief[row].tolist()}; "
+            "a lapse rate above 0 in the model rules this out"
+        )
+    joint /= evidence[:, None, None]
+    moved = np.zeros_like(joint)
+    rows = np.arange(len(joint))
+    for t in range(joint.shape[2]):
+        moved[rows, :, low[:, t]] += joint[:, :, t] * (1 - weight[:, t, None])
+        moved[rows, :, low[:, t] + 1] += joint[:, :, t] * weight[:, t, None]
+    return moved

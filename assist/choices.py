@@ -1,0 +1,91 @@
+"""A task as an assistant sees it: in every state, what the person can do and what it leads to.
+
+`Choices` is the rectangular form of a cost-to-go table: row `x` has one slot for each action that is
+applicable in state `x`. Everything else in this package works on these arrays and knows nothing of PDDL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo
+
+WAIT = -1
+"""The action number of standing still, the only choice in a state without applicable actions."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The choices of every state, padded to the largest number of applicable actions `A`.
+
+    Attributes
+    ----------
+    h : float array, shape (n,)
+        Exact cost-to-go, infinite at dead ends.
+    goal : bool array, shape (n,)
+    applicable : bool array, shape (n, A)
+        Which slots hold a choice; they are filled from the left.
+    actions : int array, shape (n, A)
+        Ground action of each slot; `WAIT` where the person can only stand still (at cost 1).
+    targets : int array, shape (n, A)
+        The state after the action; the state itself in empty slots.
+    costs : float array, shape (n, A)
+        Cost of the action; 0 in empty slots.
+    optimal : bool array, shape (n, A)
+        Whether a cheapest way to the goal can begin with the action.
+    names : tuple of str
+        The ground actions in PDDL.
+    initial : int
+        The state in which an episode begins.
+    """
+
+    h: NDArray[np.float64]
+    goal: NDArray[np.bool_]
+    applicable: NDArray[np.bool_]
+    actions: NDArray[np.int64]
+    targets: NDArray[np.int64]
+    costs: NDArray[np.float64]
+    optimal: NDArray[np.bool_]
+    names: tuple[str, ...]
+    initial: int = 0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    @classmethod
+    def of(cls, table: CostToGo) -> Choices:
+        """Arrange the choices of a cost-to-go table."""
+        space = table.space
+        counts = np.diff(space.offsets)
+        stuck = np.flatnonzero((counts == 0) & ~space.goal)
+        shape = (len(space), max(1, int(counts.max(initial=0))))
+        slot = np.arange(len(space.targets)) - space.offsets[space.sources]
+        applicable = np.zeros(shape, dtype=bool)
+        actions = np.full(shape, WAIT, dtype=np.int64)
+        targets = np.repeat(np.arange(len(space))[:, None], shape[1], axis=1)
+        costs = np.zeros(shape)
+        optimal = np.zeros(shape, dtype=bool)
+        applicable[space.sources, slot] = True
+        actions[space.sources, slot] = space.actions
+        targets[space.sources, slot] = space.targets
+        costs[space.sources, slot] = space.costs
+        optimal[space.sources, slot] = table.optimal_choices()
+        applicable[stuck, 0] = True
+        costs[stuck, 0] = 1.0
+        return cls(
+            table.h.copy(), space.goal.copy(), applicable, actions, targets, costs, optimal, space.task.actions, space.initial
+        )
+
+    def __len__(self) -> int:
+        return len(self.h)
+
+    def name(self, state: int, slot: int) -> str:
+        """Give the ground action in a slot of a state, in PDDL."""
+        action = int(self.actions[state, slot])
+        return "(wait)" if action == WAIT else self.names[action]

@@ -1,0 +1,291 @@
+"""The command `kitassist`: options in, records and tables out. All work is done elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from planner import InstanceError, LimitError, PDDLError, cost_to_go, explore, find_instances, load
+from planner.batch import DONE, Record, SolveOptions, solve_batch, versions
+from planner.fast_downward import FastDownwardError
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+
+
+class Failure(click.ClickException):
+    """One line for the person at the terminal, and an exit code."""
+
+    def __init__(self, message: str, exit_code: int) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+    def show(self, file: Any = None) -> None:
+        """Print the line on stderr."""
+        click.echo(self.format_message(), file=file or sys.stderr)
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """Turn what is wrong with the input into one line and the exit code of the contract."""
+    try:
+        yield
+    except (InstanceError, FileExistsError) as error:
+        raise Failure(str(error), EXIT_USAGE) from None
+    except (PDDLError, LimitError, FastDownwardError) as error:
+        raise Failure(str(error), EXIT_FAILED) from None
+    except OSError as error:
+        raise Failure(f"{error.filename}: {error.strerror}", EXIT_FAILED) from None
+    except KeyboardInterrupt:
+        raise Failure("interrupted", EXIT_INTERRUPTED) from None
+
+
+class Rate(ProgressColumn):
+    """How many are done per second."""
+
+    def render(self, task: Task) -> Text:
+        """Give the mean rate since the start."""
+        return Text("" if not task.elapsed else f"{task.completed / task.elapsed:.1f}/s")
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar with rate and time left on stderr, where that is a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="kitassist")
+def main() -> None:
+    """Assistance in task planning: whom to help, when, and with which suggestion."""
+
+
+@main.command()
+@click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
+@click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside each problem unless given.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for results.jsonl, tables and plans.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+@click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each instance.")
+@click.option("--memory-limit", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="Memory for each instance.")
+@click.option(
+    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+    help="Solve only the initial state of a larger task.",
+)  # fmt: skip
+@click.option(
+    "--verify", type=click.IntRange(min=1), default=SolveOptions.verify, show_default=True,
+    help="States to compare with Fast Downward's A*.",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Keep what --out holds as solved or unsolvable.")
+@click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
+def solve(
+    instances: tuple[str, ...],
+    domain: str | None,
+    out: Path | None,
+    jobs: int,
+    time_limit: float | None,
+    memory_limit: float | None,
+    max_states: int,
+    verify: int,
+    resume: bool,
+    as_json: bool,
+) -> None:
+    """Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.
+
+    INSTANCE is a problem file, a folder (all its problems), or a glob.
+    """
+    if resume and out is None:
+        raise click.UsageError("--resume needs --out")
+    with one_line_errors():
+        found = find_instances(instances, domain)
+        options = SolveOptions(time_limit, memory_limit, max_states, verify)
+        with progress_bar("solving", len(found)) as advance:
+            records = solve_batch(found, options, out=out, jobs=jobs, resume=resume, progress=lambda _: advance(1))
+    for record in records:
+        if record["error"]:
+            place = ":".join(str(record["error"][key]) for key in ("file", "line") if record["error"][key] is not None)
+            click.echo(f"{place}: {record['error']['message']}", err=True)
+    if as_json:
+        click.echo(json.dumps(records, indent=2))
+    elif len(records) > 1 or not records[0]["error"]:
+        _show_solutions(records)
+    if any(record["status"] not in DONE for record in records):
+        sys.exit(EXIT_FAILED)
+
+
+def _show_solutions(records: list[Record]) -> None:
+    if len(records) == 1 and records[0]["plan"] is not None:
+        click.echo("\n".join(records[0]["plan"]))
+    table = Table(box=None, pad_edge=False)
+    table.add_column("instance", overflow="fold")
+    table.add_column("status")
+    for name in ("cost", "states", "dead ends", "largest h*", "verified", "seconds"):
+        table.add_column(name, justify="right")
+    for r in records:
+        numbers = (r["cost"], r["states"], r["dead_ends"], r["max_cost_to_go"], r["verified"])
+        cells = ("-" if number is None else f"{number:,}" for number in numbers)
+        seconds = r["seconds"].get("total")
+        table.add_row(r["instance"], r["status"], *cells, "-" if seconds is None else f"{seconds:.2f}")
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+
+
+RANGE = {"nargs": 2, "type": float, "metavar": "LOW HIGH", "show_default": True}
+
+
+@main.command()
+@click.argument("instance", metavar="INSTANCE")
+@click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team.")
+@click.option(
+    "--policy", "names", type=click.Choice(["none", "reactive", "attention"]), multiple=True, default=("attention",),
+    show_default=True, help="Team policy; repeat it to compare several on the same people and luck.",
+)  # fmt: skip
+@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@click.option("--pool", "size", type=click.IntRange(min=1), help="People from whom teams are drawn.  [default: 12, or K if larger]")
+@click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a record of each episode (JSON Lines).")
+@click.option("--trace", type=click.Path(dir_okay=False, path_type=Path), help="Write every action of every person (JSON Lines).")
+@click.option(
+    "--figure", type=click.Path(dir_okay=False, path_type=Path),
+    help="Draw the first episode under the last policy (.png, .svg or .pdf).",
+)  # fmt: skip
+@click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step.")
+@click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion.")
+@click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of going to another person.")
+@click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update.")
+@click.option("--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta.")
+@click.option("--lapse", type=float, default=1e-3, show_default=True, help="Weight of a uniform choice in the robot's model.")
+@click.option("--knowledge", type=click.Choice(["own", "exact"]), default="own", show_default=True, help="What the robot knows of people's perceived costs.")
+@click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True)
+@click.option("--max-steps", type=click.IntRange(min=1), default=500, show_default=True, help="Cut an episode off.")
+@click.option("--beta", default=(0.1, 3.0), help="Range of people's expertise.", **RANGE)
+@click.option("--theta", default=(0.5, 0.95), help="Range of the robot's influence on them.", **RANGE)
+@click.option("--sigma", default=(0.1, 1.0), help="Range of their misconception's size.", **RANGE)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+def simulate(
+    instance: str,
+    humans: int,
+    names: tuple[str, ...],
+    episodes: int,
+    seed: int,
+    size: int | None,
+    domain: str | None,
+    out: Path | None,
+    trace: Path | None,
+    figure: Path | None,
+    beta: tuple[float, float],
+    theta: tuple[float, float],
+    sigma: tuple[float, float],
+    as_json: bool,
+    **setting: Any,
+) -> None:
+    """Simulate a team of people and a robot that assists them."""
+    from planner import storage
+
+    from . import simulate as simulation
+    from .figures import MissingExtraError, episode_figure, save
+    from .human import Population
+    from .choices import Choices
+
+    with one_line_errors():
+        found = find_instances([instance], domain)
+        if len(found) != 1:
+            raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
+        choices = Choices.of(cost_to_go(explore(load(found[0]), max_states=SolveOptions.max_states)))
+        try:
+            population = Population(beta, theta, sigma)
+            chosen = simulation.Setting(**setting)
+            size = size or max(12, humans)
+            with progress_bar("solving people's POMDPs", size if chosen.knowledge == "own" else 1) as advance:
+                pool = simulation.Pool.sample(
+                    choices, size, seed, setting=chosen, population=population, progress=lambda *_: advance(1)
+                )
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        if humans > size:
+            raise click.UsageError(f"--humans {humans} is more than --pool {size}")
+        results, steps, pictured = [], [], []
+        for name in dict.fromkeys(names):
+            policy = pool.policy(name, humans)
+            traced: simulation.Trace | None = [] if trace else None
+            with progress_bar(f"simulating {name}", episodes) as advance:
+                results.append(
+                    simulation.simulate(
+                        pool, policy, humans=humans, episodes=episodes, seed=seed, name=name, trace=traced, progress=advance
+                    )
+                )
+            steps += traced or []
+        if figure:
+            for name in (names[-1], "none"):
+                first: simulation.Trace = []
+                simulation.simulate(pool, pool.policy(name, humans), humans=humans, episodes=1, seed=seed, name=name, trace=first)
+                pictured.append(first)
+            try:
+                save(episode_figure(pictured[0], None if names[-1] == "none" else pictured[1]), figure)
+            except MissingExtraError as error:
+                raise Failure(str(error), EXIT_FAILED) from None
+        if out:
+            storage.write_records(out, (episode.record() for result in results for episode in result))
+        if trace:
+            storage.write_records(trace, steps)
+    summaries = [simulation.summarise(result) for result in results]
+    if as_json:
+        document = {
+            "instance": str(found[0].problem),
+            "domain": str(found[0].domain),
+            "humans": humans,
+            "pool": size,
+            "episodes": episodes,
+            "seed": seed,
+            "setting": asdict(chosen),
+            "population": asdict(population),
+            "policies": [_summary_record(summary) for summary in summaries],
+            "versions": versions(),
+        }
+        click.echo(json.dumps(document, indent=2))
+    else:
+        _show_summaries(summaries)
+
+
+def _summary_record(summary: Any) -> dict[str, Any]:
+    record: dict[str, Any] = {"policy": summary.policy, "episodes": summary.episodes}
+    for name, label in SHOWN.items():
+        mean, error = getattr(summary, name)
+        record[label] = {"mean": mean, "stderr": None if error != error else error}
+    return {**record, "cut_off": summary.cut_off}
+
+
+SHOWN = {
+    "actions": "human_actions_per_person",
+    "interventions": "interventions",
+    "moves": "moves",
+    "discounted_return": "return",
+}
+
+
+def _show_summaries(summaries: list[Any]) -> None:
+    table = Table(box=None, pad_edge=False)
+    table.add_column("policy")
+    for label in SHOWN.values():
+        table.add_column(label.replace("_", " "), justify="right")
+    table.add_column("cut off", justify="right")
+    for summary in summaries:
+        cells = [f"{mean:.2f} ± {error:.2f}" for mean, error in (getattr(summary, name) for name in SHOWN)]
+        table.add_row(summary.policy, *cells, f"{summary.cut_off}")
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    click.echo(f"mean ± standard error over {summaries[0].episodes} episodes")
