@@ -79,7 +79,15 @@ class Choices:
         applicable[stuck, 0] = True
         costs[stuck, 0] = 1.0
         return cls(
-            table.h.copy(), space.goal.copy(), applicable, actions, targets, costs, optimal, space.task.actions, space.initial
+            table.h.copy(),
+            space.goal.copy(),
+            applicable,
+            actions,
+            targets,
+            costs,
+            optimal,
+            space.task.actions,
+            space.initial,
         )
 
     def __len__(self) -> int:

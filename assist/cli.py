@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 from rich.console import Console
@@ -20,21 +22,17 @@ from planner import InstanceError, LimitError, PDDLError, cost_to_go, explore, f
 from planner.batch import DONE, Record, SolveOptions, solve_batch, versions
 from planner.fast_downward import FastDownwardError
 
+from .errors import MissingExtraError
+
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
 
-class Failure(click.ClickException):
-    """One line for the person at the terminal, and an exit code."""
-
-    def __init__(self, message: str, exit_code: int) -> None:
-        super().__init__(message)
-        self.exit_code = exit_code
-
-    def show(self, file: Any = None) -> None:
-        """Print the line on stderr."""
-        click.echo(self.format_message(), file=file or sys.stderr)
+def fail(message: str, exit_code: int) -> NoReturn:
+    """Say in one line on stderr what is wrong, and end."""
+    click.echo(message, err=True)
+    sys.exit(exit_code)
 
 
 @contextmanager
@@ -43,13 +41,13 @@ def one_line_errors() -> Iterator[None]:
     try:
         yield
     except (InstanceError, FileExistsError) as error:
-        raise Failure(str(error), EXIT_USAGE) from None
-    except (PDDLError, LimitError, FastDownwardError) as error:
-        raise Failure(str(error), EXIT_FAILED) from None
+        fail(str(error), EXIT_USAGE)
+    except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
+        fail(str(error), EXIT_FAILED)
     except OSError as error:
-        raise Failure(f"{error.filename}: {error.strerror}", EXIT_FAILED) from None
+        fail(f"{error.filename}: {error.strerror}", EXIT_FAILED)
     except KeyboardInterrupt:
-        raise Failure("interrupted", EXIT_INTERRUPTED) from None
+        fail("interrupted; what was finished is kept, --resume continues", EXIT_INTERRUPTED)
 
 
 class Rate(ProgressColumn):
@@ -79,10 +77,16 @@ def main() -> None:
 @main.command()
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
 @click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside each problem unless given.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for results.jsonl, tables and plans.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for results.jsonl, tables and plans."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
-@click.option("--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each instance.")
-@click.option("--memory-limit", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="Memory for each instance.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each instance."
+)
+@click.option(
+    "--memory-limit", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="Memory for each instance."
+)
 @click.option(
     "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
     help="Solve only the initial state of a larger task.",
@@ -144,7 +148,12 @@ def _show_solutions(records: list[Record]) -> None:
     Console(width=None if sys.stdout.isatty() else 140).print(table)
 
 
-RANGE = {"nargs": 2, "type": float, "metavar": "LOW HIGH", "show_default": True}
+Range = tuple[float, float]
+
+
+def range_option(name: str, default: Range, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """An option with two numbers."""
+    return click.option(name, nargs=2, type=float, metavar="LOW HIGH", default=default, show_default=True, help=text)
 
 
 @main.command()
@@ -156,26 +165,45 @@ RANGE = {"nargs": 2, "type": float, "metavar": "LOW HIGH", "show_default": True}
 )  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
-@click.option("--pool", "size", type=click.IntRange(min=1), help="People from whom teams are drawn.  [default: 12, or K if larger]")
+@click.option(
+    "--pool",
+    "size",
+    type=click.IntRange(min=1),
+    help="People from whom teams are drawn.  [default: 12, or K if larger]",
+)
 @click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a record of each episode (JSON Lines).")
-@click.option("--trace", type=click.Path(dir_okay=False, path_type=Path), help="Write every action of every person (JSON Lines).")
+@click.option(
+    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a record of each episode (JSON Lines)."
+)
+@click.option(
+    "--trace", type=click.Path(dir_okay=False, path_type=Path), help="Write every action of every person (JSON Lines)."
+)
 @click.option(
     "--figure", type=click.Path(dir_okay=False, path_type=Path),
-    help="Draw the first episode under the last policy (.png, .svg or .pdf).",
+    help="Draw an episode in which the last policy saved actions (.png, .svg or .pdf).",
 )  # fmt: skip
 @click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step.")
 @click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion.")
 @click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of going to another person.")
 @click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update.")
-@click.option("--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta.")
-@click.option("--lapse", type=float, default=1e-3, show_default=True, help="Weight of a uniform choice in the robot's model.")
-@click.option("--knowledge", type=click.Choice(["own", "exact"]), default="own", show_default=True, help="What the robot knows of people's perceived costs.")
+@click.option(
+    "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."
+)
+@click.option(
+    "--lapse", type=float, default=1e-3, show_default=True, help="Weight of a uniform choice in the robot's model."
+)
+@click.option(
+    "--knowledge",
+    type=click.Choice(["own", "exact"]),
+    default="own",
+    show_default=True,
+    help="What the robot knows of people's perceived costs.",
+)
 @click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True)
 @click.option("--max-steps", type=click.IntRange(min=1), default=500, show_default=True, help="Cut an episode off.")
-@click.option("--beta", default=(0.1, 3.0), help="Range of people's expertise.", **RANGE)
-@click.option("--theta", default=(0.5, 0.95), help="Range of the robot's influence on them.", **RANGE)
-@click.option("--sigma", default=(0.1, 1.0), help="Range of their misconception's size.", **RANGE)
+@range_option("--beta", (0.1, 3.0), "Range of people's expertise.")
+@range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them.")
+@range_option("--sigma", (0.1, 1.0), "Range of their misconception's size.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
 def simulate(
     instance: str,
@@ -197,16 +225,26 @@ def simulate(
     """Simulate a team of people and a robot that assists them."""
     from planner import storage
 
+    from . import figures
     from . import simulate as simulation
-    from .figures import MissingExtraError, episode_figure, save
-    from .human import Population
     from .choices import Choices
+    from .human import Population
 
     with one_line_errors():
         found = find_instances([instance], domain)
         if len(found) != 1:
             raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
-        choices = Choices.of(cost_to_go(explore(load(found[0]), max_states=SolveOptions.max_states)))
+        if figure:
+            figures.require()
+            if figure.suffix not in figures.FORMATS:
+                raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
+        table = cost_to_go(explore(load(found[0]), max_states=SolveOptions.max_states))
+        if not math.isfinite(table[table.space.initial]):
+            fail(
+                f"{found[0]}: the goal cannot be reached from the initial state, so there is nobody to assist",
+                EXIT_FAILED,
+            )
+        choices = Choices.of(table)
         try:
             population = Population(beta, theta, sigma)
             chosen = simulation.Setting(**setting)
@@ -219,26 +257,34 @@ def simulate(
             raise click.UsageError(str(error)) from None
         if humans > size:
             raise click.UsageError(f"--humans {humans} is more than --pool {size}")
-        results, steps, pictured = [], [], []
+        results, steps = [], []
         for name in dict.fromkeys(names):
             policy = pool.policy(name, humans)
             traced: simulation.Trace | None = [] if trace else None
             with progress_bar(f"simulating {name}", episodes) as advance:
                 results.append(
                     simulation.simulate(
-                        pool, policy, humans=humans, episodes=episodes, seed=seed, name=name, trace=traced, progress=advance
+                        pool,
+                        policy,
+                        humans=humans,
+                        episodes=episodes,
+                        seed=seed,
+                        name=name,
+                        trace=traced,
+                        progress=advance,
                     )
                 )
             steps += traced or []
         if figure:
-            for name in (names[-1], "none"):
-                first: simulation.Trace = []
-                simulation.simulate(pool, pool.policy(name, humans), humans=humans, episodes=1, seed=seed, name=name, trace=first)
-                pictured.append(first)
-            try:
-                save(episode_figure(pictured[0], None if names[-1] == "none" else pictured[1]), figure)
-            except MissingExtraError as error:
-                raise Failure(str(error), EXIT_FAILED) from None
+            run = partial(simulation.simulate, pool, humans=humans, seed=seed)
+            alone = run(pool.policy("none", humans), episodes=episodes)
+            shown = simulation.illustrative(results[-1], alone)
+            pictured: list[simulation.Trace] = [[], []]
+            for name, trace_of in zip((names[-1], "none"), pictured, strict=True):
+                run(pool.policy(name, humans), episodes=[shown.episode], trace=trace_of)
+            figures.save(
+                figures.episode_figure(shown, pictured[0], pictured[1] if names[-1] != "none" else None), figure
+            )
         if out:
             storage.write_records(out, (episode.record() for result in results for episode in result))
         if trace:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.util
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from planner.storage import atomic
+
+from .errors import MissingExtraError
+from .simulate import Episode, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,39 +19,57 @@ if TYPE_CHECKING:
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
 
 
-class MissingExtraError(ImportError):
-    """A package that only an extra installs."""
+FORMATS = (".png", ".svg", ".pdf")
 
 
-def episode_figure(trace: list[dict[str, Any]], alone: list[dict[str, Any]] | None = None) -> Figure:
-    """Draw one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
-
-    Parameters
-    ----------
-    trace : list of dict
-        The episode, as `simulate` traces it.
-    alone : list of dict, optional
-        The same episode without a robot, drawn for comparison.
+def require() -> None:
+    """Check that pictures can be drawn.
 
     Raises
     ------
     MissingExtraError
         matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.lines import Line2D
-        from matplotlib.patches import Patch
-        from matplotlib.ticker import MaxNLocator
-    except ImportError:
-        raise MissingExtraError("pictures need matplotlib: pip install 'kitassist[plots]'") from None
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("pictures need matplotlib: pip install 'kitassist[plots]'")
+
+
+def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -> Figure:
+    """Draw one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
+
+    Parameters
+    ----------
+    episode : Episode
+        Who was in the team.
+    trace : list of dict
+        The episode's actions, as `simulate` traces them.
+    alone : list of dict, optional
+        Those of the same episode without a robot, drawn for comparison.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require()
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+    from matplotlib.ticker import MaxNLocator
 
     places = sorted({row["place"] for row in trace})
     steps = max(row["step"] for row in trace) + 1
     alone_steps = max((row["step"] for row in alone or []), default=0) + 1
     shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze all else
-    figure = Figure(figsize=(9, 1.4 + 1.9 * len(places)), layout="constrained")
+    height = 1.9 + 1.9 * len(places)
+    figure = Figure(figsize=(9, height))
     axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(left=0.08, right=0.98, top=1 - 0.75 / height, bottom=1.15 / height, hspace=0.35)
+    figure.suptitle(
+        f"Episode {episode.episode} under the policy '{episode.policy}': {sum(episode.actions)} human actions, "
+        f"suggestions: {episode.interventions}, moves: {episode.moves}",
+        fontsize=11, y=1 - 0.2 / height, va="top",
+    )  # fmt: skip
     highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
     for place, axis in zip(places, axes, strict=True):
         rows = [row for row in trace if row["place"] == place]
@@ -71,9 +93,12 @@ def episode_figure(trace: list[dict[str, Any]], alone: list[dict[str, Any]] | No
                 f"done after {last['step'] + 1} actions", (last["step"] + 1, 0), xytext=(8, 5),
                 textcoords="offset points", fontsize=9, color=BLUE,
             )  # fmt: skip
-        axis.set_title(rows[0]["person"], loc="left", fontsize=10, fontweight="bold")
+        axis.set_title(episode.people[place], loc="left", fontsize=10, fontweight="bold")
+        beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
+        who = f"expertise β = {beta:.2f}, influence θ = {theta:.2f} at first, misconception σ = {sigma:.2f}"
+        axis.set_title(who, loc="right", fontsize=9, color="#555555")
         axis.set_ylim(0, highest * 1.12)
-        axis.set_xlim(0, shown + 0.2)
+        axis.set_xlim(0, shown * 1.17)
         axis.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.spines[["top", "right"]].set_visible(False)
@@ -85,18 +110,36 @@ def episode_figure(trace: list[dict[str, Any]], alone: list[dict[str, Any]] | No
         Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone"),
         Patch(color=ORANGE, alpha=0.22, label="the robot is here"),
         Line2D([], [], linestyle="none", marker="v", markersize=8, color=GREEN, label="suggestion, taken"),
-        Line2D([], [], linestyle="none", marker="v", markersize=8, color=GREEN, markerfacecolor="white", label="suggestion, not taken"),
+        Line2D(
+            [],
+            [],
+            linestyle="none",
+            marker="v",
+            markersize=8,
+            color=GREEN,
+            markerfacecolor="white",
+            label="suggestion, not taken",
+        ),
     ]
-    figure.legend(handles=entries if alone else [entries[0], *entries[2:]], loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(
+        handles=entries if alone else [entries[0], *entries[2:]], loc="lower center", ncols=3, frameon=False, fontsize=9
+    )
     return figure
 
 
-def _line(axis: Axes, rows: list[dict[str, Any]], color: str, style: str, width: float) -> None:
+def _line(axis: Axes, rows: Trace, color: str, style: str, width: float) -> None:
     """Draw a person's cost-to-go at every step, the end of their last action included."""
     if rows:
         x = [row["step"] for row in rows] + [rows[-1]["step"] + 1]
         y = [row["cost_to_go"] for row in rows] + [rows[-1]["cost_to_go_after"]]
-        axis.plot(x, [float("nan") if value is None else value for value in y], color=color, linestyle=style, linewidth=width, zorder=4)
+        axis.plot(
+            x,
+            [float("nan") if value is None else value for value in y],
+            color=color,
+            linestyle=style,
+            linewidth=width,
+            zorder=4,
+        )
 
 
 def save(figure: Figure, file: Path) -> None:

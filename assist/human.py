@@ -118,7 +118,7 @@ def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, u
     utility_scale : float
         The unit of V in cost units.
     """
-    value, expected = np.asarray(value, dtype=float), np.asarray(expected, dtype=float)
+    theta, value, expected = (np.asarray(a, dtype=float) for a in (theta, value, expected))
     with np.errstate(invalid="ignore"):
         gain = np.where(value == expected, 0.0, expected - value)
     return np.asarray(np.clip(theta + eta * gain / utility_scale, 0.0, 1.0), dtype=float)
@@ -164,8 +164,10 @@ class Population:
         for name, (low, high), most in (
             ("beta", self.beta, np.inf), ("theta", self.theta, 1.0), ("sigma", self.sigma, np.inf),
         ):  # fmt: skip
-            if not 0 <= low <= high <= most:
-                raise ValueError(f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high" + f" <= {most:g}" * (most < np.inf))
+            if not (0 <= low <= high <= most and np.isfinite(high)):
+                raise ValueError(
+                    f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high" + f" <= {most:g}" * (most < np.inf)
+                )
 
     def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
         """Draw people for a task."""
@@ -203,12 +205,14 @@ class HumanModel:
     def __post_init__(self) -> None:
         if not 0 <= self.lapse < 1:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
-        if self.eta < 0 or self.utility_scale <= 0:
+        if not (0 <= self.eta < np.inf and 0 < self.utility_scale < np.inf):
             raise ValueError(f"eta {self.eta:g}, utility_scale {self.utility_scale:g}: expected eta >= 0, scale > 0")
         self.q.flags.writeable = False
 
     @classmethod
-    def exact(cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0) -> HumanModel:
+    def exact(
+        cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
+    ) -> HumanModel:
         """Model a person of whom only the task is known (`knowledge="exact"`): h* for their h."""
         return cls(choices, perceived_cost(choices, choices.h), eta, lapse, utility_scale)
 

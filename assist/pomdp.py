@@ -118,7 +118,9 @@ class AssistPOMDP:
         total = theta * followed + (1 - theta) * (1 - followed)
         weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
-        influenced = np.divide(weight * p, total, out=np.zeros(np.broadcast_shapes(p.shape, total.shape)), where=total > 0)
+        influenced = np.divide(
+            weight * p, total, out=np.zeros(np.broadcast_shapes(p.shape, total.shape)), where=total > 0
+        )
         likelihood = np.where(heard, influenced, p)
         count = self.model.choices.applicable[x].sum(axis=1)[:, None, None]
         return (1 - self.model.lapse) * likelihood + self.model.lapse / count

@@ -45,7 +45,7 @@ from .solver import Policy, solve
 
 Knowledge = Literal["own", "exact"]
 POLICIES = ("none", "reactive", "attention")
-CHUNK = 1000  # episodes that are simulated together: bounds the memory of their random numbers
+CHUNK = 4_000_000  # random numbers that are held at a time
 
 
 @dataclass(frozen=True)
@@ -204,6 +204,7 @@ class Episode:
 
 
 Trace = list[dict[str, Any]]
+"""One dictionary for each action of each person."""
 
 
 def simulate(
@@ -240,8 +241,9 @@ def simulate(
         raise ValueError(f"{humans} people per team: expected 1 to {len(pool.people)}, the size of the pool")
     numbers = np.arange(episodes) if isinstance(episodes, int) else np.asarray(episodes, dtype=np.int64)
     result: list[Episode] = []
-    for start in range(0, len(numbers), CHUNK):
-        result += _Run(pool, policy, humans, numbers[start : start + CHUNK], seed, name, trace, progress).run()
+    together = max(1, CHUNK // (pool.setting.max_steps * humans))
+    for start in range(0, len(numbers), together):
+        result += _Run(pool, policy, humans, numbers[start : start + together], seed, name, trace, progress).run()
     return result
 
 
@@ -458,3 +460,16 @@ def summarise(episodes: Sequence[Episode]) -> Summary:
         discounted_return=mean_and_error([episode.discounted_return for episode in episodes]),
         cut_off=sum(not all(episode.finished) for episode in episodes),
     )
+
+
+def illustrative(helped: Sequence[Episode], alone: Sequence[Episode]) -> Episode:
+    """Choose an episode to look at: of those in which help saved actions, the one of median saving.
+
+    Parameters
+    ----------
+    helped, alone : sequences of Episode
+        The same episodes with and without a robot.
+    """
+    saved = [sum(a.actions) - sum(h.actions) for h, a in zip(helped, alone, strict=True)]
+    better = sorted((number, i) for i, number in enumerate(saved) if number > 0)
+    return helped[better[(len(better) - 1) // 2][1]] if better else helped[0]

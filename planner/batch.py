@@ -13,7 +13,7 @@ import resource
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -139,7 +139,11 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
     except LimitError as error:
         record = _stopped(instance, "limit", str(error))
     except MemoryError:
-        record = _stopped(instance, "limit", f"out of memory ({options.memory_limit:g} MB)" if options.memory_limit else "out of memory")
+        record = _stopped(
+            instance,
+            "limit",
+            f"out of memory ({options.memory_limit:g} MB)" if options.memory_limit else "out of memory",
+        )
     except (FastDownwardError, MismatchError, InvalidPlanError) as error:
         record = _stopped(instance, "invalid", str(error))
     record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
@@ -234,7 +238,10 @@ def save_table(file: Path, table: CostToGo) -> None:
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
     """Save a plan in the planners' format: an action a line, then its cost in a comment."""
     unit = all(cost == 1 for cost in task.costs)
-    text = "".join(f"{action}\n" for action in plan) + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
+    text = (
+        "".join(f"{action}\n" for action in plan)
+        + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
+    )
     with atomic(file) as path:
         path.write_text(text, encoding="utf-8")
 
@@ -299,9 +306,13 @@ def solve_batch(
     todo = [instance for instance in instances if str(instance.problem) not in records]
     if todo:
         timeout = None if options.time_limit is None else options.time_limit + GRACE
-        pool = ProcessPool(max_workers=min(jobs, len(todo)), context=get_context("spawn"), initializer=_ignore_interrupts)
+        pool = ProcessPool(
+            max_workers=min(jobs, len(todo)), context=get_context("spawn"), initializer=_ignore_interrupts
+        )
         try:
-            futures = {pool.schedule(solve_instance, args=(i, options, out), timeout=timeout): i for i in todo}
+            futures: dict[Future[Record], Instance] = {
+                pool.schedule(solve_instance, args=(i, options, out), timeout=timeout): i for i in todo
+            }
             for future in as_completed(futures):
                 instance = futures[future]
                 try:
@@ -311,9 +322,9 @@ def solve_batch(
                 except ProcessExpired as error:
                     code = f"the worker process died with exit code {error.exitcode}, probably out of memory"
                     finished(instance, _stopped(instance, "limit", code))
-            pool.close()
+            pool.close()  # type: ignore[no-untyped-call]
         except BaseException:
-            pool.stop()
+            pool.stop()  # type: ignore[no-untyped-call]
             raise
         finally:
             pool.join()

@@ -61,9 +61,7 @@ class CostToGo:
     def optimal_choices(self) -> NDArray[np.bool_]:
         """Tell of each choice, shape (m,), whether a cheapest way to the goal can begin with it."""
         h = self.h
-        return np.isfinite(h[self.space.sources]) & (
-            self.space.costs + h[self.space.targets] == h[self.space.sources]
-        )
+        return np.isfinite(h[self.space.sources]) & (self.space.costs + h[self.space.targets] == h[self.space.sources])
 
     def optimal_plan(self, state: int = 0) -> list[str] | None:
         """Read an optimal plan off the table; None from a dead end."""
@@ -112,7 +110,9 @@ def cost_to_go(space: StateSpace, *, deadline: float | None = None) -> CostToGo:
         frontier = frontier[~settled[frontier] & (distance[frontier] == d)]
         settled[frontier] = True
         counts = into[frontier + 1] - into[frontier]
-        rows = np.repeat(into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(counts.sum())
+        rows = np.repeat(into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(
+            counts.sum()
+        )
         reached, through = sources[rows], d + costs[rows]
         better = through < distance[reached]
         reached, through = reached[better], through[better]

@@ -9,6 +9,7 @@ Downward's translator: nothing is expanded with the object returned here.
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -237,7 +238,7 @@ def _check_domain_name(instance: Instance, domain_text: str, problem_text: str) 
 
     def named(text: str, keyword: str) -> tuple[str, int] | None:
         tokens = list(_tokens(text))
-        for (word, _), (name, line) in zip(tokens, tokens[1:], strict=False):
+        for (word, _), (name, line) in itertools.pairwise(tokens):
             if word == keyword and name not in "()":
                 return name, line
         return None
@@ -277,7 +278,9 @@ def _reject(file: Path, text: str, names: str, fault: BaseException) -> NoReturn
     line: int | None = getattr(fault, "lineno", None)
     if line is None and (place := re.search(r"\bline:? (\d+)", told)):
         line = int(place[1])
-    told = re.sub(r"\s+\(at char .*|[.\n]*\s*(Error )?(in expression )?(from|found at) line:? .*", "", told, flags=re.S | re.I)
+    told = re.sub(
+        r"\s+\(at char .*|[.\n]*\s*(Error )?(in expression )?(from|found at) line:? .*", "", told, flags=re.S | re.I
+    )
 
     if match := re.match(r"Found invalid expression: (\S+)|Undefined name found: (\S+)", told):
         name = match[1] or f"?{match[2].rstrip('.')}"

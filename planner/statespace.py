@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .fast_downward import LimitError
 from .task import Effect, Fact, Task
@@ -53,7 +53,7 @@ class Packing:
             used += int(width)
         return cls(word, shift, bits, at + 1)
 
-    def pack(self, values: Sequence[int] | NDArray[np.integer]) -> Words:
+    def pack(self, values: ArrayLike) -> Words:
         """Pack states given as values, shape (..., variables), into words, shape (..., words)."""
         array = np.asarray(values).astype(np.uint64)
         packed = np.zeros((*array.shape[:-1], self.words), dtype=np.uint64)
@@ -110,7 +110,10 @@ class Successors:
         groups: dict[tuple[Fact, ...], list[Fact]] = {}
         for effect in effects:
             groups.setdefault(effect.conditions, []).append((effect.variable, effect.value))
-        return [(*self.packing.condition(conditions), *self.packing.condition(facts)) for conditions, facts in groups.items()]
+        return [
+            (*self.packing.condition(conditions), *self.packing.condition(facts))
+            for conditions, facts in groups.items()
+        ]
 
     def applicable(self, states: Words, operator: int) -> NDArray[np.int64]:
         """Give the rows of `states` in which an operator can be applied."""

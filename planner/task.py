@@ -102,9 +102,7 @@ class Task:
         return sum(self.costs[self.action_index[action]] for action in plan)
 
 
-def load(
-    problem: str | Path | pddl.Instance, domain: str | Path | None = None, *, limits: Limits = NO_LIMITS
-) -> Task:
+def load(problem: str | Path | pddl.Instance, domain: str | Path | None = None, *, limits: Limits = NO_LIMITS) -> Task:
     """Read, validate and ground a PDDL instance.
 
     Parameters

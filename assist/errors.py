@@ -1,0 +1,7 @@
+"""The errors that more than one module of this package raises."""
+
+from __future__ import annotations
+
+
+class MissingExtraError(ImportError):
+    """A package that only an extra of this project installs."""
