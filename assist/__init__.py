@@ -1,49 +1,14 @@
-"""From the exact cost-to-go to a robot that assists a team."""
+"""From the exact cost-to-go to a robot that assists a team.
 
-from .attention import (
-    BASE,
-    NOBODY,
-    AttentionSwitching,
-    NoAssistance,
-    Reactive,
-    TeamAction,
-    TeamPolicy,
-    TeamState,
-    distances,
-)
-from .belief import Grid, ImpossibleObservationError
-from .choices import Choices
-from .errors import MissingExtraError
-from .human import NOTHING, Human, HumanModel, Population
-from .pomdp import AssistPOMDP
-from .simulate import Episode, Pool, Setting, Summary, simulate, summarise
-from .solver import Policy, solve
+In the order in which they build on each other:
 
-__all__ = [
-    "BASE",
-    "NOBODY",
-    "NOTHING",
-    "AssistPOMDP",
-    "AttentionSwitching",
-    "Choices",
-    "Episode",
-    "Grid",
-    "Human",
-    "HumanModel",
-    "ImpossibleObservationError",
-    "MissingExtraError",
-    "NoAssistance",
-    "Policy",
-    "Pool",
-    "Population",
-    "Reactive",
-    "Setting",
-    "Summary",
-    "TeamAction",
-    "TeamPolicy",
-    "TeamState",
-    "distances",
-    "simulate",
-    "solve",
-    "summarise",
-]
+choices     what a person can do in each state, as arrays
+human       perceived cost, choice, influence, trust; people and populations
+belief      belief over (beta, theta)
+pomdp       one person's assistance problem
+solver      its policy
+attention   team policies: no assistance, reactive, attention switching
+simulate    episodes of a team
+figures     pictures (extra `plots`)
+cli         the command `kitassist`
+"""

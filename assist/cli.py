@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from planner import InstanceError, LimitError, PDDLError, cost_to_go, explore, find_instances, load
-from planner.batch import DONE, Record, SolveOptions, solve_batch, versions
+from planner.batch import DONE, Record, ResultsExistError, SolveOptions, solve_batch, versions
 from planner.fast_downward import FastDownwardError
 
 from .errors import MissingExtraError
@@ -40,7 +40,7 @@ def one_line_errors() -> Iterator[None]:
     """Turn what is wrong with the input into one line and the exit code of the contract."""
     try:
         yield
-    except (InstanceError, FileExistsError) as error:
+    except (InstanceError, ResultsExistError) as error:
         fail(str(error), EXIT_USAGE)
     except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
         fail(str(error), EXIT_FAILED)
@@ -257,7 +257,8 @@ def simulate(
             raise click.UsageError(str(error)) from None
         if humans > size:
             raise click.UsageError(f"--humans {humans} is more than --pool {size}")
-        results, steps = [], []
+        results: list[list[simulation.Episode]] = []
+        steps: simulation.Trace = []
         for name in dict.fromkeys(names):
             policy = pool.policy(name, humans)
             traced: simulation.Trace | None = [] if trace else None

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ from .pddl import Instance, InvalidPlanError, PDDLError
 from .statespace import explore
 from .storage import append_record, atomic, read_records, write_records
 from .task import Task, from_sas
+
+if TYPE_CHECKING:
+    from unified_planning.model import Problem
 
 Record = dict[str, Any]
 
@@ -60,6 +63,10 @@ class SolveOptions:
     max_states: int = 5_000_000
     verify: int = 20
     verify_seconds: float = 10.0
+
+
+class ResultsExistError(ValueError):
+    """An output folder that holds results already."""
 
 
 class _Phases:
@@ -132,8 +139,11 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
     phases = _Phases(options.time_limit, options.memory_limit)
     _reset_peak_memory()
     try:
+        with phases.phase("read"):
+            problem = pddl.read(instance)
+        # Only now: loading libraries maps far more memory than is ever used.
         with _memory_limit(options.memory_limit):
-            record = _solve(instance, options, out, phases)
+            record = _solve(instance, problem, options, out, phases)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
     except LimitError as error:
@@ -152,10 +162,8 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
     return record
 
 
-def _solve(instance: Instance, options: SolveOptions, out: Path | None, phases: _Phases) -> Record:
+def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Path | None, phases: _Phases) -> Record:
     record = empty_record(instance, "solved", None)
-    with phases.phase("read"):
-        problem = pddl.read(instance)
     with phases.phase("translate"):
         task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
     table: CostToGo | None = None
@@ -169,7 +177,6 @@ def _solve(instance: Instance, options: SolveOptions, out: Path | None, phases: 
             if phases.deadline is not None and time.monotonic() > phases.deadline:
                 raise  # otherwise there are too many states, and the initial one is solved on demand
     if table is not None:
-        cost, plan = table[0], table.optimal_plan()
         finite = table.distance[~table.dead_end]
         record.update(
             method="sweep",
@@ -182,6 +189,7 @@ def _solve(instance: Instance, options: SolveOptions, out: Path | None, phases: 
             record["verified"] = verify(
                 table, options.verify, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits()
             )
+        cost, plan = table[table.space.initial], table.optimal_plan()
     else:
         with phases.phase("search"):
             cost, plan = astar(task, limits=phases.limits())
@@ -278,7 +286,7 @@ def solve_batch(
 
     Raises
     ------
-    FileExistsError
+    ResultsExistError
         There are results in `out` already, and `resume` is not set.
     """
     from pebble import ProcessExpired, ProcessPool
@@ -288,7 +296,7 @@ def solve_batch(
     results = None if out is None else out / RESULTS
     if results is not None:
         if results.exists() and not resume:
-            raise FileExistsError(f"{results} exists; resume it, or choose another folder")
+            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
         wanted = {str(instance.problem) for instance in instances}
         records = {r["instance"]: r for r in read_records(results) if r["instance"] in wanted and r["status"] in DONE}
         write_records(results, list(records.values()))
@@ -322,6 +330,8 @@ def solve_batch(
                 except ProcessExpired as error:
                     code = f"the worker process died with exit code {error.exitcode}, probably out of memory"
                     finished(instance, _stopped(instance, "limit", code))
+                except Exception as error:  # noqa: BLE001  a fault of this program stops one instance, not all
+                    finished(instance, _stopped(instance, "invalid", f"internal error: {error!r}"))
             pool.close()  # type: ignore[no-untyped-call]
         except BaseException:
             pool.stop()  # type: ignore[no-untyped-call]

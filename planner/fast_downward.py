@@ -14,6 +14,7 @@ import importlib.resources
 import os
 import re
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -78,8 +79,7 @@ def translate(instance: Instance, limits: Limits = NO_LIMITS) -> str:
         command = [sys.executable, "-m", "fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas)]
         command += [str(instance.domain.absolute()), str(instance.problem.absolute())]
         code, output = _run(command, folder, None, limits)
-        if code in EXIT_OUT_OF_MEMORY | EXIT_OUT_OF_TIME:
-            raise LimitError(f"translation ran out of {'memory' if code in EXIT_OUT_OF_MEMORY else 'time'}")
+        _check_limits("translation", code, limits)
         if code in EXIT_INPUT_ERROR:
             raise _refused(instance, output)
         if code != 0 or not sas.is_file():
@@ -126,11 +126,12 @@ def optimal_plan(
         command = [str(program), "--internal-plan-file", str(plan), "--search", search]
         code, output = _run(command, folder, sas, limits)
         if code == 0 and plan.is_file():
-            return [line for line in plan.read_text(encoding="utf-8").splitlines() if line.startswith("(")]
+            # An action without arguments is written with a space before the bracket.
+            lines = plan.read_text(encoding="utf-8").splitlines()
+            return [f"({line[1:-1].strip()})" for line in lines if line.startswith("(")]
     if code in EXIT_UNSOLVABLE:
         return None
-    if code in EXIT_OUT_OF_MEMORY | EXIT_OUT_OF_TIME:
-        raise LimitError(f"A* ran out of {'memory' if code in EXIT_OUT_OF_MEMORY else 'time'}")
+    _check_limits("A*", code, limits)
     raise FastDownwardError(f"Fast Downward's search failed (exit {code}): {_last_line(output)}")
 
 
@@ -183,6 +184,14 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
             if pipe is not None:
                 pipe.close()
     return process.returncode, output
+
+
+def _check_limits(what: str, code: int, limits: Limits) -> None:
+    """Raise if a program ended because of a limit; one that a signal ended under a memory limit did as well."""
+    if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
+        raise LimitError(f"{what} ran out of time")
+    if code in EXIT_OUT_OF_MEMORY or (code < 0 and limits.memory_mb is not None):
+        raise LimitError(f"{what} ran out of memory")
 
 
 def _limit(pid: int, what: int, value: int) -> None:

@@ -170,7 +170,7 @@ def from_sas(sas: str, instance: pddl.Instance) -> Task:
     grounded: list[tuple[str, int, tuple[Fact, ...], tuple[Effect, ...]]] = []
     for _ in range(number()):
         expect("begin_operator")
-        action = f"({next(lines)})"
+        action = f"({next(lines).strip()})"
         preconditions, effects = list(facts()), []
         for _ in range(number()):
             words = [int(word) for word in next(lines).split()]

@@ -1,0 +1,303 @@
+"""The commands as users script them: options, records, exit codes, what is printed where."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import DOMAINS, KITTING, ROOT, kitassist, write_instance
+
+from planner import CostToGo, Packing, load
+from planner.batch import SolveOptions, solve_instance
+from planner.pddl import read, validate
+
+FIELDS = [
+    "instance", "domain", "status", "cost", "plan", "states", "transitions", "dead_ends", "max_cost_to_go", "method",
+    "verified", "seconds", "peak_memory_mb", "versions", "error",
+]  # fmt: skip
+
+
+def stable(records: list[dict]) -> list[dict]:
+    """Records without what differs from run to run."""
+    return [{k: v for k, v in record.items() if k not in ("seconds", "peak_memory_mb")} for record in records]
+
+
+def test_solve_the_papers_instance() -> None:
+    result = kitassist("solve", KITTING / "paper.pddl", "--json")
+    assert result.returncode == 0
+    assert result.stderr == ""
+    (record,) = json.loads(result.stdout)
+    assert list(record) == FIELDS
+    assert (record["status"], record["cost"], record["method"], record["error"]) == ("solved", 10, "sweep", None)
+    assert (record["states"], record["transitions"], record["dead_ends"], record["max_cost_to_go"]) == (
+        836,
+        2342,
+        0,
+        17,
+    )
+    assert record["verified"] == 20
+    assert len(record["plan"]) == 10
+    validate(read(load(KITTING / "paper.pddl").instance), record["plan"])
+    assert set(record["seconds"]) == {"read", "translate", "search", "cost_to_go", "verify", "validate", "total"}
+    assert record["versions"]["fast_downward"].startswith("26.")
+
+
+def test_solve_unsolvable_dead_ends_and_costs() -> None:
+    names = [KITTING / "unsolvable.pddl", KITTING / "sealed.pddl", KITTING / "costs" / "ways.pddl"]
+    result = kitassist("solve", *names, "--json", "--verify", 1)
+    assert result.returncode == 0
+    unsolvable, sealed, ways = json.loads(result.stdout)
+    assert (unsolvable["status"], unsolvable["cost"], unsolvable["plan"]) == ("unsolvable", None, None)
+    assert (sealed["status"], sealed["cost"], sealed["dead_ends"]) == ("solved", 10, 620)
+    assert (ways["cost"], ways["verified"]) == (18, 1)
+
+
+def test_the_printed_table_names_every_instance() -> None:
+    result = kitassist("solve", f"{KITTING}/*.pddl", "--jobs", 2)
+    assert result.returncode == 0
+    assert all(f.name in result.stdout for f in KITTING.glob("*.pddl") if f.name != "domain.pddl")
+    single = kitassist("solve", KITTING / "tiny.pddl").stdout
+    assert single.startswith("(fetch box-")
+
+
+def test_one_bad_instance_does_not_disturb_the_rest(tmp_path: Path) -> None:
+    good = write_instance(tmp_path / "good", (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text())
+    bad = write_instance(tmp_path / "bad", "(define (domain kitting)", "(define (problem p) (:domain kitting))")
+    result = kitassist("solve", tmp_path, "--json", "--jobs", 2)
+    assert result.returncode == 1
+    first, second = json.loads(result.stdout)
+    assert (first["instance"], first["status"]) == (str(bad.problem), "invalid")
+    assert list(first) == FIELDS
+    assert first["error"] == {
+        "file": str(bad.domain),
+        "line": 1,
+        "message": "')' is missing between here and the end of the file",
+    }
+    assert (second["instance"], second["status"]) == (str(good.problem), "solved")
+    assert result.stderr.splitlines() == [f"{bad.domain}:1: {first['error']['message']}"]
+
+
+def test_tables_and_plans_are_saved(tmp_path: Path, tiny: CostToGo) -> None:
+    instance = write_instance(
+        tmp_path / "in", (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
+    )
+    out = tmp_path / "out"
+    assert kitassist("solve", "in/problem.pddl", "--out", "out", cwd=tmp_path).returncode == 0
+    assert sorted(str(f.relative_to(out)) for f in out.rglob("*.*")) == [
+        "in/problem.npz",
+        "in/problem.plan",
+        "results.jsonl",
+    ]
+    (record,) = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    lines = (out / "in" / "problem.plan").read_text().splitlines()
+    assert lines == [*record["plan"], "; cost = 6 (unit cost)"]
+    validate(read(instance), lines[:-1])
+    with np.load(out / "in" / "problem.npz") as saved:
+        np.testing.assert_array_equal(saved["cost_to_go"], tiny.distance)
+        packing = Packing(saved["word"], saved["shift"], saved["bits"], saved["states"].shape[1])
+        values = packing.unpack(saved["states"])
+        facts = [str(saved["facts"][variable, value]) for variable, value in enumerate(values[0])]
+        assert "Atom in-storage(box-a)" in facts
+        assert tuple(values[0]) == tiny.space.values(0)
+
+
+def test_larger_tasks_are_solved_on_demand() -> None:
+    (record,) = json.loads(kitassist("solve", KITTING / "paper.pddl", "--max-states", 500, "--json").stdout)
+    assert (record["status"], record["cost"], record["method"]) == ("solved", 10, "on-demand")
+    assert record["states"] is record["transitions"] is record["dead_ends"] is record["max_cost_to_go"] is None
+    assert len(record["plan"]) == 10
+
+
+def big_kit(items: int) -> str:
+    """All items fit all slots: 5 * sum_k C(n,k)^2 k! states, over 7 million from 8 items on."""
+    names, slots = [f"i{k}" for k in range(items)], [f"s{k}" for k in range(items)]
+    boxes = ["b0", "b1", "b2", "b3"]
+    facts = ["(platform-free)", *(f"(in-storage {b})" for b in boxes)]
+    facts += [
+        f"({p})" for k, i in enumerate(names) for p in (f"contains {boxes[k % 4]} {i}", f"belongs {i} {boxes[k % 4]}")
+    ]
+    facts += [f"({p} {s})" for s in slots for p in ("slot-free", "removable")] + [
+        f"(fits {i} {s})" for i in names for s in slots
+    ]
+    goal = [f"(in-slot {i} {s})" for i, s in zip(names, slots, strict=True)] + [f"(in-storage {b})" for b in boxes]
+    objects = f"{' '.join(boxes)} - container {' '.join(names)} - item {' '.join(slots)} - slot"
+    return f"(define (problem big) (:domain kitting) (:objects {objects}) (:init {' '.join(facts)}) (:goal (and {' '.join(goal)})))"
+
+
+def test_limits_of_time_and_memory_hold(tmp_path: Path) -> None:
+    instance = write_instance(tmp_path, (KITTING / "domain.pddl").read_text(), big_kit(9))
+    start = time.monotonic()
+    result = kitassist(
+        "solve", instance.problem, KITTING / "tiny.pddl", "--time-limit", 3, "--max-states", 10**9, "--json"
+    )
+    assert time.monotonic() - start < 30
+    assert result.returncode == 1
+    big, small = json.loads(result.stdout)
+    assert (big["status"], small["status"]) == ("limit", "solved")
+    assert "out of time" in big["error"]["message"]
+    result = kitassist(
+        "solve", instance.problem, "--memory-limit", 200, "--time-limit", 60, "--max-states", 10**9, "--json"
+    )
+    (record,) = json.loads(result.stdout)
+    assert record["status"] == "limit" or record["method"] == "on-demand"
+    assert record["peak_memory_mb"] < 1.2 * 200
+
+
+def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert kitassist("solve", KITTING / "tiny.pddl", "--out", out).returncode == 0
+    again = kitassist("solve", KITTING / "tiny.pddl", "--out", out)
+    assert again.returncode == 2
+    assert "exists" in again.stderr
+    before = json.loads((out / "results.jsonl").read_text())
+    with (out / "results.jsonl").open("a") as stream:
+        stream.write('{"instance": "cut o')
+    names = [KITTING / "paper-fixed.pddl", KITTING / "tiny.pddl"]
+    result = kitassist("solve", *names, "--out", out, "--resume", "--json")
+    assert result.returncode == 0
+    assert json.loads(result.stdout)[1] == before  # the very record, seconds included
+    assert [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()] == json.loads(result.stdout)
+
+
+def test_a_killed_batch_resumes_to_the_same_results(tmp_path: Path) -> None:
+    names = [str(f) for f in sorted(KITTING.rglob("*.pddl")) if f.name != "domain.pddl"]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    assert kitassist("solve", *names, "--out", whole).returncode == 0
+    command = [str(Path(sys.executable).with_name("kitassist")), "solve", *names, "--out", str(killed)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
+    results = killed / "results.jsonl"
+    while process.poll() is None and not (results.exists() and results.read_text().count("\n") >= 2):
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert kitassist("solve", *names, "--out", killed, "--resume").returncode == 0
+    read_all = [[json.loads(line) for line in (d / "results.jsonl").read_text().splitlines()] for d in (whole, killed)]
+    assert stable(read_all[0]) == stable(read_all[1])
+    for file in whole.rglob("*.plan"):
+        assert (killed / file.relative_to(whole)).read_text() == file.read_text()
+    assert not [f for f in killed.rglob(".*") if f.is_file() and f.suffix == ".plan"]
+
+
+def test_interrupting_ends_cleanly(tmp_path: Path) -> None:
+    instance = write_instance(tmp_path, (KITTING / "domain.pddl").read_text(), big_kit(9))
+    command = [
+        str(Path(sys.executable).with_name("kitassist")),
+        "solve",
+        str(KITTING / "tiny.pddl"),
+        str(instance.problem),
+    ]
+    process = subprocess.Popen(
+        [*command, "--out", str(tmp_path / "out"), "--max-states", "1000000000"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    results = tmp_path / "out" / "results.jsonl"
+    while not (results.exists() and results.read_text().count("\n") >= 1):
+        assert process.poll() is None
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert stdout == ""
+    assert stderr.splitlines() == ["interrupted; what was finished is kept, --resume continues"]
+    assert json.loads(results.read_text())["status"] == "solved"
+
+
+def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    import planner.batch
+
+    def broken(space: object, **options: object) -> CostToGo:
+        table = original(space, **options)  # type: ignore[arg-type]
+        distance = table.distance.copy()
+        distance[0] += 1
+        return CostToGo(table.space, distance)
+
+    original = planner.batch.cost_to_go
+    monkeypatch.setattr(planner.batch, "cost_to_go", broken)
+    record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions())
+    assert record["status"] == "invalid"
+    assert "Fast Downward's A* says 6" in record["error"]["message"]
+    assert record["cost"] is record["plan"] is None
+
+
+TEAM = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 30, "--pool", 4, "--seed", 5)
+THREE = ("--policy", "none", "--policy", "reactive", "--policy", "attention")
+
+
+def test_simulate_gives_identical_bytes_for_a_seed(tmp_path: Path) -> None:
+    runs = []
+    for run in ("a", "b"):
+        files = {name: tmp_path / f"{run}-{name}" for name in ("episodes.jsonl", "trace.jsonl")}
+        result = kitassist(*TEAM, *THREE, "--json", "--out", files["episodes.jsonl"], "--trace", files["trace.jsonl"])
+        assert (result.returncode, result.stderr) == (0, "")
+        runs.append((result.stdout, *(file.read_bytes() for file in files.values())))
+    assert runs[0] == runs[1]
+    other = kitassist(*TEAM[:-1], 6, *THREE, "--json")
+    assert json.loads(other.stdout)["policies"] != json.loads(runs[0][0])["policies"]
+
+    document = json.loads(runs[0][0])
+    assert [p["policy"] for p in document["policies"]] == ["none", "reactive", "attention"]
+    episodes = [json.loads(line) for line in runs[0][1].splitlines()]
+    assert len(episodes) == 90
+    for summary in document["policies"]:
+        own = [e for e in episodes if e["policy"] == summary["policy"]]
+        assert summary["human_actions_per_person"]["mean"] == pytest.approx(
+            np.mean([np.mean(e["actions"]) for e in own])
+        )
+        assert summary["interventions"]["mean"] == pytest.approx(np.mean([e["interventions"] for e in own]))
+        assert summary["return"]["mean"] == pytest.approx(np.mean([e["discounted_return"] for e in own]))
+    trace = [json.loads(line) for line in runs[0][2].splitlines()]
+    assert {"person", "episode", "step", "action", "suggestion"} <= set(trace[0])
+    assert len(trace) == sum(sum(e["actions"]) for e in episodes)
+
+
+def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
+    for name, start in (("one.png", b"\x89PNG"), ("two.svg", b"<?xml")):
+        result = kitassist(*TEAM, *THREE, "--figure", tmp_path / name)
+        assert result.returncode == 0, result.stderr
+        assert result.stderr == ""
+        lines = result.stdout.splitlines()
+        assert lines[0].split()[:1] == ["policy"]
+        assert [line.split()[0] for line in lines[1:4]] == ["none", "reactive", "attention"]
+        assert all("±" in line for line in lines[1:4])
+        assert (tmp_path / name).read_bytes().startswith(start)
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ((KITTING / "tiny.pddl",), 2, "--humans"),
+        ((KITTING / "tiny.pddl", "--humans", 0), 2, "--humans"),
+        ((KITTING / "tiny.pddl", "--humans", 5, "--pool", 3), 2, "more than --pool 3"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--policy", "psychic"), 2, "psychic"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--gamma", 1.5), 2, "0 < gamma < 1"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--c-move", -1), 2, "c_move"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--theta", 0.5, 1.5), 2, "theta range"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--figure", "x.doc"), 2, ".png"),
+        ((KITTING, "--humans", 2), 2, "expected one"),
+        ((KITTING / "unsolvable.pddl", "--humans", 2), 1, "cannot be reached"),
+        ((KITTING / "tiny.pddl", "--humans", 2, "--out", "/dev/null/x"), 1, "/dev/null"),
+    ],
+)
+def test_simulate_refuses_what_makes_no_sense(arguments: tuple[object, ...], code: int, words: str) -> None:
+    result = kitassist("simulate", *arguments)
+    assert result.returncode == code
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_every_shipped_instance_is_described() -> None:
+    for problem in DOMAINS.rglob("*.pddl"):
+        readme = next(p / "README.md" for p in problem.parents if (p / "README.md").exists())
+        if problem.name != "domain.pddl":
+            assert problem.name in readme.read_text(), (
+                f"{problem.relative_to(ROOT)} is not in {readme.relative_to(ROOT)}"
+            )

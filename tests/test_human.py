@@ -1,0 +1,197 @@
+"""The human model against values worked out by hand on `tiny.pddl`, and its laws."""
+
+from __future__ import annotations
+
+from math import exp
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import write_instance
+from hypothesis import given
+from hypothesis import strategies as st
+
+from assist.choices import WAIT, Choices
+from assist.human import (
+    NOTHING,
+    HumanModel,
+    Population,
+    choice,
+    influence,
+    lapse,
+    perceived_cost,
+    perceived_cost_to_go,
+    perceived_value,
+    trust,
+)
+from planner import CostToGo, cost_to_go, explore, load
+
+ALL = np.ones(3, dtype=bool)
+
+
+def slots(choices: Choices, state: int) -> dict[str, int]:
+    return {choices.name(state, slot): slot for slot in np.flatnonzero(choices.applicable[state])}
+
+
+def test_values_by_hand_on_the_tiny_kit(tiny: CostToGo, tiny_choices: Choices) -> None:
+    """Fetch box-a, then three choices: the right slot (4 to go), the wrong one, or back again.
+
+    With the hammer in slot-2 and box-a on the platform there are 6 actions to go: remove, place, return,
+    fetch, place, return. After `(return box-a)` there are again 6. So Q is 5, 7 and 7.
+    """
+    c = tiny_choices
+    q = perceived_cost(c, c.h)
+    start = slots(c, 0)
+    assert sorted(start) == ["(fetch box-a)", "(fetch box-b)"]
+    assert q[0, list(start.values())].tolist() == [6, 6]
+    x = tiny.space.follow(["(fetch box-a)"])
+    at = slots(c, x)
+    right, wrong, back = at["(place hammer slot-1 box-a)"], at["(place hammer slot-2 box-a)"], at["(return box-a)"]
+    assert (q[x, right], q[x, wrong], q[x, back]) == (5, 7, 7)
+
+    beta = 0.7
+    p = choice(q[x], c.applicable[x], beta)
+    e = exp(-2 * beta)  # exp(-beta (7 - 5))
+    assert p[right] == pytest.approx(1 / (1 + 2 * e), rel=1e-14)
+    assert p[wrong] == p[back] == pytest.approx(e / (1 + 2 * e), rel=1e-14)
+
+    heard = influence(p, right, 0.8)
+    total = 0.8 * p[right] + 0.2 * (p[wrong] + p[back])
+    assert heard[right] == pytest.approx(0.8 * p[right] / total, rel=1e-14)
+    assert heard[back] == pytest.approx(0.2 * p[back] / total, rel=1e-14)
+
+    value = perceived_value(c, q)
+    assert value[x] == -5
+    assert value[c.targets[x, right]] == -4
+    assert value[c.targets[x, wrong]] == -6
+    # A good suggestion raises theta by eta times one action, a bad one lowers it as much.
+    assert trust(0.6, value[x], value[c.targets[x, right]], 0.2) == pytest.approx(0.8)
+    assert trust(0.6, value[x], value[c.targets[x, wrong]], 0.2) == pytest.approx(0.4)
+    assert trust(0.6, value[x], value[c.targets[x, right]], 0.2, utility_scale=6) == pytest.approx(0.6 + 0.2 / 6)
+    assert trust(0.95, value[x], value[c.targets[x, right]], 0.2) == 1
+    # The last action reaches the goal, whose value is 0: the gain is 1 like everywhere else.
+    last = int(np.flatnonzero(c.h == 1)[0])
+    goal = c.targets[last, np.flatnonzero(c.optimal[last])[0]]
+    assert c.goal[goal]
+    assert trust(0.5, value[last], value[goal], 0.2) == pytest.approx(0.7)
+
+
+def test_optimal_slots_of_the_tiny_kit(tiny: CostToGo, tiny_choices: Choices) -> None:
+    c = tiny_choices
+    x = tiny.space.follow(["(fetch box-a)"])
+    assert [c.name(x, s) for s in np.flatnonzero(c.optimal[x])] == ["(place hammer slot-1 box-a)"]
+    assert [c.name(0, s) for s in np.flatnonzero(c.optimal[0])] == ["(fetch box-a)", "(fetch box-b)"]
+
+
+def test_beta_zero_is_uniform_even_towards_dead_ends() -> None:
+    assert choice(np.array([1.0, 50.0, np.inf]), ALL, 0.0).tolist() == [1 / 3] * 3
+
+
+def test_an_action_into_a_dead_end_is_not_chosen_while_there_is_another() -> None:
+    p = choice(np.array([3.0, 4.0, np.inf]), ALL, 1e-9)
+    assert p[2] == 0
+    assert p[0] == pytest.approx(0.5)
+    assert choice(np.full(3, np.inf), ALL, 2.0).tolist() == [1 / 3] * 3
+
+
+def test_choice_is_stable_at_any_scale() -> None:
+    q = np.array([1e6, 1e6 + 1, 1e9])
+    assert choice(q, ALL, 3.0)[1] == pytest.approx(exp(-3) / (1 + exp(-3)), rel=1e-9)
+    assert choice(q, ALL, 1e6).tolist() == [1, 0, 0]
+
+
+costs = st.lists(st.one_of(st.floats(0, 1e4), st.just(float("inf"))), min_size=1, max_size=6)
+
+
+@given(costs, st.floats(0, 50), st.floats(0, 1), st.integers(0, 5), st.floats(0, 0.5))
+def test_choices_are_distributions(q: list[float], beta: float, theta: float, suggestion: int, rate: float) -> None:
+    applicable = np.ones(len(q), dtype=bool)
+    p = choice(np.array(q), applicable, beta)
+    heard = influence(p, suggestion % len(q), theta)
+    for distribution in (p, heard, lapse(heard, applicable, rate)):
+        assert (distribution >= 0).all()
+        assert distribution.sum() == pytest.approx(1, abs=1e-12)
+    assert (lapse(heard, applicable, rate) >= rate / len(q)).all()
+
+
+@given(costs, st.floats(0, 5), st.integers(0, 5))
+def test_neutral_influence_leaves_the_choice_untouched(q: list[float], beta: float, suggestion: int) -> None:
+    p = choice(np.array(q), np.ones(len(q), dtype=bool), beta)
+    np.testing.assert_allclose(influence(p, suggestion % len(q), 0.5), p, atol=1e-15)
+    np.testing.assert_array_equal(influence(p, NOTHING, 0.9), p)
+
+
+@given(st.lists(st.floats(0, 20), min_size=2, max_size=6), st.floats(0.01, 5), st.floats(0.01, 0.98))
+def test_more_influence_makes_the_suggestion_likelier(q: list[float], beta: float, theta: float) -> None:
+    p = choice(np.array(q), np.ones(len(q), dtype=bool), beta)
+    assert influence(p, 0, theta + 0.01)[0] >= influence(p, 0, theta)[0]
+
+
+def test_a_suggestion_that_leaves_nothing_possible_is_ignored() -> None:
+    assert influence(np.array([1.0, 0.0]), 0, 0.0).tolist() == [1, 0]
+    assert influence(np.array([1.0, 0.0]), 1, 1.0).tolist() == [1, 0]
+
+
+@given(st.floats(0, 1), st.floats(-50, 0), st.floats(-50, 0), st.floats(0, 2))
+def test_trust_stays_in_its_range_and_moves_with_the_gain(
+    theta: float, value: float, expected: float, eta: float
+) -> None:
+    after = float(trust(theta, value, expected, eta))
+    assert 0 <= after <= 1
+    assert (after - theta) * (expected - value) >= 0
+
+
+def test_trust_and_dead_ends() -> None:
+    assert trust(0.6, -4.0, -np.inf, 0.2) == 0
+    assert trust(0.6, -np.inf, -np.inf, 0.2) == 0.6
+
+
+def test_perceived_cost_to_go_is_a_lasting_misconception(sealed: CostToGo) -> None:
+    choices = Choices.of(sealed)
+    h = perceived_cost_to_go(choices, 0.5, np.random.default_rng(4))
+    assert (h[choices.goal] == 0).all()
+    assert (np.isinf(h) == sealed.dead_end).all()
+    alive = ~sealed.dead_end & ~choices.goal
+    error = h[alive] - choices.h[alive]
+    assert abs(error.mean()) < 4 * 0.5 / np.sqrt(alive.sum())
+    assert error.std() == pytest.approx(0.5, rel=0.15)
+    np.testing.assert_array_equal(h, perceived_cost_to_go(choices, 0.5, np.random.default_rng(4)))
+    np.testing.assert_array_equal(perceived_cost_to_go(choices, 0.0, np.random.default_rng(4)), choices.h)
+
+
+def test_population_draws_from_its_ranges(tiny_choices: Choices) -> None:
+    people = Population().sample(tiny_choices, 300, np.random.default_rng(0))
+    for name, (low, high) in {"beta": (0.1, 3.0), "theta": (0.5, 0.95), "sigma": (0.1, 1.0)}.items():
+        values = np.array([getattr(human, name) for human in people])
+        assert low <= values.min() < low + 0.1 * (high - low)
+        assert high - 0.1 * (high - low) < values.max() <= high
+    with pytest.raises(ValueError, match=r"theta range \(0.5, 1.2\): expected 0 <= low <= high <= 1"):
+        Population(theta=(0.5, 1.2))
+    with pytest.raises(ValueError, match="beta range"):
+        Population(beta=(1.0, float("inf")))
+
+
+SWITCH = """
+(define (domain switch) (:requirements :strips) (:predicates (up) (idle))
+  (:action raise :parameters () :precondition (idle) :effect (up))
+  (:action stop :parameters () :precondition (idle) :effect (not (idle))))
+"""
+
+
+def test_standing_still_is_the_only_choice_where_nothing_can_be_done(tmp_path: Path) -> None:
+    problem = "(define (problem p) (:domain switch) (:init (idle)) (:goal (up)))"
+    space = explore(load(write_instance(tmp_path, SWITCH, problem)))
+    choices = Choices.of(cost_to_go(space))
+    stuck = space.follow(["(stop)"])
+    assert np.isinf(choices.h[stuck])
+    assert np.flatnonzero(choices.applicable[stuck]).tolist() == [0]
+    assert choices.actions[stuck, 0] == WAIT
+    assert choices.name(stuck, 0) == "(wait)"
+    assert (choices.targets[stuck, 0], choices.costs[stuck, 0]) == (stuck, 1)
+
+
+def test_model_parameters_are_checked(tiny_choices: Choices) -> None:
+    with pytest.raises(ValueError, match="lapse"):
+        HumanModel.exact(tiny_choices, lapse=1.0)
+    with pytest.raises(ValueError, match="eta"):
+        HumanModel.exact(tiny_choices, eta=float("nan"))

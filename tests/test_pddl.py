@@ -1,0 +1,139 @@
+"""Bad input: one line that says what is wrong, in which file, on which line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import KITTING, kitassist, write_instance
+
+from planner import InstanceError, PDDLError, find_instances, load
+from planner.pddl import InvalidPlanError, read, validate
+
+DOMAIN = (KITTING / "domain.pddl").read_text()
+PROBLEM = (KITTING / "tiny.pddl").read_text()
+
+
+def line_of(text: str, part: str) -> int:
+    assert text.count(part) == 1, part
+    return text[: text.index(part)].count("\n") + 1
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+# What is broken, the two files, which of them is at fault, a part of that file on the line to be named
+# (None where no line can be), and words that the message has to say.
+BROKEN = [
+    ("missing parenthesis in a section", changed(DOMAIN, "(platform-free)  ", "(platform-free  "), PROBLEM, "domain", "(:predicates", ["not closed before (:action"]),
+    ("missing parenthesis at the end", DOMAIN, PROBLEM.rstrip()[:-1], "problem", "(:goal", ["')' is missing"]),
+    ("one parenthesis too many", DOMAIN, PROBLEM.rstrip() + "\n)", "problem", "\n)", ["without a '('"]),
+    ("unknown predicate in the goal", DOMAIN, changed(PROBLEM, "(in-slot wrench slot-2)", "(in-slt wrench slot-2)"), "problem", "(in-slt", ["in-slt", "did you mean 'in-slot'"]),
+    ("unknown predicate in init", DOMAIN, changed(PROBLEM, "(platform-free)", "(platform-fre)"), "problem", "(platform-fre)", ["platform-fre'", "platform-free"]),
+    ("unknown predicate in an action", changed(DOMAIN, "(and (contains ?c ?i) (slot", "(and (holds ?c ?i) (slot"), PROBLEM, "domain", "(holds ?c", ["holds"]),
+    ("unknown object", DOMAIN, changed(PROBLEM, "(contains box-a hammer)", "(contains box-a hamer)"), "problem", "hamer)", ["'hamer'", "did you mean 'hammer'"]),
+    ("unknown variable", changed(DOMAIN, "(contains ?c ?i)\n", "(contains ?c ?z)\n"), PROBLEM, "domain", "(contains ?c ?z)", ["'?z'"]),
+    ("wrong type in init", DOMAIN, changed(PROBLEM, "(contains box-a hammer)", "(contains hammer hammer)"), "problem", "(contains hammer hammer)", ["wrong type"]),
+    ("wrong type in an action", changed(DOMAIN, "(and (on-platform ?c) (contains", "(and (on-platform ?i) (contains"), PROBLEM, "domain", "(on-platform ?i)", ["wrong type"]),
+    ("unknown type", DOMAIN, changed(PROBLEM, "- container", "- contaner"), "problem", "- contaner", ["unknown type 'contaner'", "did you mean 'container'"]),
+    ("wrong number of arguments", DOMAIN, changed(PROBLEM, "(contains box-a hammer)", "(contains box-a)"), "problem", "(contains box-a)", ["takes 2 arguments, not 1"]),
+    ("wrong domain name", DOMAIN, changed(PROBLEM, "(:domain kitting)", "(:domain cooking)"), "problem", "(:domain cooking)", ["'cooking'", "'kitting'"]),
+    ("object defined twice", DOMAIN, changed(PROBLEM, "hammer wrench - item", "hammer\n    hammer wrench - item"), "problem", "\n    hammer wrench - item", ["'hammer' is defined twice"]),
+    ("numeric fluents", changed(changed(DOMAIN, "  ; storage -> platform", "  (:functions (load))\n"), "(not (in-storage ?c)) (not", "(increase (load) 1) (not"), changed(PROBLEM, "(:init", "(:init (= (load) 0)"), "domain", "(:functions", ["numeric fluents", "load"]),
+    ("durative actions", changed(DOMAIN, "(:action fetch", "(:durative-action fetch"), PROBLEM, "domain", "(:durative-action", ["durative actions"]),
+    ("derived predicates", changed(DOMAIN, "  ; storage -> platform", "  (:derived (busy) (not (platform-free)))"), PROBLEM, "domain", "(:derived", ["derived predicates"]),
+    ("no goal", DOMAIN, PROBLEM[: PROBLEM.index("(:goal")] + ")", "problem", None, ["(:goal"]),
+    ("mistyped section", DOMAIN, changed(PROBLEM, "(:goal", "(:gaol"), "problem", "(:gaol", ["(:gaol"]),
+    ("empty problem", DOMAIN, "", "problem", None, ["empty"]),
+    ("empty domain", "; nothing but a comment\n", PROBLEM, "domain", None, ["empty"]),
+    ("files swapped", PROBLEM, DOMAIN, "domain", None, ["swap"]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("domain", "problem", "at_fault", "place", "words"), [b[1:] for b in BROKEN], ids=[b[0] for b in BROKEN]
+)
+def test_broken_pddl_names_the_place(
+    tmp_path: Path, domain: str, problem: str, at_fault: str, place: str | None, words: list[str]
+) -> None:
+    instance = write_instance(tmp_path, domain, problem)
+    with pytest.raises(PDDLError) as error:
+        load(instance)
+    assert error.value.file == getattr(instance, at_fault)
+    if place is not None:
+        text = domain if at_fault == "domain" else problem
+        assert error.value.line == line_of(text, place) + (place[0] == "\n")
+    assert all(word in error.value.message for word in words), error.value.message
+    assert "\n" not in str(error.value)
+
+
+def test_binary_file(tmp_path: Path) -> None:
+    instance = write_instance(tmp_path, DOMAIN, "")
+    instance.problem.write_bytes(bytes(range(256)) * 4)
+    with pytest.raises(PDDLError, match="not a text file"):
+        load(instance)
+
+
+def test_pddl_does_not_distinguish_case(tmp_path: Path) -> None:
+    task = load(write_instance(tmp_path, DOMAIN, PROBLEM.upper()))
+    assert task.actions == load(KITTING / "tiny.pddl").actions
+
+
+@pytest.mark.parametrize(
+    ("case", "code"),
+    [
+        ("broken", 1),
+        ("binary", 1),
+        ("no domain", 1),
+        ("missing", 2),
+        ("no problems", 2),
+        ("no match", 2),
+        ("no such domain", 2),
+    ],
+)
+def test_the_command_says_it_in_one_line(tmp_path: Path, case: str, code: int) -> None:
+    instance = write_instance(tmp_path, DOMAIN, PROBLEM)
+    arguments: list[object] = [instance.problem]
+    if case == "broken":
+        instance.problem.write_text(PROBLEM.replace("(platform-free)", "(platform-fre)"))
+    elif case == "binary":
+        instance.problem.write_bytes(b"\x00\xff" * 100)
+    elif case == "no domain":
+        instance.domain.unlink()
+    elif case == "missing":
+        arguments = [tmp_path / "absent.pddl"]
+    elif case == "no problems":
+        instance.problem.unlink()
+        arguments = [tmp_path]
+    elif case == "no match":
+        arguments = [f"{tmp_path}/x*.pddl"]
+    else:
+        arguments = [instance.problem, "--domain", tmp_path / "absent.pddl"]
+    result = kitassist("solve", *arguments)
+    assert result.returncode == code
+    assert result.stdout == ""
+    assert len(result.stderr.splitlines()) == 1
+    assert str(tmp_path) in result.stderr
+    result = kitassist("simulate", *arguments, "--humans", "2")
+    assert result.returncode == code
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_find_instances(tmp_path: Path) -> None:
+    first = write_instance(tmp_path / "a", DOMAIN, PROBLEM)
+    second = write_instance(tmp_path / "b" / "c", DOMAIN, PROBLEM)
+    assert find_instances([tmp_path]) == [first, second]
+    assert find_instances([first.problem, tmp_path / "a"]) == [first]
+    assert find_instances([f"{tmp_path}/*/p*.pddl"]) == [first]
+    assert find_instances([f"{tmp_path}/**/*.pddl"]) == [first, second]
+    assert find_instances([first.problem], second.domain)[0].domain == second.domain
+    with pytest.raises(InstanceError, match="no such file"):
+        find_instances([tmp_path / "absent"])
+
+
+def test_an_invalid_plan_is_rejected(tmp_path: Path) -> None:
+    problem = read(write_instance(tmp_path, DOMAIN, PROBLEM))
+    with pytest.raises(InvalidPlanError):
+        validate(problem, ["(fetch box-a)", "(return box-a)"])

@@ -1,0 +1,256 @@
+"""States, transitions and cost-to-go against independent sources: Fast Downward, unified-planning, scipy."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import KITTING, SHIPPED, named, solvable, table_of, write_instance
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from planner import (
+    CostToGo,
+    Instance,
+    LimitError,
+    Limits,
+    MismatchError,
+    Packing,
+    astar,
+    cost_to_go,
+    explore,
+    load,
+    verify,
+)
+from planner.fast_downward import with_initial_state
+from planner.pddl import read
+from planner.task import Task, Variable
+
+WITH_STATES = solvable(SHIPPED)
+
+
+@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
+    table = table_of(instance)
+    compared = verify(table, 200, np.random.default_rng(1))
+    assert compared == min(200, len(table.space))
+
+
+@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+def test_cost_to_go_is_consistent_along_every_transition(instance: Instance) -> None:
+    table = table_of(instance)
+    space, h = table.space, table.h
+    through = space.costs + h[space.targets]
+    assert (h[space.sources] <= through).all()
+    assert (h[space.goal] == 0).all()
+    best = np.full(len(space), np.inf)
+    np.minimum.at(best, space.sources, through)
+    assert (h[~space.goal] == best[~space.goal]).all()
+
+
+@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+def test_cost_to_go_equals_scipys_dijkstra(instance: Instance) -> None:
+    table = table_of(instance)
+    space = table.space
+    # A state can have two actions to the same target; scipy would add their costs up.
+    order = np.lexsort((space.costs, space.targets, space.sources))
+    pair = np.stack([space.sources, space.targets])[:, order]
+    keep = np.concatenate([[True], (np.diff(pair) != 0).any(axis=0)])
+    shape = (len(space), len(space))
+    graph = csr_array((space.costs[order][keep].astype(float), (pair[1][keep], pair[0][keep])), shape=shape)
+    expected = dijkstra(graph, indices=np.flatnonzero(space.goal), min_only=True)
+    np.testing.assert_array_equal(table.h, expected)
+
+
+@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+def test_plan_read_off_the_table_reaches_the_goal_at_its_cost(instance: Instance) -> None:
+    table = table_of(instance)
+    finite = np.flatnonzero(~table.dead_end)
+    for state in np.random.default_rng(2).choice(finite, min(20, len(finite)), replace=False):
+        plan = table.optimal_plan(int(state))
+        assert plan is not None
+        assert table.space.task.plan_cost(plan) == table[int(state)]
+        assert table.space.goal[table.space.follow(plan, int(state))]
+
+
+def test_shipped_instances_are_what_their_readme_says(tiny: CostToGo, fixed: CostToGo, sealed: CostToGo) -> None:
+    paper = table_of(Instance(KITTING / "paper.pddl", KITTING / "domain.pddl"))
+    assert (len(paper.space), paper[0]) == (836, 10)  # 4 platform states, sum_k C(4,k)^2 k! = 209 arrangements
+    assert (len(fixed.space), fixed[0]) == (4 * 2**5, 10)
+    assert (len(tiny.space), tiny[0]) == (3 * 7, 6)
+    assert paper.dead_end.sum() == tiny.dead_end.sum() == fixed.dead_end.sum() == 0
+    # What is placed in slot-1 or slot-2 stays. Alive: slot-1 free or right (and likewise slot-2). With both
+    # free, hammer and pliers can lie elsewhere; each right one leaves one fewer item and slot to permute.
+    two_open = sum(arrangements(4 - right, 2) for right in (0,))
+    one_open = 2 * arrangements(3, 2)
+    none_open = arrangements(2, 2)
+    assert (~sealed.dead_end).sum() == 4 * (two_open + one_open + none_open)
+
+
+def arrangements(items: int, slots: int) -> int:
+    """Ways to put some of the items into some of the slots."""
+    from math import comb, factorial
+
+    return sum(comb(items, k) * comb(slots, k) * factorial(k) for k in range(min(items, slots) + 1))
+
+
+def test_dead_ends_are_proven_by_fast_downward(sealed: CostToGo) -> None:
+    dead = np.flatnonzero(sealed.dead_end)
+    for state in np.random.default_rng(3).choice(dead, 30, replace=False):
+        assert astar(sealed.space.task, sealed.space.values(int(state))) == (float("inf"), None)
+        assert sealed.optimal_plan(int(state)) is None
+
+
+def test_transitions_equal_unified_plannings(tiny: CostToGo) -> None:
+    """Walk the whole space of the tiny instance with unified-planning's simulator."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from unified_planning.engines.sequential_simulator import UPSequentialSimulator
+
+        problem = read(tiny.space.task.instance)
+        simulator = UPSequentialSimulator(problem)
+        start = simulator.get_initial_state()
+        space = tiny.space
+        where = {0: start}
+        stack = [0]
+        while stack:
+            state = stack.pop()
+            theirs = {}
+            for action, parameters in simulator.get_applicable_actions(where[state]):
+                name = f"({' '.join([action.name, *map(str, parameters)])})"
+                theirs[name] = simulator.apply(where[state], action, parameters)
+            ours = space.choices(state)
+            assert sorted(ours) == sorted(theirs)
+            assert bool(space.goal[state]) == bool(simulator.is_goal(where[state]))
+            for name, target in ours.items():
+                if target not in where:
+                    where[target] = theirs[name]
+                    stack.append(target)
+    assert len(where) == len(space)
+
+
+def test_a_wrong_table_is_found(tiny: CostToGo) -> None:
+    wrong = tiny.distance.copy()
+    wrong[5] += 1
+    with pytest.raises(MismatchError, match="state 5"):
+        verify(CostToGo(tiny.space, wrong), 21, np.random.default_rng(0))
+
+
+def test_follow_refuses_an_inapplicable_action(tiny: CostToGo) -> None:
+    with pytest.raises(
+        ValueError, match=r"step 1: \(fetch box-b\) is not applicable; applicable are .*\(return box-a\)"
+    ):
+        tiny.space.follow(["(fetch box-a)", "(fetch box-b)"])
+
+
+def test_limits() -> None:
+    task = load(KITTING / "paper.pddl")
+    with pytest.raises(LimitError, match="more than 100 states"):
+        explore(task, max_states=100)
+    with pytest.raises(LimitError, match="out of time"):
+        explore(task, deadline=time.monotonic() - 1)
+    with pytest.raises(LimitError, match="memory"):
+        astar(task, limits=Limits(memory_mb=1))
+
+
+def test_initial_state_is_rewritten_in_one_place_only() -> None:
+    task = load(KITTING / "tiny.pddl")
+    other = tuple(len(v.facts) - 1 for v in task.variables)
+    assert with_initial_state(with_initial_state(task.sas, other), task.initial) == task.sas
+    with pytest.raises(ValueError, match="variables"):
+        with_initial_state(task.sas, other[:-1])
+
+
+LAMPS = """
+(define (domain lamps)
+  (:requirements :adl :action-costs)
+  (:types lamp)
+  (:predicates (on ?l - lamp) (next ?l ?m - lamp) (broken))
+  (:functions (total-cost) - number)
+  (:action press :parameters (?l - lamp) :precondition (not (broken))
+    :effect (and (when (on ?l) (not (on ?l))) (when (not (on ?l)) (on ?l))
+                 (forall (?m - lamp) (when (next ?l ?m) (on ?m))) (increase (total-cost) 3)))
+  (:action look :parameters (?l - lamp)
+    :precondition (or (on ?l) (exists (?m - lamp) (and (next ?l ?m) (on ?m))))
+    :effect (and (not (on ?l)) (increase (total-cost) 0)))
+  (:action drop :parameters () :precondition (forall (?l - lamp) (on ?l))
+    :effect (and (broken) (increase (total-cost) 1))))
+"""
+LAMPS_PROBLEM = """
+(define (problem p) (:domain lamps)
+  (:objects a b c d - lamp)
+  (:init (next a b) (next b c) (next c d) (on b) (= (total-cost) 0))
+  (:goal (and (on a) (not (on b)) (not (on c)) (on d)))
+  (:metric minimize (total-cost)))
+"""
+
+
+def test_conditional_effects_quantifiers_disjunctions_axioms_and_zero_costs(tmp_path: Path) -> None:
+    task = load(write_instance(tmp_path, LAMPS, LAMPS_PROBLEM))
+    assert any(effect.conditions for operator in task.operators for effect in operator.effects)
+    assert 0 in task.costs
+    table = cost_to_go(explore(task))
+    assert table.dead_end.any()
+    assert verify(table, 1000, np.random.default_rng(0)) == len(table.space)
+    for state in np.flatnonzero(~table.dead_end):
+        plan = table.optimal_plan(int(state))
+        assert plan is not None
+        assert task.plan_cost(plan) == table[int(state)]
+
+
+def test_an_action_with_several_operators_is_one_choice(tmp_path: Path) -> None:
+    space = explore(load(write_instance(tmp_path, LAMPS, LAMPS_PROBLEM)))
+    operators = [operator.action for operator in space.task.operators]
+    assert len(operators) > len(set(operators))
+    pairs = np.stack([space.sources, space.actions], axis=1)
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+
+
+def test_an_empty_goal_and_a_goal_that_holds(tmp_path: Path) -> None:
+    domain, problem = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
+    start = problem[: problem.index("(:goal")]
+    for goal in ("(and)", "(platform-free)"):
+        table = cost_to_go(explore(load(write_instance(tmp_path, domain, f"{start}(:goal {goal}))"))))
+        assert len(table.space) == 21
+        assert table[0] == 0
+        assert verify(table, 30, np.random.default_rng(0)) == 21
+
+
+COUNTERS = """
+(define (domain bits) (:requirements :strips :negative-preconditions) (:predicates (up ?b) (idle))
+  (:action raise :parameters (?b) :precondition (and (not (up ?b)) (idle)) :effect (up ?b))
+  (:action stop :parameters () :precondition (idle) :effect (not (idle))))
+"""
+
+
+def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
+    """A hundred switches of which three can be raised: the states need two words."""
+    names = [f"b{i}" for i in range(100)]
+    up = " ".join(f"(up {b})" for b in names[3:])
+    problem = f"(define (problem p) (:domain bits) (:objects {' '.join(names)}) (:init {up} (idle)) (:goal (and (up b0) (up b1) (not (idle)))))"
+    space = explore(load(write_instance(tmp_path, COUNTERS, problem)))
+    table = cost_to_go(space)
+    assert len(space) == 16
+    assert table[0] == 3
+    assert verify(table, 20, np.random.default_rng(0)) == 16
+    many = " ".join(f"(up {b})" for b in names[90:])
+    big = problem.replace(up, many)
+    with pytest.raises(LimitError):  # 2^90 states; the first words of many thousand are alike
+        explore(load(write_instance(tmp_path / "big", COUNTERS, big)), max_states=5000)
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=40))
+def test_packing_is_invertible_and_its_keys_distinguish_states(domains: list[int]) -> None:
+    variables = tuple(Variable(f"v{i}", tuple(map(str, range(size))), -1) for i, size in enumerate(domains))
+    task = Task(Instance(Path("p"), Path("d")), "", variables, (), (), (), (), (0,) * len(domains), ())
+    packing = Packing.of(task)
+    rng = np.random.default_rng(len(domains))
+    values = np.stack([rng.integers(0, size, 50) for size in domains], axis=-1)
+    packed = packing.pack(values)
+    np.testing.assert_array_equal(packing.unpack(packed), values)
+    assert len(np.unique(packing.keys(packed))) == len(np.unique(values, axis=0))

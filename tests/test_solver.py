@@ -1,0 +1,122 @@
+"""QMDP against an independent solver, and its laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from assist.belief import Grid
+from assist.choices import Choices
+from assist.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.pomdp import AssistPOMDP
+from assist.solver import Policy, solve
+from planner import CostToGo
+
+GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
+
+
+def make(choices: Choices, **options: object) -> AssistPOMDP:
+    h = perceived_cost_to_go(choices, 0.9, np.random.default_rng(11))
+    model = HumanModel.own(choices, Human(1.0, 0.6, 0.9, h))
+    return AssistPOMDP.of(model, grid=GRID, **{"gamma": 0.95, "c_suggest": 0.3, **options})  # type: ignore[arg-type]
+
+
+def policy_iteration(pomdp: AssistPOMDP) -> np.ndarray:
+    """Solve the MDP with beta and theta seen: Howard's policy iteration on dense matrices, state by state."""
+    c, model, grid = pomdp.model.choices, pomdp.model, pomdp.grid
+    n, (betas, thetas) = len(c), grid.shape
+    value_of = np.where(c.goal, 0.0, -model.q.min(axis=1))
+
+    def index(x: int, b: int, t: int) -> int:
+        return (x * betas + b) * thetas + t
+
+    size = n * betas * thetas
+    rewards, rows = [[] for _ in range(size)], [[] for _ in range(size)]
+    for x in np.flatnonzero(~c.goal):
+        offered = [-1, *(int(s) for s in pomdp.suggested[x, 1:] if s >= 0)]
+        for b, t, suggestion in ((b, t, s) for b in range(betas) for t in range(thetas) for s in offered):
+            p = choice(model.q[x], c.applicable[x], grid.beta[b])
+            p = lapse(influence(p, suggestion, grid.theta[t]), c.applicable[x], model.lapse)
+            theta = grid.theta[t]
+            if suggestion >= 0:
+                theta = float(trust(theta, value_of[x], value_of[c.targets[x, suggestion]], model.eta))
+            row, reward = np.zeros(size), -pomdp.c_suggest * (suggestion >= 0)
+            for a in np.flatnonzero(c.applicable[x]):
+                reward -= p[a] * c.costs[x, a]
+                for after in range(thetas):
+                    row[index(c.targets[x, a], b, after)] += p[a] * np.interp(theta, grid.theta, np.eye(thetas)[after])
+            rewards[index(x, b, t)].append(reward)
+            rows[index(x, b, t)].append(row)
+    live = [i for i in range(size) if rows[i]]
+    acting = dict.fromkeys(live, 0)
+    while True:
+        matrix, right = np.eye(size), np.zeros(size)
+        for i in live:
+            matrix[i] -= pomdp.gamma * rows[i][acting[i]]
+            right[i] = rewards[i][acting[i]]
+        value = np.linalg.solve(matrix, right)
+        q = {i: [r + pomdp.gamma * row @ value for r, row in zip(rewards[i], rows[i], strict=True)] for i in live}
+        better = {i: int(np.argmax(q[i])) for i in live if max(q[i]) > q[i][acting[i]] + 1e-12}
+        if not better:
+            return value.reshape(n, betas, thetas)
+        acting.update(better)
+
+
+@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"gamma": 0.99, "c_suggest": 0.0}])
+def test_values_equal_policy_iterations(tiny_choices: Choices, options: dict[str, object]) -> None:
+    pomdp = make(tiny_choices, **options)
+    policy = solve(pomdp, tolerance=1e-9)
+    np.testing.assert_allclose(policy.value_mdp, policy_iteration(pomdp), rtol=0, atol=2e-9)
+
+
+def test_values_equal_policy_iterations_with_dead_ends(sealed: CostToGo) -> None:
+    """Dead ends cost for ever: the return there is that of never reaching the goal, not of ending."""
+    pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(sealed)), grid=GRID, gamma=0.9)
+    policy = solve(pomdp, tolerance=1e-9)
+    dead = sealed.dead_end
+    np.testing.assert_allclose(policy.value_mdp[dead], -1 / (1 - 0.9), atol=1e-8)  # unit costs, nothing to suggest
+    assert (policy.value_mdp[~dead] > -10).all()
+
+
+@pytest.fixture(scope="module")
+def policy(tiny_choices: Choices) -> Policy:
+    return solve(make(tiny_choices))
+
+
+def test_values_are_the_best_of_the_action_values(policy: Policy) -> None:
+    np.testing.assert_allclose(policy.q_mdp.max(axis=1), policy.value_mdp, atol=1e-6)
+
+
+def test_suggesting_pays_where_the_person_would_err(tiny: CostToGo, tiny_choices: Choices) -> None:
+    """To a person without misconceptions who follows, free suggestions are right everywhere; dear ones nowhere."""
+    x = np.flatnonzero(~tiny_choices.goal)
+    model = HumanModel.exact(tiny_choices)
+    free, dear = (solve(AssistPOMDP.of(model, grid=GRID, gamma=0.95, c_suggest=c)) for c in (0.0, 100.0))
+    belief = np.zeros((len(x), *GRID.shape))
+    belief[:, 0, 2] = 1  # a novice who always follows
+    q = free.q_values(x, belief)
+    gain = q[:, 1:].max(axis=1) - q[:, 0]
+    assert (gain >= -1e-9).all()  # none where there is only one choice
+    assert (gain > 0.01).mean() > 0.5
+    assert (dear.choose(x, belief) == 0).all()
+    np.testing.assert_allclose(dear.value_mdp[0, :, 0], dear.value_mdp[0, :, 2], atol=1e-9)
+
+
+beliefs = arrays.arrays(float, (1, 2, 3), elements=st.floats(0.001, 1)).map(lambda b: b / b.sum())
+
+
+@given(beliefs, st.integers(0, 20))
+def test_qmdp_is_the_best_action_value_and_below_the_bound(policy: Policy, belief: np.ndarray, x: int) -> None:
+    at = np.array([x])
+    q = policy.q_values(at, belief)[0]
+    assert q.max() <= policy.value(at, belief)[0] + 1e-9
+    assert q[policy.choose(at, belief)[0]] == q.max()
+
+
+@pytest.mark.parametrize("options", [{"gamma": 1.0}, {"gamma": float("nan")}, {"c_suggest": -1.0}])
+def test_parameters_are_checked(tiny_choices: Choices, options: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        make(tiny_choices, **options)
