@@ -173,7 +173,7 @@ def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Pat
                 space = explore(task, max_states=options.max_states, deadline=phases.deadline)
             with phases.phase("cost_to_go"):
                 table = cost_to_go(space, deadline=phases.deadline)
-        except LimitError:
+        except (LimitError, MemoryError):
             if phases.deadline is not None and time.monotonic() > phases.deadline:
                 raise  # otherwise there are too many states, and the initial one is solved on demand
     if table is not None:

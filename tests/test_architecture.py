@@ -48,9 +48,9 @@ def faults(module: str, source: str) -> list[str]:
             pass  # the package's own list of what it hands over
         elif name not in ORDER or ORDER.index(name) >= ORDER.index(module):
             wrong.append(f"{module} imports {name}, which comes after it")
-        if module.startswith("assist.") and module not in MAY_READ_PDDL and name.startswith("planner"):
-            if name not in ARRAYS or what in READING:
-                wrong.append(f"{module} takes {what or name} from the planner; only arrays may be used there")
+        confined = module.startswith("assist.") and module not in MAY_READ_PDDL and name.startswith("planner")
+        if confined and (name not in ARRAYS or what in READING):
+            wrong.append(f"{module} takes {what or name} from the planner; only arrays may be used there")
     return wrong
 
 

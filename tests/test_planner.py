@@ -232,7 +232,8 @@ def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
     """A hundred switches of which three can be raised: the states need two words."""
     names = [f"b{i}" for i in range(100)]
     up = " ".join(f"(up {b})" for b in names[3:])
-    problem = f"(define (problem p) (:domain bits) (:objects {' '.join(names)}) (:init {up} (idle)) (:goal (and (up b0) (up b1) (not (idle)))))"
+    start = f"(define (problem p) (:domain bits) (:objects {' '.join(names)}) (:init {up} (idle))"
+    problem = f"{start} (:goal (and (up b0) (up b1) (not (idle)))))"
     space = explore(load(write_instance(tmp_path, COUNTERS, problem)))
     table = cost_to_go(space)
     assert len(space) == 16

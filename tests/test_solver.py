@@ -90,7 +90,7 @@ def test_values_are_the_best_of_the_action_values(policy: Policy) -> None:
     np.testing.assert_allclose(policy.q_mdp.max(axis=1), policy.value_mdp, atol=1e-6)
 
 
-def test_suggesting_pays_where_the_person_would_err(tiny: CostToGo, tiny_choices: Choices) -> None:
+def test_suggesting_pays_where_the_person_would_err(tiny_choices: Choices) -> None:
     """To a person without misconceptions who follows, free suggestions are right everywhere; dear ones nowhere."""
     x = np.flatnonzero(~tiny_choices.goal)
     model = HumanModel.exact(tiny_choices)

@@ -130,7 +130,7 @@ def test_policies_meet_the_same_people(pool: Pool) -> None:
         assert len(set(none.people)) == 3
 
 
-def test_unaided_people_choose_as_the_model_says(tiny: CostToGo, tiny_choices: Choices) -> None:
+def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
     """First choices of many episodes against the Boltzmann probabilities of the person's own costs."""
     population = Population(beta=(1.0, 1.0), theta=(0.6, 0.6), sigma=(1.0, 1.0))
     pool = Pool.sample(tiny_choices, 1, seed=9, population=population)

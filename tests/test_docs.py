@@ -1,0 +1,105 @@
+"""What the documentation shows is run, and what it says is printed is printed."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+
+
+def blocks(page: Path, language: str) -> str:
+    """All blocks of a language in a page, one after the other."""
+    return "\n".join(text for name, text in BLOCK.findall(page.read_text()) if name == language)
+
+
+def commands(page: Path) -> list[tuple[str, str]]:
+    """The commands of a page's console blocks, each with the output that is shown."""
+    found: list[tuple[str, str]] = []
+    lines = iter(blocks(page, "console").splitlines())
+    for line in lines:
+        if line.startswith("$ "):
+            command = line[2:]
+            while command.endswith("\\"):
+                command = command[:-1] + next(lines).removeprefix("> ")
+            found.append((command, ""))
+        elif found:
+            command, output = found[-1]
+            found[-1] = (command, output + line + "\n")
+    return found
+
+
+def pages_with(language: str) -> list[Path]:
+    return [page for page in PAGES if blocks(page, language)]
+
+
+def name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder that looks like the project's, to which nothing is written in the project itself."""
+    (tmp_path / "domains").symlink_to(ROOT / "domains")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", pages_with("console"), ids=name)
+def test_console_blocks(page: Path, place: Path) -> None:
+    environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    for command, expected in commands(page):
+        result = subprocess.run(
+            command, shell=True, capture_output=True, text=True, cwd=place, env=environment, timeout=120
+        )
+        assert result.returncode == 0, f"{command}\n{result.stderr}"
+        if expected.strip():
+            same = doctest.OutputChecker().check_output(expected.strip() + "\n", result.stdout.strip() + "\n", FLAGS)
+            assert same, f"{command}\n--- shown\n{expected}\n--- printed\n{result.stdout}"
+
+
+@pytest.mark.parametrize("page", pages_with("pycon"), ids=name)
+def test_python_blocks(page: Path, place: Path) -> None:
+    assert place.exists()
+    test = doctest.DocTestParser().get_doctest(blocks(page, "pycon"), {}, name(page), str(page), 0)
+    runner = doctest.DocTestRunner(optionflags=FLAGS)
+    complaints: list[str] = []
+    runner.run(test, out=complaints.append)
+    assert test.examples
+    assert runner.failures == 0, "".join(complaints)
+
+
+def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
+    for page in PAGES:
+        for language, text in BLOCK.findall(page.read_text()):
+            assert language in {"console", "pycon", "sh", "pddl", "text", "json"}, (
+                f"{name(page)}: ```{language}\n{text}"
+            )
+
+
+@pytest.mark.parametrize("page", pages_with("sh"), ids=name)
+def test_make_commands_exist(page: Path) -> None:
+    """Blocks of `sh` hold the commands that set the project up: they run in the continuous integration."""
+    for line in blocks(page, "sh").splitlines():
+        command = line.partition("#")[0].strip()
+        if command.startswith("make"):
+            target = command.removeprefix("make").strip()
+            subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
+        else:
+            assert command.startswith(("git clone", "cd ")) or not command
+
+
+def test_links_lead_somewhere() -> None:
+    for page in PAGES:
+        for link in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
+            if "://" not in link:
+                assert (page.parent / link).exists(), f"{name(page)}: {link}"
