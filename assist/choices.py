@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
+from planner import Table
 
 WAIT = -1
 """The action number of standing still, the only choice in a state without applicable actions."""
@@ -59,21 +59,22 @@ class Choices:
                 value.flags.writeable = False
 
     @classmethod
-    def of(cls, table: CostToGo) -> Choices:
+    def of(cls, table: Table) -> Choices:
         """Arrange the choices of a cost-to-go table."""
         space = table.space
-        counts = np.diff(space.offsets)
+        rows = space.transitions
+        counts = np.diff(rows.offsets)
         stuck = np.flatnonzero((counts == 0) & ~space.goal)
         shape = (len(space), max(1, int(counts.max(initial=0))))
-        slot = np.arange(len(space.targets)) - space.offsets[space.sources]
+        slot = np.arange(len(rows.targets)) - rows.offsets[space.sources]
         applicable = np.zeros(shape, dtype=bool)
         actions = np.full(shape, WAIT, dtype=np.int64)
         targets = np.repeat(np.arange(len(space))[:, None], shape[1], axis=1)
         costs = np.zeros(shape)
         optimal = np.zeros(shape, dtype=bool)
         applicable[space.sources, slot] = True
-        actions[space.sources, slot] = space.actions
-        targets[space.sources, slot] = space.targets
+        actions[space.sources, slot] = rows.actions
+        targets[space.sources, slot] = rows.targets
         costs[space.sources, slot] = space.costs
         optimal[space.sources, slot] = table.optimal_choices()
         applicable[stuck, 0] = True

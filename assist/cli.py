@@ -18,11 +18,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 from rich.text import Text
 
-from planner import InstanceError, LimitError, PDDLError, cost_to_go, explore, find_instances, load
-from planner.batch import DONE, Record, ResultsExistError, SolveOptions, solve_batch, versions
+from planner import InstanceError, LimitError, PDDLError, find_instances, load, sweep
+from planner.batch import DONE, ResultsExistError, solve_batch
+from planner.errors import MissingExtraError
 from planner.fast_downward import FastDownwardError
-
-from .errors import MissingExtraError
+from planner.solving import Record, SolveOptions, versions
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -95,6 +95,7 @@ def main() -> None:
     "--verify", type=click.IntRange(min=1), default=SolveOptions.verify, show_default=True,
     help="States to compare with Fast Downward's A*.",
 )  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
 @click.option("--resume", is_flag=True, help="Keep what --out holds as solved or unsolvable.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def solve(
@@ -106,6 +107,7 @@ def solve(
     memory_limit: float | None,
     max_states: int,
     verify: int,
+    scheduler: str | None,
     resume: bool,
     as_json: bool,
 ) -> None:
@@ -119,11 +121,15 @@ def solve(
         found = find_instances(instances, domain)
         options = SolveOptions(time_limit, memory_limit, max_states, verify)
         with progress_bar("solving", len(found)) as advance:
-            records = solve_batch(found, options, out=out, jobs=jobs, resume=resume, progress=lambda _: advance(1))
+            records = solve_batch(
+                found, options, out=out, jobs=jobs, resume=resume, scheduler=scheduler, progress=lambda _: advance(1)
+            )
     for record in records:
         if record["error"]:
             place = ":".join(str(record["error"][key]) for key in ("file", "line") if record["error"][key] is not None)
             click.echo(f"{place}: {record['error']['message']}", err=True)
+        elif record["note"]:
+            click.echo(f"{record['instance']}: {record['note']}", err=True)
     if as_json:
         click.echo(json.dumps(records, indent=2))
     elif len(records) > 1 or not records[0]["error"]:
@@ -238,8 +244,8 @@ def simulate(
             figures.require()
             if figure.suffix not in figures.FORMATS:
                 raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
-        table = cost_to_go(explore(load(found[0]), max_states=SolveOptions.max_states))
-        if not math.isfinite(table[table.space.initial]):
+        table = sweep(load(found[0]), max_states=SolveOptions.max_states)
+        if not math.isfinite(table[table.initial]):
             fail(
                 f"{found[0]}: the goal cannot be reached from the initial state, so there is nobody to assist",
                 EXIT_FAILED,

@@ -6,9 +6,9 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planner.errors import MissingExtraError
 from planner.storage import atomic
 
-from .errors import MissingExtraError
 from .simulate import Episode, Trace
 
 if TYPE_CHECKING:

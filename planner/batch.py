@@ -1,257 +1,34 @@
-"""Many instances: each solved within its limits, in parallel, resumable.
+"""Many instances: in parallel, on this machine or on a cluster, resumable.
 
-`solve_instance` takes one instance to its record; `solve_batch` runs many in worker processes and keeps
-what is finished in `results.jsonl`, `.npz` tables and `.plan` files. The records' fields are a contract
-that scripts depend on; `docs/commands.md` lists them.
+`solve_batch` runs `solve_instance` on each and keeps what is finished in `results.jsonl`: a record is added as
+soon as it is there. The records do not depend on where they were made.
 """
 
 from __future__ import annotations
 
-import importlib.metadata
-import platform
-import resource
+import os
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from . import fast_downward, pddl
-from .costtogo import CostToGo, MismatchError, astar, cost_to_go, verify
-from .fast_downward import FastDownwardError, LimitError, Limits
-from .pddl import Instance, InvalidPlanError, PDDLError
-from .statespace import explore
-from .storage import append_record, atomic, read_records, write_records
-from .task import Task, from_sas
-
-if TYPE_CHECKING:
-    from unified_planning.model import Problem
-
-Record = dict[str, Any]
+from .budget import available_memory
+from .errors import MissingExtraError
+from .pddl import Instance
+from .solving import Record, SolveOptions, solve_instance, unsolved
+from .storage import append_record, read_records, write_records
 
 RESULTS = "results.jsonl"
 DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
 
-
-@dataclass(frozen=True)
-class SolveOptions:
-    """How an instance is solved.
-
-    Attributes
-    ----------
-    time_limit : float or None
-        Seconds of wall-clock time for one instance.
-    memory_limit : float or None
-        MB for one instance.
-    max_states : int
-        A task with more states is solved on demand: from its initial state only.
-    verify : int
-        States that are compared with Fast Downward's A*, the initial one among them.
-    verify_seconds : float
-        No further comparison begins after this time.
-    """
-
-    time_limit: float | None = None
-    memory_limit: float | None = None
-    max_states: int = 5_000_000
-    verify: int = 20
-    verify_seconds: float = 10.0
+Outcomes = Iterator[tuple[Instance, Record]]
 
 
 class ResultsExistError(ValueError):
     """An output folder that holds results already."""
-
-
-class _Phases:
-    """Seconds spent in each named phase, and the deadline of all of them."""
-
-    def __init__(self, limit: float | None, memory_mb: float | None) -> None:
-        self.seconds: dict[str, float] = {}
-        self.memory_mb = memory_mb
-        self.start = time.monotonic()
-        self.deadline = None if limit is None else self.start + limit
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        start = time.monotonic()
-        if self.deadline is not None and start > self.deadline:
-            raise LimitError(f"out of time before the phase '{name}'")
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
-
-    def limits(self) -> Limits:
-        left = None if self.deadline is None else max(0.01, self.deadline - time.monotonic())
-        return Limits(left, self.memory_mb)
-
-
-def versions() -> dict[str, str]:
-    """Name the versions that a result depends on."""
-    packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
-    found = {key: importlib.metadata.version(package) for key, package in packages.items()}
-    return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
-
-
-def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> Record:
-    """Give the record of an instance of which nothing is known."""
-    return {
-        "instance": str(instance.problem),
-        "domain": str(instance.domain),
-        "status": status,
-        "cost": None,
-        "plan": None,
-        "states": None,
-        "transitions": None,
-        "dead_ends": None,
-        "max_cost_to_go": None,
-        "method": None,
-        "verified": 0,
-        "seconds": {},
-        "peak_memory_mb": None,
-        "versions": versions(),
-        "error": error,
-    }
-
-
-def solve_instance(instance: Instance, options: SolveOptions | None = None, out: Path | None = None) -> Record:
-    """Solve one instance and describe the outcome.
-
-    Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
-    `status` and `error`. A table that contradicts Fast Downward and a plan that its validator rejects are
-    such errors.
-
-    Parameters
-    ----------
-    instance : Instance
-    options : SolveOptions, optional
-    out : Path, optional
-        A folder in which the cost-to-go table and the plan are saved.
-    """
-    options = options or SolveOptions()
-    phases = _Phases(options.time_limit, options.memory_limit)
-    _reset_peak_memory()
-    try:
-        with phases.phase("read"):
-            problem = pddl.read(instance)
-        # Only now: loading libraries maps far more memory than is ever used.
-        with _memory_limit(options.memory_limit):
-            record = _solve(instance, problem, options, out, phases)
-    except PDDLError as error:
-        record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
-    except LimitError as error:
-        record = _stopped(instance, "limit", str(error))
-    except MemoryError:
-        record = _stopped(
-            instance,
-            "limit",
-            f"out of memory ({options.memory_limit:g} MB)" if options.memory_limit else "out of memory",
-        )
-    except (FastDownwardError, MismatchError, InvalidPlanError) as error:
-        record = _stopped(instance, "invalid", str(error))
-    record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
-    record["seconds"]["total"] = round(time.monotonic() - phases.start, 6)
-    record["peak_memory_mb"] = round(_peak_memory_mb(), 1)
-    return record
-
-
-def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Path | None, phases: _Phases) -> Record:
-    record = empty_record(instance, "solved", None)
-    with phases.phase("translate"):
-        task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
-    table: CostToGo | None = None
-    if not task.relaxed_unsolvable:
-        try:
-            with phases.phase("search"):
-                space = explore(task, max_states=options.max_states, deadline=phases.deadline)
-            with phases.phase("cost_to_go"):
-                table = cost_to_go(space, deadline=phases.deadline)
-        except (LimitError, MemoryError):
-            if phases.deadline is not None and time.monotonic() > phases.deadline:
-                raise  # otherwise there are too many states, and the initial one is solved on demand
-    if table is not None:
-        finite = table.distance[~table.dead_end]
-        record.update(
-            method="sweep",
-            states=len(table.space),
-            transitions=len(table.space.targets),
-            dead_ends=int(table.dead_end.sum()),
-            max_cost_to_go=int(finite.max()) if len(finite) else None,
-        )
-        with phases.phase("verify"):
-            record["verified"] = verify(
-                table, options.verify, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits()
-            )
-        cost, plan = table[table.space.initial], table.optimal_plan()
-    else:
-        with phases.phase("search"):
-            cost, plan = astar(task, limits=phases.limits())
-        record.update(method="on-demand", verified=1)
-    if plan is not None:
-        with phases.phase("validate"):
-            if task.plan_cost(plan) != cost:
-                raise MismatchError(f"{instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
-            pddl.validate(problem, plan)
-        record.update(cost=int(cost), plan=plan)
-    else:
-        record.update(status="unsolvable")
-    if out is not None:
-        with phases.phase("save"):
-            target = out / _name(instance)
-            if table is not None:
-                save_table(target.with_name(target.name + ".npz"), table)
-            if plan is not None:
-                save_plan(target.with_name(target.name + ".plan"), task, plan)
-    return record
-
-
-def _stopped(instance: Instance, status: str, message: str) -> Record:
-    return empty_record(instance, status, _error(instance.problem, None, message))
-
-
-def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
-    return {"file": str(file), "line": line, "message": message}
-
-
-def _name(instance: Instance) -> Path:
-    """Where an instance's files stand in the output folder: its own path, so that no two collide."""
-    parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
-    return Path(*parts).with_suffix("")
-
-
-def save_table(file: Path, table: CostToGo) -> None:
-    """Save a cost-to-go table as `.npz`, at once or not at all; `docs/commands.md` describes the arrays."""
-    space = table.space
-    width = max(len(variable.facts) for variable in space.task.variables)
-    facts = np.array([[*v.facts, *[""] * (width - len(v.facts))] for v in space.task.variables])
-    with atomic(file) as path, path.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            states=space.states,
-            cost_to_go=table.distance,
-            word=space.packing.word,
-            shift=space.packing.shift,
-            bits=space.packing.bits,
-            facts=facts,
-        )
-
-
-def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
-    """Save a plan in the planners' format: an action a line, then its cost in a comment."""
-    unit = all(cost == 1 for cost in task.costs)
-    text = (
-        "".join(f"{action}\n" for action in plan)
-        + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
-    )
-    with atomic(file) as path:
-        path.write_text(text, encoding="utf-8")
 
 
 def solve_batch(
@@ -261,9 +38,10 @@ def solve_batch(
     out: Path | None = None,
     jobs: int = 1,
     resume: bool = False,
+    scheduler: str | None = None,
     progress: Callable[[Record], None] | None = None,
 ) -> list[Record]:
-    """Solve many instances in worker processes.
+    """Solve many instances.
 
     Parameters
     ----------
@@ -276,6 +54,9 @@ def solve_batch(
         Worker processes.
     resume : bool
         Keep what `results.jsonl` holds as solved or unsolvable, and run the rest.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers solve the instances instead of processes of this machine. They
+        have to see the same files at the same paths, and run one thread each.
     progress : callable, optional
         Called with each record as it comes in.
 
@@ -288,100 +69,102 @@ def solve_batch(
     ------
     ResultsExistError
         There are results in `out` already, and `resume` is not set.
+    MissingExtraError
+        A cluster is asked for, and the extra `cluster` is not installed.
     """
-    from pebble import ProcessExpired, ProcessPool
-
     options = options or SolveOptions()
-    records: dict[str, Record] = {}
+    if jobs > 1 and scheduler is None:  # they share the machine
+        memory = available_memory() / 1e6 / jobs
+        limit = memory if options.memory_limit is None else min(memory, options.memory_limit)
+        threads = max(1, (os.cpu_count() or 1) // jobs)
+        options = replace(options, memory_limit=limit, threads=options.threads or threads)
     results = None if out is None else out / RESULTS
+    kept: dict[str, Record] = {}
     if results is not None:
         if results.exists() and not resume:
             raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
-        wanted = {str(instance.problem) for instance in instances}
-        records = {r["instance"]: r for r in read_records(results) if r["instance"] in wanted and r["status"] in DONE}
-        write_records(results, list(records.values()))
-    for record in records.values():
-        if progress is not None:
+        kept = {record["instance"]: record for record in read_records(results) if record["status"] in DONE}
+        write_records(results, kept.values())
+    records = {str(i.problem): kept.pop(str(i.problem)) for i in instances if str(i.problem) in kept}
+    if progress is not None:
+        for record in records.values():
             progress(record)
-
-    def finished(instance: Instance, record: Record) -> None:
+    todo = [instance for instance in instances if str(instance.problem) not in records]
+    outcomes = (
+        _in_processes(todo, options, out, jobs) if scheduler is None else _on_cluster(todo, options, out, scheduler)
+    )
+    for instance, record in outcomes:
         records[str(instance.problem)] = record
         if results is not None:
             append_record(results, record)
         if progress is not None:
             progress(record)
-
-    todo = [instance for instance in instances if str(instance.problem) not in records]
-    if todo:
-        timeout = None if options.time_limit is None else options.time_limit + GRACE
-        pool = ProcessPool(
-            max_workers=min(jobs, len(todo)), context=get_context("spawn"), initializer=_ignore_interrupts
-        )
-        try:
-            futures: dict[Future[Record], Instance] = {
-                pool.schedule(solve_instance, args=(i, options, out), timeout=timeout): i for i in todo
-            }
-            for future in as_completed(futures):
-                instance = futures[future]
-                try:
-                    finished(instance, future.result())
-                except TimeoutError:
-                    finished(instance, _stopped(instance, "limit", f"out of time ({options.time_limit:g} s)"))
-                except ProcessExpired as error:
-                    code = f"the worker process died with exit code {error.exitcode}, probably out of memory"
-                    finished(instance, _stopped(instance, "limit", code))
-                except Exception as error:  # noqa: BLE001  a fault of this program stops one instance, not all
-                    finished(instance, _stopped(instance, "invalid", f"internal error: {error!r}"))
-            pool.close()  # type: ignore[no-untyped-call]
-        except BaseException:
-            pool.stop()  # type: ignore[no-untyped-call]
-            raise
-        finally:
-            pool.join()
     ordered = [records[str(instance.problem)] for instance in instances]
     if results is not None:
-        write_records(results, ordered)
+        write_records(results, [*ordered, *kept.values()])
     return ordered
+
+
+def _in_processes(instances: Sequence[Instance], options: SolveOptions, out: Path | None, jobs: int) -> Outcomes:
+    """Solve instances in processes of this machine, which are stopped when an instance exceeds its time."""
+    from pebble import ProcessExpired, ProcessPool
+
+    if not instances:
+        return
+    timeout = None if options.time_limit is None else options.time_limit + GRACE
+    workers = min(jobs, len(instances))
+    pool = ProcessPool(max_workers=workers, context=get_context("spawn"), initializer=_ignore_interrupts)
+    try:
+        futures: dict[Future[Record], Instance] = {
+            pool.schedule(solve_instance, args=(instance, options, out), timeout=timeout): instance
+            for instance in instances
+        }
+        for future in as_completed(futures):
+            instance = futures[future]
+            try:
+                record = future.result()
+            except TimeoutError:
+                record = unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
+            except ProcessExpired as error:
+                reason = f"the worker process died with exit code {error.exitcode}, probably out of memory"
+                record = unsolved(instance, "limit", reason)
+            except Exception as error:  # noqa: BLE001  a fault of this program stops one instance, not all
+                record = unsolved(instance, "invalid", f"internal error: {error!r}")
+            yield instance, record
+        pool.close()  # type: ignore[no-untyped-call]
+    except BaseException:
+        pool.stop()  # type: ignore[no-untyped-call]
+        raise
+    finally:
+        pool.join()
+
+
+def _on_cluster(instances: Sequence[Instance], options: SolveOptions, out: Path | None, scheduler: str) -> Outcomes:
+    """Solve instances on the workers of a Dask cluster, which see the same files at the same paths."""
+    try:
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as as_completed_on_cluster
+    except ImportError:
+        raise MissingExtraError("a cluster needs Dask: pip install 'kitassist[cluster]'") from None
+
+    with Client(scheduler) as client:
+        futures = {
+            client.submit(solve_instance, instance, options, out, pure=False): instance for instance in instances
+        }
+        try:
+            for future in as_completed_on_cluster(list(futures)):
+                instance = futures[future]
+                try:
+                    record = future.result()
+                except KilledWorker:
+                    record = unsolved(instance, "limit", "its workers died, probably out of memory")
+                except Exception as error:  # noqa: BLE001  as above
+                    record = unsolved(instance, "invalid", f"internal error: {error!r}")
+                yield instance, record
+        finally:
+            client.cancel(list(futures))
 
 
 def _ignore_interrupts() -> None:
     """Leave Ctrl-C to the parent, which stops the workers."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _status_mb(field: str) -> float | None:
-    """A field of this process's memory status, in MB; None where the system does not tell."""
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), None)
-
-
-def _reset_peak_memory() -> None:
-    """Start the process's peak memory anew, for a worker that solves one instance after the other."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    except OSError:
-        return  # then the peak is that of the process's whole life
-
-
-def _peak_memory_mb() -> float:
-    peak = _status_mb("VmHWM")
-    return peak if peak is not None else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-@contextmanager
-def _memory_limit(limit_mb: float | None) -> Iterator[None]:
-    """Let the process grow to `limit_mb` of memory at most; beyond, allocations fail."""
-    used, mapped = _status_mb("VmRSS"), _status_mb("VmSize")
-    if limit_mb is None or used is None or mapped is None:
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    # The limit can only be set on what is mapped, of which libraries take much that they never use.
-    resource.setrlimit(resource.RLIMIT_AS, (int((mapped + max(0.0, limit_mb - used)) * 2**20), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

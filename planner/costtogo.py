@@ -1,22 +1,25 @@
 """Exact cost-to-go: what the cheapest way from a state to the goal costs.
 
-`cost_to_go` computes h* of every state of a `StateSpace` by a backward search from the goal states
-(Dijkstra 1959, with all states of one distance settled at once). `astar` asks Fast Downward for a single
-state, which is also how tables are checked: `verify` compares a sample with Fast Downward's own A*.
+`CostToGo` is what the rest of the project asks: the cost-to-go of some states, and their choices. There are
+two kinds of it. A `Table` holds h* of every state of a `StateSpace` (`sweep` makes it); `OnDemand`, in the
+module of that name, asks Fast Downward for one state at a time. `verify` compares a table with Fast Downward.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from . import fast_downward
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .statespace import StateSpace
+from .successors import Ints, Transitions
 from .task import Task
 
 UNREACHED = np.iinfo(np.int64).max
@@ -26,8 +29,45 @@ class MismatchError(AssertionError):
     """A cost-to-go that differs from Fast Downward's."""
 
 
+class CostToGo(Protocol):
+    """The exact cost-to-go of a task, however it is come by. States are named by numbers."""
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+
+    @property
+    def initial(self) -> int:
+        """The number of the initial state."""
+
+    @property
+    def method(self) -> Literal["sweep", "on-demand"]:
+        """How the answers are come by."""
+
+    def __len__(self) -> int:
+        """Count the states that have numbers."""
+
+    def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), infinite at dead ends."""
+
+    def choices(self, states: ArrayLike) -> Transitions:
+        """Give the choices of states, shape (N,), as compressed rows."""
+
+    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Tell of states, shape (N,), which are goal states."""
+
+    def values(self, states: ArrayLike) -> Ints:
+        """Give the values, shape (N, variables), of states of shape (N,)."""
+
+    def numbers(self, values: ArrayLike) -> Ints:
+        """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
+
+    def optimal_plan(self, state: int | None = None) -> list[str] | None:
+        """Give an optimal plan from a state (the initial one unless given); None from a dead end."""
+
+
 @dataclass(frozen=True)
-class CostToGo:
+class Table:
     """The exact cost-to-go of every state of a state space.
 
     Attributes
@@ -44,6 +84,24 @@ class CostToGo:
     def __post_init__(self) -> None:
         self.distance.flags.writeable = False
 
+    def __len__(self) -> int:
+        return len(self.space)
+
+    @property
+    def method(self) -> Literal["sweep", "on-demand"]:
+        """How it was come by."""
+        return "sweep"
+
+    @property
+    def task(self) -> Task:
+        """The task."""
+        return self.space.task
+
+    @property
+    def initial(self) -> int:
+        """The number of the initial state."""
+        return self.space.initial
+
     @property
     def dead_end(self) -> NDArray[np.bool_]:
         """Which states have no way to the goal, shape (n,)."""
@@ -52,56 +110,135 @@ class CostToGo:
     @cached_property
     def h(self) -> NDArray[np.float64]:
         """h* of every state, shape (n,), infinite at dead ends."""
-        return np.where(self.dead_end, np.inf, self.distance)
+        return self.lookup(slice(None))
 
     def __getitem__(self, state: int) -> float:
         """h* of one state, infinite at a dead end."""
-        return float(self.h[state])
+        return float(self.lookup([state])[0])
+
+    def lookup(self, states: ArrayLike | slice) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), infinite at dead ends."""
+        distance = self.distance[states if isinstance(states, slice) else np.asarray(states, dtype=np.int64)]
+        return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
+
+    def choices(self, states: ArrayLike) -> Transitions:
+        """Give the choices of states, shape (N,), as compressed rows."""
+        return self.space.choices(states)
+
+    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Tell of states, shape (N,), which are goal states."""
+        values = self.values(states)
+        variables, wanted = np.array(self.task.goal, dtype=np.int64).reshape(-1, 2).T
+        return (values[:, variables] == wanted).all(axis=1)
+
+    def values(self, states: ArrayLike) -> Ints:
+        """Give the values, shape (N, variables), of states of shape (N,)."""
+        return self.space.values(states)
+
+    def numbers(self, values: ArrayLike) -> Ints:
+        """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
+        return self.space.numbers(values)
 
     def optimal_choices(self) -> NDArray[np.bool_]:
-        """Tell of each choice, shape (m,), whether a cheapest way to the goal can begin with it."""
-        h = self.h
-        return np.isfinite(h[self.space.sources]) & (self.space.costs + h[self.space.targets] == h[self.space.sources])
+        """Tell of each choice of all states, shape (m,), whether a cheapest way to the goal begins with it.
 
-    def optimal_plan(self, state: int = 0) -> list[str] | None:
-        """Read an optimal plan off the table; None from a dead end."""
+        Of cheapest ways only those with the fewest actions count, so that actions of cost zero lead to no
+        circles: who follows optimal choices reaches the goal.
+        """
         space, h = self.space, self.h
-        if not np.isfinite(h[state]):
+        targets = space.transitions.targets
+        cheapest = np.isfinite(h[space.sources]) & (space.costs + h[targets] == h[space.sources])
+        if space.costs.min(initial=1) > 0:
+            return cheapest
+        steps = backward(targets[cheapest], space.sources[cheapest], np.ones(int(cheapest.sum()), np.int64), space.goal)
+        return cheapest & (steps[targets] < steps[space.sources])
+
+    def optimal_plan(self, state: int | None = None) -> list[str] | None:
+        """Read an optimal plan off the table; None from a dead end."""
+        start = self.initial if state is None else state
+        if not np.isfinite(self[start]):
             return None
-        # Actions of cost zero can lead in circles, so this is a depth-first search, not a mere descent.
+        # Actions of cost zero can lead in circles, so this is a search breadth first, not a mere descent.
+        came: dict[int, tuple[int, int]] = {start: (-1, -1)}
+        layer = [start]
+        while True:
+            ends = np.flatnonzero(self.is_goal(layer))
+            if len(ends):
+                return self._way(came, layer[ends[0]])
+            rows = self.choices(layer)
+            sources = np.repeat(layer, np.diff(rows.offsets))
+            costs = np.asarray(self.task.costs)[rows.actions]
+            cheapest = costs + self.lookup(rows.targets) == self.lookup(sources)
+            if costs.min(initial=1) > 0:  # then any one way will do
+                cheapest &= np.cumsum(cheapest) == 1
+            layer = []
+            for i in np.flatnonzero(cheapest):
+                target = int(rows.targets[i])
+                if target not in came:
+                    came[target] = (int(sources[i]), int(rows.actions[i]))
+                    layer.append(target)
+
+    def _way(self, came: dict[int, tuple[int, int]], state: int) -> list[str]:
         plan: list[str] = []
-        seen = {state}
-        trail = [(state, int(space.offsets[state]))]
-        while not space.goal[trail[-1][0]]:
-            x, row = trail.pop()
-            for choice in range(row, int(space.offsets[x + 1])):
-                y = int(space.targets[choice])
-                if y not in seen and space.costs[choice] + h[y] == h[x]:
-                    seen.add(y)
-                    plan.append(space.task.actions[space.actions[choice]])
-                    trail += [(x, choice + 1), (y, int(space.offsets[y]))]
-                    break
-            else:
-                plan.pop()
-        return plan
+        while came[state][0] >= 0:
+            state, action = came[state]
+            plan.append(self.task.actions[action])
+        return plan[::-1]
 
 
-def cost_to_go(space: StateSpace, *, deadline: float | None = None) -> CostToGo:
-    """Compute h* of every state.
+def smallest_type(largest: int) -> type[np.unsignedinteger]:
+    """Choose the type for distances; its own largest value is kept for dead ends."""
+    types: tuple[type[np.unsignedinteger], ...] = (np.uint8, np.uint16, np.uint32, np.uint64)
+    return next(t for t in types if largest < np.iinfo(t).max)
+
+
+def compact(distance: Ints) -> NDArray[np.unsignedinteger]:
+    """Give distances in the smallest type that holds them, its largest value for `UNREACHED`."""
+    finite = distance != UNREACHED
+    dtype = smallest_type(int(distance[finite].max(initial=0)))
+    result = np.full(len(distance), np.iinfo(dtype).max, dtype=dtype)
+    result[finite] = distance[finite]
+    return result
+
+
+def backward(
+    targets: NDArray[np.signedinteger],
+    sources: Ints,
+    costs: Ints,
+    goal: NDArray[np.bool_],
+    *,
+    deadline: float | None = None,
+) -> Ints:
+    """Compute the distance of every state to the goal states along given edges (Dijkstra 1959).
+
+    All states of one distance are settled at once.
+
+    Parameters
+    ----------
+    targets, sources, costs : int arrays, shape (m,)
+        Edges from `sources` to `targets`; costs of 0 or more.
+    goal : bool array, shape (n,)
+    deadline : float, optional
+        A time on `time.monotonic()`'s clock.
+
+    Returns
+    -------
+    int64 array, shape (n,)
+        `UNREACHED` where there is no way.
 
     Raises
     ------
     LimitError
-        The deadline, a time on `time.monotonic()`'s clock, has passed.
+        The deadline has passed.
     """
-    by_target = np.argsort(space.targets, kind="stable")
-    into = np.concatenate([[0], np.cumsum(np.bincount(space.targets, minlength=len(space)))])
-    sources, costs = space.sources[by_target], space.costs[by_target]
+    by_target = np.argsort(targets, kind="stable")
+    into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
+    sources, costs = sources[by_target], costs[by_target]
 
-    distance = np.full(len(space), UNREACHED, dtype=np.int64)
-    settled = np.zeros(len(space), dtype=bool)
-    distance[space.goal] = 0
-    waiting = {0: [np.flatnonzero(space.goal)]}  # states by tentative distance
+    distance = np.full(len(goal), UNREACHED, dtype=np.int64)
+    settled = np.zeros(len(goal), dtype=bool)
+    distance[goal] = 0
+    waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
     while waiting:
         if deadline is not None and time.monotonic() > deadline:
             raise LimitError("out of time in the backward search")
@@ -110,33 +247,26 @@ def cost_to_go(space: StateSpace, *, deadline: float | None = None) -> CostToGo:
         frontier = frontier[~settled[frontier] & (distance[frontier] == d)]
         settled[frontier] = True
         counts = into[frontier + 1] - into[frontier]
-        rows = np.repeat(into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts) + np.arange(
-            counts.sum()
-        )
+        starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
+        rows = np.repeat(starts, counts) + np.arange(counts.sum())
         reached, through = sources[rows], d + costs[rows]
         better = through < distance[reached]
         reached, through = reached[better], through[better]
         np.minimum.at(distance, reached, through)
         for value in np.unique(through):
             waiting.setdefault(int(value), []).append(reached[through == value])
-
-    finite = distance != UNREACHED
-    largest = int(distance[finite].max(initial=0))
-    dtype: type[np.unsignedinteger] = next(t for t in (np.uint16, np.uint32, np.uint64) if largest < np.iinfo(t).max)
-    compact = np.full(len(space), np.iinfo(dtype).max, dtype=dtype)
-    compact[finite] = distance[finite]
-    return CostToGo(space, compact)
+    return distance
 
 
 def astar(
-    task: Task, state: tuple[int, ...] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
+    task: Task, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
 ) -> tuple[float, list[str] | None]:
     """Ask Fast Downward's A* for h* of one state and an optimal plan from it.
 
     Parameters
     ----------
     task : Task
-    state : tuple of int, shape (variables,), optional
+    state : sequence of int, shape (variables,), optional
         A reachable state; the initial one unless given.
 
     Returns
@@ -160,13 +290,13 @@ def astar(
 
 
 def verify(
-    table: CostToGo, count: int, rng: np.random.Generator, *, seconds: float | None = None, limits: Limits = NO_LIMITS
+    table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None, limits: Limits = NO_LIMITS
 ) -> int:
     """Compare a random sample of a table with Fast Downward's A*, the initial state first.
 
     Parameters
     ----------
-    table : CostToGo
+    table : Table
     count : int
         States to compare (all, where there are fewer).
     rng : numpy.random.Generator
@@ -186,14 +316,14 @@ def verify(
         A state whose values differ.
     """
     space = table.space
-    others = rng.permutation(np.arange(1, len(space)))[: max(0, count - 1)]
+    others = random_states(space, max(0, count - 1), rng)
     start = time.monotonic()
     done = 0
-    for state in [space.initial, *map(int, others)][:count]:
+    for state in [space.initial, *others]:
         if seconds is not None and done and time.monotonic() - start > seconds:
             break
         try:
-            expected, _ = astar(space.task, space.values(state), limits=limits)
+            expected, _ = astar(space.task, space.values([state])[0].tolist(), limits=limits)
         except LimitError:
             break
         if expected != table[state]:
@@ -203,3 +333,13 @@ def verify(
             )
         done += 1
     return done
+
+
+def random_states(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:
+    """Draw states other than the initial one without replacement; all of them where there are fewer."""
+    if count >= len(space) - 1:
+        return [state for state in range(len(space)) if state != space.initial]
+    drawn: dict[int, None] = {}
+    while len(drawn) < count:  # a permutation of all states would take more memory than the table
+        drawn.update((int(s), None) for s in rng.integers(len(space), size=count) if s != space.initial)
+    return list(drawn)[:count]

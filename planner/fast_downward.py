@@ -203,8 +203,10 @@ def _limit(pid: int, what: int, value: int) -> None:
 
 
 def _last_line(output: str) -> str:
+    """The last line that says why a program ended."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
-    return lines[-1] if lines else "no output"
+    lines = [line for line in lines if not line.startswith(("Peak memory", "Remove intermediate", "["))]
+    return " ".join(lines[-2:]) if lines else "no output"
 
 
 def _refused(instance: Instance, output: str) -> PDDLError:

@@ -97,6 +97,11 @@ class Task:
         """The number of each ground action."""
         return {action: index for index, action in enumerate(self.actions)}
 
+    def facts(self, values: Sequence[int]) -> list[str]:
+        """Describe a state by its values: the PDDL atoms that hold in it, of those that can change."""
+        facts = (variable.facts[value] for variable, value in zip(self.variables, values, strict=True))
+        return sorted(fact.removeprefix("Atom ") for fact in facts if fact.startswith("Atom "))
+
     def plan_cost(self, plan: Sequence[str]) -> int:
         """Add up the costs of a plan's actions."""
         return sum(self.costs[self.action_index[action]] for action in plan)

@@ -8,17 +8,24 @@ from pathlib import Path
 import pytest
 
 from assist.choices import Choices
-from planner import CostToGo, Instance, cost_to_go, explore, find_instances, load
+from planner import Instance, Table, find_instances, load, sweep
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
 KITTING = DOMAINS / "kitting"
 SHIPPED = find_instances([DOMAINS])
+# Instances of more than about 20,000 states.
+LARGE = {
+    "ladder-4x6", "ladder-4x7", "ladder-4x8", "ladder-4x9", "ladder-6x12", "balls-10", "balls-13", "blocks-7", "blocks-8",
+    "two-walls", "rush", "five-parcels", "two-vans", "three-benches", "four-boxes", "five-items",
+}  # fmt: skip
+SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
+PAPERS = [KITTING / f"{name}.pddl" for name in ("paper", "paper-fixed", "sealed", "tiny", "unsolvable", "costs/ways")]
 
 
 @cache
-def table_of(instance: Instance) -> CostToGo:
-    return cost_to_go(explore(load(instance)))
+def table_of(instance: Instance) -> Table:
+    return sweep(load(instance))
 
 
 def solvable(instances: list[Instance]) -> list[Instance]:
@@ -30,22 +37,22 @@ def named(instance: Instance) -> str:
 
 
 @pytest.fixture(scope="session")
-def tiny() -> CostToGo:
+def tiny() -> Table:
     return table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl"))
 
 
 @pytest.fixture(scope="session")
-def fixed() -> CostToGo:
+def fixed() -> Table:
     return table_of(Instance(KITTING / "paper-fixed.pddl", KITTING / "domain.pddl"))
 
 
 @pytest.fixture(scope="session")
-def sealed() -> CostToGo:
+def sealed() -> Table:
     return table_of(Instance(KITTING / "sealed.pddl", KITTING / "domain.pddl"))
 
 
 @pytest.fixture(scope="session")
-def tiny_choices(tiny: CostToGo) -> Choices:
+def tiny_choices(tiny: Table) -> Choices:
     return Choices.of(tiny)
 
 

@@ -13,7 +13,7 @@ from assist.belief import Grid, ImpossibleObservationError, update
 from assist.choices import Choices
 from assist.human import Human, HumanModel, Population, choice, influence, lapse, perceived_cost_to_go, trust
 from assist.pomdp import AssistPOMDP
-from planner import CostToGo
+from planner import Table
 
 GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))
 
@@ -51,7 +51,7 @@ def enumerate_posterior(pomdp: AssistPOMDP, history: list[tuple[int, int, int]])
 def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int) -> None:
     rng = np.random.default_rng(seed)
     pomdp = AssistPOMDP.of(person(tiny_choices), grid=GRID, suggestions="all")
-    x, history = 0, []
+    x, history = tiny_choices.initial, []
     belief = pomdp.prior[None]
     for _ in range(4):
         robot = int(rng.integers((pomdp.suggested[x] >= 0).sum() + 1))
@@ -62,7 +62,7 @@ def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int)
     np.testing.assert_allclose(belief[0], enumerate_posterior(pomdp, history), rtol=0, atol=1e-12)
 
 
-def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: CostToGo, tiny_choices: Choices) -> None:
+def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: Table, tiny_choices: Choices) -> None:
     """Two hundred times the choice that the model holds least likely, with the right action suggested each time."""
     pomdp = AssistPOMDP.of(person(tiny_choices))
     x = tiny.space.follow(["(fetch box-a)"])
@@ -78,7 +78,7 @@ def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: CostTo
         assert belief.sum() == pytest.approx(1, abs=1e-12)
         x = int(tiny_choices.targets[x, action])
         if tiny_choices.goal[x]:
-            x = 0
+            x = tiny_choices.initial
     assert belief[0].sum(axis=1).argmax() == 0  # the least expert
 
 
@@ -93,13 +93,13 @@ def test_watching_an_expert_and_a_novice(tiny_choices: Choices) -> None:
     for beta, k in ((0.1, 0), (2.8, 5)):
         pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid)
         rng = np.random.default_rng(1)
-        belief, x = pomdp.prior[None], 0
+        belief, x = pomdp.prior[None], tiny_choices.initial
         for _ in range(300):
             p = choice(pomdp.model.q[x], tiny_choices.applicable[x], beta)
             action = int(rng.choice(len(p), p=p))
             belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([action]))
             x = int(tiny_choices.targets[x, action])
-            x = 0 if tiny_choices.goal[x] else x
+            x = tiny_choices.initial if tiny_choices.goal[x] else x
         assert belief[0].sum(axis=1).argmax() == k
         np.testing.assert_allclose(belief[0].sum(axis=0), pomdp.prior.sum(axis=0), atol=1e-12)
 

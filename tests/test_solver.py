@@ -13,7 +13,7 @@ from assist.choices import Choices
 from assist.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
 from assist.pomdp import AssistPOMDP
 from assist.solver import Policy, solve
-from planner import CostToGo
+from planner import Table
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
 
@@ -72,7 +72,7 @@ def test_values_equal_policy_iterations(tiny_choices: Choices, options: dict[str
     np.testing.assert_allclose(policy.value_mdp, policy_iteration(pomdp), rtol=0, atol=2e-9)
 
 
-def test_values_equal_policy_iterations_with_dead_ends(sealed: CostToGo) -> None:
+def test_values_equal_policy_iterations_with_dead_ends(sealed: Table) -> None:
     """Dead ends cost for ever: the return there is that of never reaching the goal, not of ending."""
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(sealed)), grid=GRID, gamma=0.9)
     policy = solve(pomdp, tolerance=1e-9)
@@ -102,7 +102,9 @@ def test_suggesting_pays_where_the_person_would_err(tiny_choices: Choices) -> No
     assert (gain >= -1e-9).all()  # none where there is only one choice
     assert (gain > 0.01).mean() > 0.5
     assert (dear.choose(x, belief) == 0).all()
-    np.testing.assert_allclose(dear.value_mdp[0, :, 0], dear.value_mdp[0, :, 2], atol=1e-9)
+    np.testing.assert_allclose(
+        dear.value_mdp[tiny_choices.initial, :, 0], dear.value_mdp[tiny_choices.initial, :, 2], atol=1e-9
+    )
 
 
 beliefs = arrays.arrays(float, (1, 2, 3), elements=st.floats(0.001, 1)).map(lambda b: b / b.sum())

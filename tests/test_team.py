@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from assist.attention import BASE, NOBODY, AttentionSwitching, NoAssistance, Reactive, TeamAction, TeamState, distances
 from assist.choices import Choices
-from assist.human import Human, Population, choice
+from assist.human import Population, choice
 from assist.simulate import POLICIES, Pool, Setting, Trace, illustrative, simulate, summarise
-from planner import CostToGo
+from planner import Table
 
 
 @pytest.fixture(scope="module")
@@ -33,19 +33,19 @@ def state(pool: Pool, x: list[int], *, erred: list[bool] | None = None, location
 
 
 def test_no_assistance_does_nothing(pool: Pool) -> None:
-    action = NoAssistance()(state(pool, [0, 0, 0], erred=[True] * 3))
+    action = NoAssistance()(state(pool, [pool.choices.initial] * 3, erred=[True] * 3))
     assert (action.person.tolist(), action.robot.tolist()) == ([NOBODY], [0])
 
 
 def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
-    reactive = Reactive(pool.policies)
-    assert reactive(state(pool, [0, 0, 0])).person.tolist() == [NOBODY]
-    assert reactive(state(pool, [0, 0, 0], erred=[False, True, True])).person.tolist() == [1]
-    assert reactive(state(pool, [0, 0, 0], erred=[True, True, True], location=2)).person.tolist() == [2]
-    action = reactive(state(pool, [0, 0, 0], erred=[True, False, False], location=2))
+    reactive, start = Reactive(pool.policies), [pool.choices.initial] * 3
+    assert reactive(state(pool, start)).person.tolist() == [NOBODY]
+    assert reactive(state(pool, start, erred=[False, True, True])).person.tolist() == [1]
+    assert reactive(state(pool, start, erred=[True, True, True], location=2)).person.tolist() == [2]
+    action = reactive(state(pool, start, erred=[True, False, False], location=2))
     assert action.person.tolist() == [0]
-    slot = pool.policies[0].pomdp.suggested[0, action.robot[0]]
-    assert pool.choices.optimal[0, slot]
+    slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0]]
+    assert pool.choices.optimal[start[0], slot]
 
 
 def test_attention_follows_algorithm_1(pool: Pool) -> None:
@@ -101,7 +101,7 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
             assert own[0]["theta"] == episode.theta[k]
 
 
-def test_traced_actions_are_possible_in_the_task(tiny: CostToGo, pool: Pool) -> None:
+def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> None:
     trace: Trace = []
     simulate(pool, pool.policy("attention", 2), humans=2, episodes=10, seed=2, trace=trace)
     for episode in range(10):
@@ -109,10 +109,10 @@ def test_traced_actions_are_possible_in_the_task(tiny: CostToGo, pool: Pool) -> 
             own = [row for row in trace if row["episode"] == f"policy-{episode}" and row["place"] == place]
             end = tiny.space.follow([row["action"] for row in own])
             assert tiny.space.goal[end]
-            x = 0
+            x = tiny.initial
             for row in own:
-                assert row["suggestion"] is None or row["suggestion"] in tiny.space.choices(x)
-                x = tiny.space.choices(x)[row["action"]]
+                assert row["suggestion"] is None or row["suggestion"] in tiny.space.options(x)
+                x = tiny.space.options(x)[row["action"]]
 
 
 def test_episodes_do_not_depend_on_how_they_are_divided(pool: Pool) -> None:
@@ -137,11 +137,11 @@ def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
     trace: Trace = []
     simulate(pool, NoAssistance(), humans=1, episodes=4000, seed=0, trace=trace)
     first = [row["action"] for row in trace if row["step"] == 0]
-    human: Human = pool.people[0]
-    for slot in np.flatnonzero(tiny_choices.applicable[0]):
-        q = tiny_choices.costs[0] + human.h[tiny_choices.targets[0]]
-        p = choice(np.where(tiny_choices.applicable[0], q, np.inf), tiny_choices.applicable[0], 1.0)[slot]
-        share = np.mean([action == tiny_choices.name(0, int(slot)) for action in first])
+    human, start = pool.people[0], tiny_choices.initial
+    for slot in np.flatnonzero(tiny_choices.applicable[start]):
+        q = tiny_choices.costs[start] + human.h[tiny_choices.targets[start]]
+        p = choice(np.where(tiny_choices.applicable[start], q, np.inf), tiny_choices.applicable[start], 1.0)[slot]
+        share = np.mean([action == tiny_choices.name(start, int(slot)) for action in first])
         assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 4000)
 
 
@@ -213,7 +213,7 @@ def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) ->
             np.testing.assert_allclose(team.belief.sum(axis=(2, 3)), 1, atol=1e-9)
 
 
-def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: CostToGo) -> None:
+def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
     """500 episodes of a team of 3 from the paper's population: each difference beyond two standard errors."""
     pool = Pool.sample(Choices.of(fixed), 12, seed=0)
     actions = {}

@@ -1,4 +1,4 @@
-"""The errors that more than one module of this package raises."""
+"""The errors that more than one module raises."""
 
 from __future__ import annotations
 

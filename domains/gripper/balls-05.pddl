@@ -1,0 +1,14 @@
+; Five balls from one room to the other. 15 actions at best.
+(define (problem balls-05)
+  (:domain gripper)
+  (:objects
+    room-a room-b - room
+    ball-1 ball-2 ball-3 ball-4 ball-5 - ball
+    left right - gripper)
+  (:init
+    (robot-in room-a) (empty left) (empty right)
+    (lies-in ball-1 room-a) (lies-in ball-2 room-a) (lies-in ball-3 room-a)
+    (lies-in ball-4 room-a) (lies-in ball-5 room-a))
+  (:goal (and
+    (lies-in ball-1 room-b) (lies-in ball-2 room-b) (lies-in ball-3 room-b)
+    (lies-in ball-4 room-b) (lies-in ball-5 room-b))))

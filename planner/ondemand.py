@@ -1,0 +1,267 @@
+"""Cost-to-go of single states, asked for as they are met.
+
+For tasks that are too large to enumerate. `OnDemand` numbers the states that it is asked about in the order
+in which it meets them, asks Fast Downward's A* for the cost-to-go of those that it does not know, several
+at a time, and remembers every answer: in memory, and in a `Cache` on disk that outlives the process. An
+optimal plan labels all states on it, so that one search answers for many.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sqlite3
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import fast_downward
+from .costtogo import astar
+from .fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
+from .successors import Packing, Successors, Transitions, Words, holds
+from .task import Task
+
+CANDIDATES = (
+    fast_downward.ASTAR,
+    "astar(landmark_cost_partitioning(lm_hm(m=2)))",
+    "astar(lmcut())",
+    "astar(hmax())",
+)
+"""Search configurations of which the fastest on a task is used; all give the exact cost."""
+
+DEAD_END = -1  # how the cache stores an infinite cost-to-go
+
+
+def cache_folder() -> Path:
+    """Name the folder of the persistent cache: `kitassist` in the user's cache folder."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "kitassist"
+
+
+class Cache:
+    """Costs-to-go of a task's states in a file, addressed by content.
+
+    The file's name is a digest of the domain, the problem, their translation and Fast Downward's version,
+    so that a change of any of them begins a new one.
+    """
+
+    def __init__(self, task: Task, folder: Path | None = None) -> None:
+        digest = hashlib.sha256(fast_downward.version().encode())
+        for file in (task.instance.domain, task.instance.problem):
+            digest.update(hashlib.sha256(file.read_bytes()).digest())
+        digest.update(hashlib.sha256(task.sas.encode()).digest())
+        folder = folder or cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        self.file = folder / f"{digest.hexdigest()}.sqlite"
+        with closing(self._open()) as connection, connection:
+            connection.execute(
+                "CREATE TABLE IF NOT EXISTS cost (state BLOB PRIMARY KEY, cost INTEGER NOT NULL) WITHOUT ROWID"
+            )
+
+    def _open(self) -> sqlite3.Connection:
+        return sqlite3.connect(self.file, timeout=60)
+
+    def read(self) -> dict[bytes, float]:
+        """Give all that is known."""
+        with closing(self._open()) as connection:
+            rows = connection.execute("SELECT state, cost FROM cost").fetchall()
+        return {state: float("inf") if cost == DEAD_END else float(cost) for state, cost in rows}
+
+    def write(self, costs: dict[bytes, float]) -> None:
+        """Add costs; all of them or, if the process is killed, none."""
+        rows = [(state, DEAD_END if np.isinf(cost) else int(cost)) for state, cost in costs.items()]
+        with closing(self._open()) as connection, connection:
+            connection.executemany("INSERT OR REPLACE INTO cost VALUES (?, ?)", rows)
+
+
+class OnDemand:
+    """The cost-to-go of a task that is too large to enumerate.
+
+    States are numbered as they are met; the initial state is 0. The object grows with what it is asked.
+
+    Parameters
+    ----------
+    task : Task
+    cache : Cache, optional
+        Where answers are kept; nowhere but in memory unless given.
+    jobs : int, optional
+        Searches that run at a time; one per processor unless given.
+    limits : Limits
+        Time and memory of each single search.
+    reason : str, optional
+        Why the task is not enumerated.
+    """
+
+    method: Literal["sweep", "on-demand"] = "on-demand"
+
+    def __init__(
+        self,
+        task: Task,
+        *,
+        cache: Cache | None = None,
+        jobs: int | None = None,
+        limits: Limits = NO_LIMITS,
+        reason: str | None = None,
+    ) -> None:
+        self.task = task
+        self.reason = reason
+        self.packing = Packing.of(task)
+        self._successors = Successors(task, self.packing)
+        self._goal = self.packing.condition(task.goal)
+        self._cache = cache
+        self._known = cache.read() if cache else {}
+        self._jobs = jobs or os.cpu_count() or 1
+        self._limits = limits
+        self._search: str | None = None
+        self._states: list[Words] = []
+        self._number: dict[bytes, int] = {}
+        self.initial = self._meet(self._successors.derive(self.packing.pack([task.initial])))[0]
+
+    def __len__(self) -> int:
+        """Count the states that have been met."""
+        return len(self._states)
+
+    def _meet(self, states: Words) -> list[int]:
+        numbers = []
+        for state in states:
+            key = state.tobytes()
+            if key not in self._number:
+                self._number[key] = len(self._states)
+                self._states.append(state)
+            numbers.append(self._number[key])
+        return numbers
+
+    def numbers(self, values: ArrayLike) -> NDArray[np.int64]:
+        """Give the numbers, shape (N,), of states with values of shape (N, variables).
+
+        Whether a state can be reached is not checked, and has to be so.
+        """
+        array = np.asarray(values, dtype=np.int64)
+        sizes = np.array([len(variable.facts) for variable in self.task.variables])
+        if array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
+            raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
+        return np.array(self._meet(self._successors.derive(self.packing.pack(array))), dtype=np.int64)
+
+    def values(self, states: ArrayLike) -> NDArray[np.int64]:
+        """Give the values, shape (N, variables), of states of shape (N,)."""
+        return self.packing.unpack(self._rows(states))
+
+    def _rows(self, states: ArrayLike) -> Words:
+        numbers = np.atleast_1d(np.asarray(states, dtype=np.int64))
+        return np.array([self._states[number] for number in numbers]).reshape(-1, self.packing.words)
+
+    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Tell of states, shape (N,), which are goal states."""
+        return holds(self._rows(states), *self._goal)
+
+    def choices(self, states: ArrayLike) -> Transitions:
+        """Give the choices of states, shape (N,), as compressed rows; the states they lead to are met."""
+        offsets, actions, targets = self._successors.choices(self._rows(states))
+        return Transitions(offsets, actions, np.array(self._meet(targets), dtype=np.int64))
+
+    def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), infinite at dead ends; ask Fast Downward for those not known.
+
+        Parameters
+        ----------
+        states : int array, shape (N,)
+        progress : callable, optional
+            Called with how many states have been answered since the last call.
+
+        Raises
+        ------
+        LimitError
+            A search reached its limits. What the others found is kept, and nothing is said of that state.
+        """
+        rows = self._rows(states)
+        keys = [row.tobytes() for row in rows]
+        missing = list(dict.fromkeys(key for key in keys if key not in self._known))
+        if progress is not None:
+            progress(len(keys) - len(missing))
+        if missing:
+            self._ask(missing, progress)
+        return np.array([self._known[key] for key in keys], dtype=np.float64)
+
+    def optimal_plan(self, state: int | None = None) -> list[str] | None:
+        """Find an optimal plan from a state (the initial one unless given); None from a dead end."""
+        values = self.values([self.initial if state is None else state])[0]
+        return astar(self.task, tuple(values.tolist()), limits=self._limits)[1]
+
+    def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
+        if self._search is None:
+            self._search = fastest_search(self.task, limits=self._limits)
+
+        def search(key: bytes) -> dict[bytes, float]:
+            if key in self._known:  # a plan that was found meanwhile leads through it
+                return {}
+            row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
+            if holds(row, *self._goal)[0]:
+                return {key: 0.0}
+            values = tuple(self.packing.unpack(row)[0].tolist())
+            cost, plan = astar(self.task, values, search=self._search, limits=self._limits)
+            return {key: cost} if plan is None else self._label(row, cost, plan)
+
+        failure: LimitError | None = None
+        with ThreadPoolExecutor(self._jobs) as pool:
+            try:
+                for future in as_completed([pool.submit(search, key) for key in missing]):
+                    try:
+                        found = future.result()
+                    except LimitError as error:
+                        failure = error
+                        continue
+                    self._known |= found
+                    if self._cache and found:
+                        self._cache.write(found)
+                    if progress is not None:
+                        progress(1)
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
+        if failure is not None:
+            unknown = sum(key not in self._known for key in missing)
+            raise LimitError(f"{unknown} of {len(missing)} states are not known: {failure}")
+
+    def _label(self, row: Words, cost: float, plan: Sequence[str]) -> dict[bytes, float]:
+        """Give the cost-to-go of every state on an optimal plan."""
+        found = {row.tobytes(): cost}
+        for action in plan:
+            row = self._successors.follow(row, self.task.action_index[action])
+            cost -= self.task.costs[self.task.action_index[action]]
+            found[row.tobytes()] = cost
+        return found
+
+
+def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> str:
+    """Choose the search configuration that solves a task's initial state fastest.
+
+    Each gets as long as the best so far has taken. Configurations that do not support the task's features
+    are left out.
+
+    Raises
+    ------
+    LimitError
+        None of them solved the initial state within the limits.
+    """
+    if fast_downward.has_axioms(task.sas):
+        return fast_downward.ASTAR_WITH_AXIOMS
+    best, shortest = None, limits.seconds
+    for search in candidates:
+        start = time.monotonic()
+        try:
+            fast_downward.optimal_plan(task.sas, search=search, limits=replace(limits, seconds=shortest))
+        except (LimitError, FastDownwardError):
+            continue
+        seconds = time.monotonic() - start
+        if shortest is None or seconds < shortest:
+            best, shortest = search, seconds
+    if best is None:
+        raise LimitError("no search configuration solved the initial state within the limits")
+    return best

@@ -1,0 +1,302 @@
+"""One instance, from its files to its record.
+
+`solve_instance` solves an instance within its limits of time and memory and describes the outcome; on request it
+saves the cost-to-go table as `.npz` and the plan. The records' fields are a contract that scripts depend on;
+`docs/commands.md` lists them.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import resource
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import fast_downward, pddl
+from .costtogo import MismatchError, Table, astar, verify
+from .fast_downward import FastDownwardError, LimitError, Limits
+from .methods import MAX_STATES, cost_to_go
+from .ondemand import OnDemand
+from .pddl import Instance, InvalidPlanError, PDDLError
+from .storage import atomic
+from .successors import Packing
+from .task import Task, from_sas
+
+if TYPE_CHECKING:
+    from unified_planning.model import Problem
+
+Record = dict[str, Any]
+
+BLOCK = 1 << 16  # states that are unpacked at a time
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """How an instance is solved.
+
+    Attributes
+    ----------
+    time_limit : float or None
+        Seconds of wall-clock time for one instance.
+    memory_limit : float or None
+        MB for one instance.
+    max_states : int
+        A task with more states is solved on demand: from its initial state only.
+    verify : int
+        States that are compared with Fast Downward's A*, the initial one among them.
+    verify_seconds : float
+        No further comparison begins after this time.
+    threads : int, optional
+        Threads of one instance's sweep.
+    """
+
+    time_limit: float | None = None
+    memory_limit: float | None = None
+    max_states: int = MAX_STATES
+    verify: int = 20
+    verify_seconds: float = 10.0
+    threads: int | None = None
+
+
+class _Phases:
+    """Seconds spent in each named phase, and the deadline of all of them."""
+
+    def __init__(self, limit: float | None, memory_mb: float | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self.memory_mb = memory_mb
+        self.start = time.monotonic()
+        self.deadline = None if limit is None else self.start + limit
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        start = time.monotonic()
+        if self.deadline is not None and start > self.deadline:
+            raise LimitError(f"out of time before the phase '{name}'")
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
+
+    def limits(self) -> Limits:
+        left = None if self.deadline is None else max(0.01, self.deadline - time.monotonic())
+        return Limits(left, self.memory_mb)
+
+
+def versions() -> dict[str, str]:
+    """Name the versions that a result depends on."""
+    packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
+    found = {key: importlib.metadata.version(package) for key, package in packages.items()}
+    return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
+
+
+def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> Record:
+    """Give the record of an instance of which nothing is known."""
+    return {
+        "instance": str(instance.problem),
+        "domain": str(instance.domain),
+        "status": status,
+        "cost": None,
+        "plan": None,
+        "states": None,
+        "transitions": None,
+        "dead_ends": None,
+        "max_cost_to_go": None,
+        "method": None,
+        "verified": 0,
+        "seconds": {},
+        "peak_memory_mb": None,
+        "versions": versions(),
+        "error": error,
+        "note": None,
+    }
+
+
+def solve_instance(instance: Instance, options: SolveOptions | None = None, out: Path | None = None) -> Record:
+    """Solve one instance and describe the outcome.
+
+    Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
+    `status` and `error`. A table that contradicts Fast Downward and a plan that its validator rejects are
+    such errors.
+
+    Parameters
+    ----------
+    instance : Instance
+    options : SolveOptions, optional
+    out : Path, optional
+        A folder in which the cost-to-go table and the plan are saved.
+    """
+    options = options or SolveOptions()
+    phases = _Phases(options.time_limit, options.memory_limit)
+    _reset_peak_memory()
+    try:
+        with phases.phase("read"):
+            problem = pddl.read(instance)
+        # Only now: loading libraries maps far more memory than is ever used.
+        with _memory_limit(options.memory_limit):
+            record = _solve(instance, problem, options, out, phases)
+    except PDDLError as error:
+        record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
+    except LimitError as error:
+        record = unsolved(instance, "limit", str(error))
+    except MemoryError:
+        record = unsolved(
+            instance,
+            "limit",
+            f"out of memory ({options.memory_limit:g} MB)" if options.memory_limit else "out of memory",
+        )
+    except (FastDownwardError, MismatchError, InvalidPlanError) as error:
+        record = unsolved(instance, "invalid", str(error))
+    record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
+    record["seconds"]["total"] = round(time.monotonic() - phases.start, 6)
+    record["peak_memory_mb"] = round(_peak_memory_mb(), 1)
+    return record
+
+
+def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Path | None, phases: _Phases) -> Record:
+    record = empty_record(instance, "solved", None)
+    with phases.phase("translate"):
+        task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
+    table: Table | None = None
+    if not task.relaxed_unsolvable:
+        memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
+        with phases.phase("search"):
+            answers = cost_to_go(
+                task,
+                max_states=options.max_states,
+                memory_limit_mb=memory,
+                deadline=phases.deadline,
+                jobs=options.threads,
+            )
+        if isinstance(answers, OnDemand):
+            record["note"] = f"solved on demand: {answers.reason}"
+        else:
+            table = answers
+    if table is not None:
+        finite = table.distance[~table.dead_end]
+        record.update(
+            method="sweep",
+            states=len(table),
+            transitions=table.space.transition_count,
+            dead_ends=int(table.dead_end.sum()),
+            max_cost_to_go=int(finite.max()) if len(finite) else None,
+        )
+        with phases.phase("verify"):
+            record["verified"] = verify(
+                table, options.verify, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits()
+            )
+        with phases.phase("plan"):
+            cost, plan = table[table.initial], table.optimal_plan()
+    else:
+        with phases.phase("search"):
+            cost, plan = astar(task, limits=phases.limits())
+        record.update(method="on-demand", verified=1)
+    if plan is not None:
+        with phases.phase("validate"):
+            if task.plan_cost(plan) != cost:
+                raise MismatchError(f"{instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
+            pddl.validate(problem, plan)
+        record.update(cost=int(cost), plan=plan)
+    else:
+        record.update(status="unsolvable")
+    if out is not None:
+        with phases.phase("save"):
+            target = out / _name(instance)
+            if table is not None:
+                save_table(target.with_name(target.name + ".npz"), table)
+            if plan is not None:
+                save_plan(target.with_name(target.name + ".plan"), task, plan)
+    return record
+
+
+def unsolved(instance: Instance, status: str, message: str) -> Record:
+    """Give the record of an instance that was not solved, with the reason."""
+    return empty_record(instance, status, _error(instance.problem, None, message))
+
+
+def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
+    return {"file": str(file), "line": line, "message": message}
+
+
+def _name(instance: Instance) -> Path:
+    """Where an instance's files stand in the output folder: its own path, so that no two collide."""
+    parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
+    return Path(*parts).with_suffix("")
+
+
+def save_table(file: Path, table: Table) -> None:
+    """Save a cost-to-go table as `.npz`, at once or not at all; `docs/commands.md` describes the arrays."""
+    task = table.task
+    packing = Packing.of(task)
+    states = np.empty((len(table), packing.words), dtype=np.uint64)
+    for start in range(0, len(table), BLOCK):
+        rows = np.arange(start, min(start + BLOCK, len(table)))
+        states[rows] = packing.pack(table.values(rows))
+    width = max(len(variable.facts) for variable in task.variables)
+    facts = np.array([[*v.facts, *[""] * (width - len(v.facts))] for v in task.variables])
+    with atomic(file) as path, path.open("wb") as stream:
+        np.savez(
+            stream,
+            states=states,
+            cost_to_go=table.distance,
+            initial=table.initial,
+            word=packing.word,
+            shift=packing.shift,
+            bits=packing.bits,
+            facts=facts,
+        )
+
+
+def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
+    """Save a plan in the planners' format: an action a line, then its cost in a comment."""
+    unit = all(cost == 1 for cost in task.costs)
+    text = (
+        "".join(f"{action}\n" for action in plan)
+        + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
+    )
+    with atomic(file) as path:
+        path.write_text(text, encoding="utf-8")
+
+
+def _status_mb(field: str) -> float | None:
+    """A field of this process's memory status, in MB; None where the system does not tell."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), None)
+
+
+def _reset_peak_memory() -> None:
+    """Start the process's peak memory anew, for a worker that solves one instance after the other."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    except OSError:
+        return  # then the peak is that of the process's whole life
+
+
+def _peak_memory_mb() -> float:
+    peak = _status_mb("VmHWM")
+    return peak if peak is not None else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+@contextmanager
+def _memory_limit(limit_mb: float | None) -> Iterator[None]:
+    """Let the process grow to `limit_mb` of memory at most; beyond, allocations fail."""
+    used, mapped = _status_mb("VmRSS"), _status_mb("VmSize")
+    if limit_mb is None or used is None or mapped is None:
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    # The limit can only be set on what is mapped, of which libraries take much that they never use.
+    resource.setrlimit(resource.RLIMIT_AS, (int((mapped + max(0.0, limit_mb - used)) * 2**20), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

@@ -1,0 +1,170 @@
+"""Cost-to-go on demand against tables, its cache, and the choice between the two."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import DOMAINS, KITTING, table_of, write_instance
+
+from planner import Cache, Instance, LimitError, Limits, OnDemand, Table, cost_to_go, load
+from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
+from planner.ondemand import fastest_search
+
+HUGE = KITTING / "ladder-6x12.pddl"
+
+
+def walk(task_answers: OnDemand | Table, steps: int, rng: np.random.Generator) -> list[int]:
+    """A random walk's states."""
+    states = [task_answers.initial]
+    for _ in range(steps):
+        targets = task_answers.choices([states[-1]]).targets
+        if len(targets):
+            states.append(int(rng.choice(targets)))
+    return states
+
+
+@pytest.mark.parametrize("name", ["kitting/tiny", "kitting/sealed", "delivery/round-trip", "lockers/two-lockers"])
+def test_answers_equal_the_tables(name: str) -> None:
+    problem = DOMAINS / f"{name}.pddl"
+    table = table_of(Instance(problem, problem.parent / "domain.pddl"))
+    asked = OnDemand(table.task)
+    states = np.random.default_rng(0).permutation(len(table))[:25]
+    numbers = asked.numbers(table.values(states))
+    np.testing.assert_array_equal(asked.lookup(numbers), table.lookup(states))
+    np.testing.assert_array_equal(asked.is_goal(numbers), table.is_goal(states))
+    np.testing.assert_array_equal(asked.values(numbers), table.values(states))
+    own, theirs = asked.choices(numbers), table.choices(states)
+    np.testing.assert_array_equal(own.offsets, theirs.offsets)
+    np.testing.assert_array_equal(own.actions, theirs.actions)
+    np.testing.assert_array_equal(asked.values(own.targets), table.values(theirs.targets))
+    assert asked.lookup([asked.initial])[0] == table[table.initial]
+    plan = asked.optimal_plan()
+    assert plan is not None
+    assert asked.task.plan_cost(plan) == table[table.initial]
+
+
+def test_a_plan_labels_the_states_on_it(tiny: Table) -> None:
+    asked = OnDemand(tiny.task, jobs=1)
+    asked.lookup([asked.initial])
+    on_plan = [tiny.initial]
+    for action in tiny.optimal_plan() or []:
+        on_plan.append(tiny.space.options(on_plan[-1])[action])
+    known = asked._known
+    assert len(known) == 7
+    assert sorted(known.values()) == [0, 1, 2, 3, 4, 5, 6]
+    numbers = asked.numbers(np.array([asked.packing.unpack(np.frombuffer(key, np.uint64)) for key in known]))
+    np.testing.assert_array_equal(tiny.lookup(tiny.numbers(asked.values(numbers))), list(known.values()))
+
+
+def test_derived_variables_are_asked_for_too(tmp_path: Path) -> None:
+    domain = """(define (domain d) (:requirements :adl) (:types t) (:predicates (a) (b) (c))
+      (:action x :parameters () :precondition (not (a)) :effect (a))
+      (:action y :parameters () :precondition (or (a) (b)) :effect (and (b) (not (a))))
+      (:action z :parameters () :precondition (and (a) (b)) :effect (c)))"""
+    goal = "(forall (?o - t) (imply (c) (and (a) (c))))"
+    problem = f"(define (problem p) (:domain d) (:objects o - t) (:init) (:goal (and (c) {goal})))"
+    task = load(write_instance(tmp_path, domain, problem))
+    table = cost_to_go(task)
+    assert isinstance(table, Table)
+    asked = OnDemand(task)
+    states = np.arange(len(table))
+    np.testing.assert_array_equal(asked.lookup(asked.numbers(table.values(states))), table.h)
+
+
+def test_the_cache_outlives_the_process_and_is_addressed_by_content(tmp_path: Path) -> None:
+    domain, text = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
+    instance = write_instance(tmp_path / "in", domain, text)
+    cache = Cache(load(instance), tmp_path / "cache")
+    first = OnDemand(load(instance), cache=cache)
+    states = walk(first, 10, np.random.default_rng(1))
+    answers = first.lookup(states)
+    assert len(cache.read()) >= len(set(states))
+
+    again = OnDemand(load(instance), cache=Cache(load(instance), tmp_path / "cache"))
+    again._ask = None  # type: ignore[assignment, method-assign]  nothing may be asked any more
+    np.testing.assert_array_equal(again.lookup(again.numbers(first.values(states))), answers)
+
+    instance.problem.write_text(text.replace("(in-slot hammer slot-1)", "(in-slot hammer slot-2)").replace(
+        "(in-slot wrench slot-2)", "(in-slot wrench slot-1)"))  # fmt: skip
+    other = Cache(load(instance), tmp_path / "cache")
+    assert other.file != cache.file
+    assert other.read() == {}
+
+
+def test_what_was_found_survives_a_kill(tmp_path: Path) -> None:
+    code = f"""
+from pathlib import Path
+import numpy as np
+from planner import Cache, OnDemand, load
+task = load({str(HUGE)!r})
+asked = OnDemand(task, cache=Cache(task, Path({str(tmp_path)!r})))
+state, states = asked.initial, []
+rng = np.random.default_rng(0)
+for _ in range(60):
+    state = int(rng.choice(asked.choices([state]).targets))
+    states.append(state)
+asked.lookup(states, progress=lambda n: print(n, flush=True))
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    lines = [process.stdout.readline() for _ in range(3)]
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    assert all(lines)
+    known = Cache(load(HUGE), tmp_path).read()
+    assert len(known) > 20  # every answer labels a whole plan
+    assert 24.0 in known.values() or 23.0 in known.values()
+
+
+def test_limits_are_errors_and_never_dead_ends() -> None:
+    asked = OnDemand(load(HUGE), limits=Limits(seconds=0.01))
+    with pytest.raises(LimitError):
+        asked.lookup([asked.initial])
+    assert asked._known == {}
+
+
+def test_the_choice_of_the_method(tiny: Table) -> None:
+    assert cost_to_go(tiny.task).method == "sweep"
+    limited = cost_to_go(tiny.task, max_states=10)
+    assert isinstance(limited, OnDemand)
+    assert limited.reason == "more than 10 states"
+    start = time.monotonic()
+    huge = cost_to_go(load(HUGE))
+    assert time.monotonic() - start < 30
+    assert isinstance(huge, OnDemand)
+    little = cost_to_go(load(HUGE), memory_limit_mb=20)
+    assert isinstance(little, OnDemand)
+    assert "memory" in (little.reason or "")
+    middle = load(KITTING / "ladder-4x9.pddl")  # 88 million states, of which two are wanted
+    few = cost_to_go(middle, states=np.array([middle.initial, middle.initial]))
+    assert isinstance(few, OnDemand)
+    assert "2 states are wanted" in (few.reason or "")
+    with pytest.raises(LimitError):
+        cost_to_go(load(HUGE), deadline=time.monotonic())
+
+
+def test_the_search_is_chosen_by_measurement(tmp_path: Path) -> None:
+    tiny = load(KITTING / "tiny.pddl")
+    assert fastest_search(tiny, ["astar(no_such_heuristic())", ASTAR]) == ASTAR
+    with pytest.raises(LimitError):
+        fastest_search(tiny, ["astar(no_such_heuristic())"])
+    slow = load(HUGE)
+    assert fastest_search(slow, ["astar(hmax())", ASTAR], limits=Limits(seconds=3)) == ASTAR
+    empty = write_instance(
+        tmp_path,
+        (KITTING / "domain.pddl").read_text(),
+        (KITTING / "tiny.pddl").read_text().split("(:goal")[0] + "(:goal (and)))",
+    )
+    assert fastest_search(load(empty)) == ASTAR_WITH_AXIOMS
+
+
+def test_values_that_no_variable_has_are_refused(tiny: Table) -> None:
+    asked = OnDemand(tiny.task)
+    with pytest.raises(ValueError, match="expected values"):
+        asked.numbers([[99] * len(tiny.task.variables)])

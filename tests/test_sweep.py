@@ -1,0 +1,342 @@
+"""The sweep against the plain search that keeps all transitions, state by state, on every kind of task."""
+
+from __future__ import annotations
+
+import importlib
+import random
+import time
+
+import numpy as np
+import pytest
+from conftest import KITTING
+
+from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load
+from planner.coding import Coding
+from planner.costtogo import backward, compact
+from planner.moves import exactly_one, split_operators
+from planner.statespace import explore
+
+module = importlib.import_module("planner.sweep")
+moves_module = importlib.import_module("planner.moves")
+sweep = module.sweep
+
+
+def check(task: Task) -> Table:
+    """Compare everything that a table says with the reference."""
+    space = explore(task)
+    rows = space.transitions
+    h = Table(space, compact(backward(rows.targets, space.sources, space.costs, space.goal)))
+    table = sweep(task)
+    assert len(table) == len(space)
+    assert table.space.transition_count == len(rows.actions)
+    values = space.values(np.arange(len(space)))
+    numbers = table.numbers(values)  # of each state of the reference
+    assert sorted(numbers) == list(range(len(space)))
+    assert table.initial == numbers[space.initial]
+    np.testing.assert_array_equal(table.values(numbers), values)
+    np.testing.assert_array_equal(table.space.goal[numbers], space.goal)
+    np.testing.assert_array_equal(table.is_goal(numbers), space.goal)
+    np.testing.assert_array_equal(table.h[numbers], h.h)
+    offsets, actions, targets = table.space.transitions
+    assert offsets[0] == 0
+    assert offsets[-1] == len(actions) == len(targets)
+    np.testing.assert_array_equal(np.diff(offsets)[numbers], np.diff(rows.offsets))
+    places = np.concatenate([np.arange(offsets[x], offsets[x + 1]) for x in numbers])
+    np.testing.assert_array_equal(actions[places], rows.actions)
+    np.testing.assert_array_equal(targets[places], numbers[rows.targets])
+    few, own = table.choices(numbers[:50]), space.choices(np.arange(min(50, len(space))))
+    np.testing.assert_array_equal(few.offsets, own.offsets)
+    np.testing.assert_array_equal(few.actions, own.actions)
+    np.testing.assert_array_equal(few.targets, numbers[own.targets])
+    reached = {tuple(row) for row in values.tolist()}
+    rng = random.Random(len(space))
+    for _ in range(20):
+        guess = tuple(rng.randrange(-1, len(v.facts) + 1) for v in task.variables)
+        if guess not in reached:
+            with pytest.raises(KeyError):
+                table.numbers([guess])
+    return table
+
+
+def random_task(rng: random.Random, *, axioms: bool = False, costs: range = range(1, 2)) -> Task:
+    """A task with exactly-one groups among its variables, and operators of every kind."""
+    sizes = [rng.randint(2, 4) for _ in range(rng.randint(1, 6))]
+    initial = [rng.randrange(size) for size in sizes]
+    groups = []
+    for _ in range(rng.randint(0, 4)):  # variable = 0 exactly if none of some facts of others holds
+        free = [v for v in range(len(sizes)) if rng.random() < 0.7]
+        facts = [(v, rng.randrange(sizes[v])) for v in free if v < len(sizes)]
+        holding = [fact for fact in facts if initial[fact[0]] == fact[1]]
+        facts = [fact for fact in facts if fact not in holding[1:]]
+        sizes.append(2)
+        initial.append(1 if holding else 0)
+        groups.append([*facts, (len(sizes) - 1, 0)])
+    primary = len(sizes)
+    if axioms:
+        sizes += [2] * rng.randint(1, 3)
+        initial += [1] * (len(sizes) - primary)
+
+    def facts(variables: int, most: int) -> tuple:
+        chosen = rng.sample(range(variables), min(variables, rng.randint(0, most)))
+        return tuple((v, rng.randrange(sizes[v])) for v in chosen)
+
+    operators, names = [], 0
+    tidy = rng.random() < 0.6  # keep all groups
+    for _ in range(rng.choice([0, 5, 20, 40])):
+        conditions = facts(len(sizes), 2)
+        changed = dict(facts(primary, 2)) or {0: 0}
+        if tidy or rng.random() < 0.8:  # repair the groups, so that many are kept
+            known = dict(conditions)
+            for group in groups:
+                for v, _ in group:
+                    if v in changed:
+                        known.setdefault(v, rng.randrange(sizes[v]))
+                before = sum(known.get(v) == value for v, value in group if v in changed)
+                after = sum(changed.get(v) == value for v, value in group)
+                v, _ = group[-1]
+                if v not in changed and before != after:
+                    known[v], changed[v] = (1, 0) if before > after else (0, 1)
+            conditions = tuple(known.items())
+        effects = tuple(
+            Effect(facts(len(sizes), 2) if not tidy and rng.random() < 0.2 else (), v, value)
+            for v, value in changed.items()
+        )
+        operators.append(Operator(names, conditions, effects))
+        if rng.random() < 0.2:  # a disjunctive precondition
+            operators.append(Operator(names, facts(len(sizes), 3), effects))
+        names += 1
+    rng.shuffle(operators)
+    rules = []
+    for v in range(primary, len(sizes)):
+        rules += [Effect(facts(v, 2), v, 0) for _ in range(rng.randint(1, 2))]
+    texts = [
+        f"begin_mutex_group\n{len(group)}\n" + "\n".join(f"{v} {a}" for v, a in group) + "\nend_mutex_group"
+        for group in groups
+    ]
+    return Task(
+        instance=instance("random.pddl"),
+        sas="\n".join(texts),
+        variables=tuple(
+            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1 if v < primary else v - primary)
+            for v, size in enumerate(sizes)
+        ),
+        actions=tuple(f"(a{a:02})" for a in range(names)),
+        costs=tuple(rng.choice(costs) for _ in range(names)),
+        operators=tuple(operators),
+        axioms=tuple(rules),
+        initial=tuple(initial),
+        goal=facts(len(sizes), 2),
+    )
+
+
+@pytest.mark.parametrize("hashed", [False, True], ids=["bitmap", "hashed"])
+@pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
+@pytest.mark.parametrize("seed", range(8))
+def test_random_tasks(seed, costs, hashed, monkeypatch):
+    if hashed:
+        monkeypatch.setattr(module, "SMALL_BITMAP", 0)
+        monkeypatch.setattr(module, "SPARSE", 0)
+    rng = random.Random(f"{seed} {costs}")
+    for _ in range(25):
+        check(random_task(rng, costs=costs))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_tasks_with_axioms(seed):
+    rng = random.Random(seed)
+    for _ in range(20):
+        check(random_task(rng, axioms=True, costs=range(3)))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_random_tasks_the_slow_way(seed, monkeypatch):
+    monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
+    rng = random.Random(seed)
+    for _ in range(20):
+        check(random_task(rng, costs=range(3)))
+
+
+def test_random_tasks_turn_from_hash_table_to_bitmap(monkeypatch):
+    monkeypatch.setattr(module, "SMALL_BITMAP", 0)
+    monkeypatch.setattr(module, "SPARSE", 40)
+    rng = random.Random(1)
+    for _ in range(100):
+        check(random_task(rng, costs=range(1, 3)))
+
+
+def test_random_tasks_leave_variables_out():
+    """The random tasks do exercise what they are made for."""
+    rng = random.Random(0)
+    kept = left_out = 0
+    for _ in range(200):
+        task = random_task(rng)
+        groups, moves = exactly_one(task, split_operators(task) or [])
+        coding = Coding.of(task, groups, moves)
+        assert coding is not None
+        left_out += int((coding.stride == 0).sum())
+        kept += int((coding.stride != 0).sum())
+    assert left_out > 100
+    assert kept > 200
+
+
+@pytest.fixture(scope="module")
+def kitting() -> Task:
+    """An instance with half a million states: several blocks to a layer."""
+    return load(KITTING / "ladder-4x7.pddl")
+
+
+@pytest.fixture(scope="module")
+def smaller() -> Task:
+    return load(KITTING / "ladder-4x6.pddl")
+
+
+def test_the_number_of_threads_does_not_matter(kitting):
+    tables = [sweep(kitting, threads=threads) for threads in (1, 2, 5)]
+    for table in tables:
+        assert table.distance.dtype == np.uint8
+        np.testing.assert_array_equal(table.distance, tables[0].distance)
+
+
+def test_a_task_of_many_blocks(smaller):
+    check(smaller)
+
+
+def test_kitting_hashed(kitting, monkeypatch):
+    monkeypatch.setattr(module, "SMALL_BITMAP", 0)
+    expected = sweep(kitting)
+    monkeypatch.setattr(module, "SPARSE", 0)
+    table = sweep(kitting)
+    assert not len(table.space.numbering.states.bits)
+    assert len(expected.space.numbering.states.bits)
+    np.testing.assert_array_equal(table.distance, expected.distance)
+
+
+def counter(bits: int, *, costs: tuple[int, ...] = ()) -> Task:
+    """A binary counter: it passes through all its states one after the other."""
+    variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))
+    operators = tuple(
+        Operator(
+            v,
+            (*((u, 1) for u in range(v)), (v, 0)),
+            (*(Effect((), u, 0) for u in range(v)), Effect((), v, 1)),
+        )
+        for v in range(bits)
+    )
+    return Task(
+        instance=instance("counter.pddl"),
+        sas="",
+        variables=variables,
+        actions=tuple(f"(a{v:02})" for v in range(bits)),
+        costs=costs or (1,) * bits,
+        operators=operators,
+        axioms=(),
+        initial=(0,) * bits,
+        goal=tuple((v, 1) for v in range(bits)),
+    )
+
+
+@pytest.mark.parametrize(("bits", "dtype"), [(7, np.uint8), (8, np.uint16), (10, np.uint16), (16, np.uint32)])
+def test_distances_take_the_smallest_type(bits, dtype):
+    table = sweep(counter(bits))
+    assert table.distance.dtype == dtype
+    assert table.distance[table.initial] == 2**bits - 1
+    assert not table.dead_end.any()
+
+
+def test_costs_beyond_32_bits():
+    task = counter(4, costs=(1 << 40, 3, 0, 1 << 33))
+    check(task)
+    table = sweep(task)
+    assert table.distance[table.initial] == (8 << 40) + 4 * 3 + (1 << 33)
+
+
+def wide(bits: int) -> Task:
+    """Two states' worth of change among many variables, or a hundred."""
+    variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))
+    operators = tuple(Operator(v, ((v, 0), *((u, 1) for u in range(v))), (Effect((), v, 1),)) for v in range(bits))
+    return Task(
+        instance=instance("wide.pddl"),
+        sas="",
+        variables=variables,
+        actions=tuple(f"(a{v:03})" for v in range(bits)),
+        costs=(1,) * bits,
+        operators=operators,
+        axioms=(),
+        initial=(0,) * bits,
+        goal=((bits - 1, 1),),
+    )
+
+
+@pytest.mark.parametrize("bits", [1, 40, 61, 63, 64, 65, 130])
+def test_few_states_of_many_bits(bits):
+    assert len(check(wide(bits))) == bits + 1
+
+
+def test_two_words_with_implied_variables():
+    """A token moves through 50 places, each with a variable of its own and the opposite of it."""
+    places = 50
+    variables = (
+        Variable("at", tuple(f"Atom at({p})" for p in range(places)), -1),
+        *(Variable(f"free{p}", (f"Atom free({p})", f"NegatedAtom free({p})"), -1) for p in range(2 * places)),
+    )
+    groups = [[(0, p), (1 + p, 0)] for p in range(places)]
+    groups += [[(1 + p, 1), (1 + places + p, 1)] for p in range(places)]
+    sas = "\n".join(
+        f"begin_mutex_group\n{len(g)}\n" + "\n".join(f"{v} {a}" for v, a in g) + "\nend_mutex_group" for g in groups
+    )
+    operators = []
+    for p in range(places):
+        q = (p + 7) % places
+        effects = [(0, q), (1 + p, 0), (1 + q, 1), (1 + places + p, 1), (1 + places + q, 0)]
+        facts = ((0, p), (1 + p, 1), (1 + q, 0), (1 + places + p, 0), (1 + places + q, 1))
+        operators.append(Operator(p, facts, tuple(Effect((), v, a) for v, a in effects)))
+    initial = [0] + [0] * places + [1] * places
+    initial[1], initial[1 + places] = 1, 0
+    task = Task(
+        instance("token.pddl"), sas, variables, tuple(f"(a{p:02})" for p in range(places)), (1,) * places,
+        tuple(operators), (), tuple(initial), ((0, 3),),
+    )  # fmt: skip
+    table = check(task)
+    assert len(table) == places
+    assert table.space.numbering.searches.coding.size == places
+    assert table.space.numbering.searches.coding.packing.words == 2
+
+
+def test_a_task_without_operators():
+    task = counter(3)
+    still = Task(task.instance, "", task.variables, (), (), (), (), task.initial, ())
+    assert len(check(still)) == 1
+    assert check(still).distance.tolist() == [0]
+    assert check(Task(task.instance, "", task.variables, (), (), (), (), task.initial, task.goal)).dead_end.all()
+
+
+def test_limits(kitting, monkeypatch):
+    with pytest.raises(LimitError, match="more than 1000 states"):
+        sweep(kitting, max_states=1000)
+    for memory in (0.1, 1.0, 2.0):
+        with pytest.raises(LimitError, match="MB"):
+            sweep(kitting, memory_limit_mb=memory)
+    with pytest.raises(LimitError, match="out of time"):
+        sweep(kitting, deadline=time.monotonic())
+    with pytest.raises(LimitError, match="MB"):
+        sweep(kitting, memory_limit_mb=20).space.transitions  # noqa: B018
+    monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
+    with pytest.raises(LimitError, match="more than 100 states"):
+        sweep(kitting, max_states=100)
+    with pytest.raises(LimitError, match="MB"):
+        sweep(kitting, memory_limit_mb=1)
+
+
+def test_the_number_of_states_may_equal_the_limit():
+    assert len(sweep(counter(4), max_states=16)) == 16
+    with pytest.raises(LimitError):
+        sweep(counter(4), max_states=15)
+
+
+def test_numbers_outside_the_table():
+    table = sweep(counter(3))
+    for number in (-1, 8):
+        with pytest.raises(IndexError):
+            table.values([number])
+    with pytest.raises(KeyError):
+        table.numbers([(0, 1)])
