@@ -63,8 +63,8 @@ def version() -> str:
 def translate(instance: Instance, limits: Limits = NO_LIMITS) -> str:
     """Ground an instance and return its finite-domain task as SAS text.
 
-    A goal that cannot be reached even when nothing is ever deleted gives a dummy task without
-    operators (`Task.relaxed_unsolvable`).
+    A goal that cannot be reached even if nothing is ever deleted, or that always holds, gives a dummy task
+    without operators (`Task.decided_by_translator`).
 
     Raises
     ------

@@ -164,7 +164,7 @@ def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Pat
     with phases.phase("translate"):
         task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
     table: Table | None = None
-    if not task.relaxed_unsolvable:
+    if not task.decided_by_translator:
         memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
         with phases.phase("search"):
             answers = cost_to_go(

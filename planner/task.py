@@ -88,9 +88,13 @@ class Task:
         return Path(self.instance.problem).stem
 
     @property
-    def relaxed_unsolvable(self) -> bool:
-        """Whether the translator found the goal unreachable and dropped the task itself."""
-        return not self.operators and any("dummy" in fact for v in self.variables for fact in v.facts)
+    def decided_by_translator(self) -> bool:
+        """Whether the translator settled the task by itself and dropped its states.
+
+        It does so where the goal cannot be reached even if nothing is ever deleted, and where it consists of
+        facts that always hold. What remains is a dummy task of one state; `astar` says which case it is.
+        """
+        return not self.operators and any("dummy(" in fact for v in self.variables for fact in v.facts)
 
     @cached_property
     def action_index(self) -> dict[str, int]:

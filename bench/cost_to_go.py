@@ -1,0 +1,399 @@
+"""Time and memory for the exact cost-to-go of every reachable state, beside other tools.
+
+    python bench/cost_to_go.py [INSTANCE...] [--out DIR] [--timeout S] [--peers a,b]
+
+An INSTANCE is a problem file (its `domain.pddl` beside it) or `kitting-C-I`: the kitting domain with C
+containers, and I items that fit all of I slots. Every tool runs on every instance in a process of its
+own (`bench/peers/cost_to_go.py`):
+
+- `kitassist`: this project;
+- `pymimir`: its state space, which holds the goal distance of every state;
+- `pyperplan`: its blind search, run through all states (it enumerates them, without their h*);
+- `fd-astar`: one Fast Downward A* per state, on a task that is translated once;
+- `fd-oneshot`: one call of unified-planning's `OneshotPlanner` per state.
+
+The last two are measured on a sample of states and extrapolated, which the results say. All exact
+answers are compared: the number of states, h* of the initial one, and how many states have which h*.
+
+The environment variable PEER_PYTHON names the Python that has pymimir and pyperplan, where that is not
+the one that runs this file. Written are `results.json`, `cost_to_go.png` and `cost_to_go.svg`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+Row = dict[str, Any]
+
+HERE = Path(__file__).resolve().parent
+DOMAINS = (HERE.parent / "domains").resolve()
+FAMILY_DOMAIN = DOMAINS / "kitting" / "domain.pddl"
+FAMILY = ("kitting-3-4", "kitting-4-5", "kitting-4-6", "kitting-4-7")
+SMALL = ("tiny", "unsolvable", "paper-fixed", "paper", "sealed", "costs/ways")
+LARGE = "kitting-4-8"  # 7,208,645 states
+OWN = "kitassist"
+ELSEWHERE = ("pymimir", "pyperplan")  # the peers that PEER_PYTHON runs
+STATE_BY_STATE = ("fd-astar", "fd-oneshot")
+PEERS = (OWN, *ELSEWHERE, *STATE_BY_STATE)
+OUT = Path("build/bench/cost_to_go")
+NO_SAMPLE = '{"count": null, "states": [], "atoms": []}'
+QUICK = 5.0  # seconds; what takes longer is not repeated
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; markers and dashes say the same again.
+STYLES: dict[str, tuple[str, str, str, str]] = {
+    OWN: ("#0072B2", "o", "-", "kitassist"),
+    "pymimir": ("#D55E00", "s", "-", "pymimir"),
+    "pyperplan": ("#009E73", "^", ":", "pyperplan (enumerates only, no h*)"),
+    "fd-astar": ("#CC79A7", "D", "--", "Fast Downward per state (extrapolated)"),
+    "fd-oneshot": ("#000000", "v", "--", "unified-planning per state (extrapolated)"),
+}
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A name for the table, and the two files."""
+
+    name: str
+    domain: Path
+    problem: Path
+
+
+def kitting_problem(containers: int, items: int) -> str:
+    """Write a problem of the kitting family: `items` slots that all take every item.
+
+    As in the paper's example the first containers have the items that remain when all have the same
+    number. The task has (containers + 1) * sum over k of binomial(items, k)^2 * k! states.
+    """
+    boxes = [f"box-{number}" for number in range(1, containers + 1)]
+    things = [f"item-{number}" for number in range(1, items + 1)]
+    slots = [f"slot-{number}" for number in range(1, items + 1)]
+    each, more = divmod(items, containers)
+    homes = [box for place, box in enumerate(boxes) for _ in range(each + (place < more))]
+    init = [f"(in-storage {box})" for box in boxes] + ["(platform-free)"]
+    for thing, box in zip(things, homes, strict=True):
+        init += [f"(contains {box} {thing})", f"(belongs {thing} {box})"]
+    init += [f"({word} {slot})" for slot in slots for word in ("slot-free", "removable")]
+    init += [f"(fits {thing} {slot})" for thing in things for slot in slots]
+    goal = [f"(in-slot {thing} {slot})" for thing, slot in zip(things, slots, strict=True)]
+    goal += [f"(in-storage {box})" for box in boxes]
+    lines = "\n    "
+    return (
+        f"(define (problem kitting-{containers}-{items})\n  (:domain kitting)\n"
+        f"  (:objects {' '.join(boxes)} - container\n"
+        f"    {' '.join(things)} - item\n    {' '.join(slots)} - slot)\n"
+        f"  (:init {lines.join(init)})\n  (:goal (and {lines.join(goal)})))\n"
+    )
+
+
+def find_instance(name: str, folder: Path) -> Instance:
+    """Find the files of an instance; those of the kitting family are written into `folder`."""
+    if match := re.fullmatch(r"kitting-(\d+)-(\d+)", name):
+        containers, items = int(match[1]), int(match[2])
+        if containers and items:
+            problem = folder / f"{name}.pddl"
+            problem.write_text(kitting_problem(containers, items), encoding="utf-8")
+            return Instance(name, FAMILY_DOMAIN, problem)
+    problem = Path(name)
+    domain = problem.parent / "domain.pddl"
+    for file in (problem, domain):
+        if not file.is_file():
+            raise click.BadParameter(f"{file}: no such file (or kitting-C-I, such as kitting-4-6)")
+    domain, problem = domain.resolve(), problem.resolve()
+    inside = problem.is_relative_to(DOMAINS)
+    shown = problem.relative_to(DOMAINS) if inside else Path(problem.parent.name, problem.name)
+    return Instance(shown.with_suffix("").as_posix(), domain, problem)
+
+
+def default_instances() -> list[str]:
+    """The small problems that come with this project, then the kitting family, small to large."""
+    return [*(str(DOMAINS / "kitting" / f"{name}.pddl") for name in SMALL), *FAMILY]
+
+
+def run(peer: str, instance: Instance, options: dict[str, Any], timeout: float) -> Row:
+    """Run one peer on one instance in a fresh process."""
+    python = os.environ.get("PEER_PYTHON", sys.executable) if peer in ELSEWHERE else sys.executable
+    program, domain, problem = map(str, (HERE / "peers" / "cost_to_go.py", instance.domain, instance.problem))
+    failed: Row = {"peer": peer, "instance": instance.name, "extrapolated": peer in STATE_BY_STATE}
+    try:
+        process = subprocess.Popen(
+            [python, program, peer, domain, problem, json.dumps(options)],
+            # Hash seeds fixed: the same grounding in the process that samples states and in those that
+            # solve them.
+            env={**os.environ, "PYTHONHASHSEED": "0"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # so that Fast Downward ends together with the peer that runs it
+        )
+    except OSError as error:
+        return {**failed, "status": "not installed", "note": f"PEER_PYTHON cannot be run: {error.strerror}"}
+    try:
+        output, errors = process.communicate(timeout=timeout)
+    except subprocess.TimeoutExpired:
+        return {**failed, "status": "out of time", "note": f"stopped after {timeout:g} s"}
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+    lines = output.splitlines()
+    if process.returncode == 0 and lines:
+        return {**json.loads(lines[-1]), "instance": instance.name}
+    if process.returncode == -signal.SIGKILL or "bad_alloc" in errors:
+        return {**failed, "status": "out of memory", "note": f"the process died ({process.returncode})"}
+    last = (errors.strip().splitlines() or ["no message"])[-1]
+    return {**failed, "status": "failed", "note": f"exit {process.returncode}: {last}"[:200]}
+
+
+def repeat(count: int, peer: str, instance: Instance, options: dict[str, Any], timeout: float) -> Row:
+    """Run a peer several times, and keep the run of the median time; once is enough where it is slow."""
+    rows = [run(peer, instance, options, timeout)]
+    while len(rows) < count and not rows[0]["extrapolated"] and (rows[-1].get("seconds") or QUICK) < QUICK:
+        rows.append(run(peer, instance, options, timeout))
+    times = [row["seconds"] for row in rows if row.get("seconds") is not None]
+    if len(times) < len(rows):
+        return next(row for row in rows if row.get("seconds") is None)
+    median = statistics.median_low(times)
+    return {**next(row for row in rows if row["seconds"] == median), "all_seconds": times}
+
+
+def disagreements(rows: Sequence[Row]) -> list[str]:
+    """Say where two answers that both claim to be exact are not the same, or this project gives none."""
+    failed = (row for row in rows if row["peer"] == OWN and row["status"] == "failed")
+    found = [f"{row['instance']}: {OWN} failed: {row['note']}" for row in failed]
+    for name in dict.fromkeys(row["instance"] for row in rows):
+        answers = [row for row in rows if row["instance"] == name and row["status"] == "ok"]
+        found += [
+            f"{name}: {row['peer']} differs from {OWN} in the sampled states"
+            for row in answers
+            if row["extrapolated"] and row["sampled_equal"] != row["sampled"]
+        ]
+        exact = [row for row in answers if not row["extrapolated"]]
+        for field in ("states", "initial_cost", "max_cost", "dead_ends", "checksum"):
+            said = {row["peer"]: row[field] for row in exact if row[field] is not None}
+            if len({json.dumps(value, sort_keys=True) for value in said.values()}) > 1:
+                values = ", ".join(f"{peer} {value}" for peer, value in said.items())
+                found.append(f"{name}: {field} differs" + ("" if field == "checksum" else f": {values}"))
+    return found
+
+
+def seconds(row: Row) -> float:
+    """Time from the files to the values."""
+    return float(row["seconds"])
+
+
+def net_mb(row: Row) -> float:
+    """Memory beyond that of the interpreter with everything imported."""
+    return max(0.0, float(row["peak_mb"] - row["baseline_mb"]))
+
+
+def as_table(rows: Sequence[Row]) -> Table:
+    """Lay out the rows for the terminal."""
+    table = Table(title="Exact cost-to-go of every state: PDDL files to values in memory")
+    table.add_column("instance", no_wrap=True)
+    table.add_column("peer", no_wrap=True)
+    for column in ("states", "seconds", "MB", "h* initial", "h* max", "dead ends"):
+        table.add_column(column, justify="right", no_wrap=column != "h* initial")
+    table.add_column("note", overflow="fold")
+
+    def shown(value: Any) -> str:
+        return "–" if value is None else f"{value:,}" if isinstance(value, int) else str(value)
+
+    last = None
+    for row in rows:
+        if last not in (None, row["instance"]):
+            table.add_section()
+        name, last = ("" if last == row["instance"] else row["instance"]), row["instance"]
+        note = escape(row["note"])
+        if row["status"] != "ok":
+            note = f"[red]{row['status']}[/red]" + (f": {note}" if note else "")
+            table.add_row(name, row["peer"], "–", "–", "–", "–", "–", "–", note)
+            continue
+        time = f"≈ {seconds(row):,.0f}" if row["extrapolated"] else f"{seconds(row):,.3f}"
+        memory = "–" if row["extrapolated"] else f"{net_mb(row):,.1f}"
+        if row["extrapolated"]:
+            note = f"extrapolated {note}"
+        fields = [shown(row[field]) for field in ("initial_cost", "max_cost", "dead_ends")]
+        table.add_row(name, row["peer"], shown(row["states"]), time, memory, *fields, note)
+    return table
+
+
+def plot(rows: Sequence[Row], folder: Path) -> list[Path]:
+    """Draw seconds and memory against the number of states, both axes logarithmic."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
+    for peer, (colour, marker, dashes, label) in STYLES.items():
+        good = [row for row in rows if row["peer"] == peer and row["status"] == "ok" and row["states"]]
+        # The family is a curve; the other instances are single points, which no line should join.
+        good.sort(key=lambda row: row["states"])
+        family = [row for row in good if row["instance"].startswith("kitting-")]
+        single = [row for row in good if row not in family]
+        inside = "white" if peer in STATE_BY_STATE else colour  # hollow: not measured, extrapolated
+        look = {"color": colour, "marker": marker, "markersize": 6, "markerfacecolor": inside}
+        for axis, value, least in zip(axes, (seconds, net_mb), (0.001, 0.1), strict=True):
+            if axis is axes[1] and peer in STATE_BY_STATE:
+                continue  # most of it is in Fast Downward's own processes, which are not counted
+            for group, line in ((family, dashes), (single, "none")):
+                # A tiny instance may need no further page of memory, and 0 is on no logarithmic axis.
+                points = [(row["states"], max(value(row), least)) for row in group]
+                if points:
+                    axis.plot(*zip(*points, strict=True), linestyle=line, **look)
+        if good:
+            axes[0].plot([], [], linestyle=dashes, label=label, **look)
+    for axis, name in zip(axes, ("seconds", "MB beyond the interpreter and its imports"), strict=True):
+        axis.set(xscale="log", yscale="log", xlabel="reachable states", ylabel=name)
+        axis.grid(visible=True, which="major", color="0.88", linewidth=0.8)
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].set_title("Time for h* of every state", loc="left")
+    axes[1].set_title("Peak memory", loc="left")
+    if axes[0].get_legend_handles_labels()[0]:
+        figure.legend(loc="outside lower center", ncols=3, frameon=False)
+    files = [folder / "cost_to_go.png", folder / "cost_to_go.svg"]
+    for file in files:
+        figure.savefig(file, dpi=150)
+    plt.close(figure)
+    return files
+
+
+def machine() -> dict[str, Any]:
+    """Describe the machine as far as the numbers depend on it."""
+    cpu = platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        cpu = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), cpu)
+    except OSError:
+        pass  # not Linux; the architecture has to do
+    system, python = platform.system(), platform.python_version()
+    return {"cpu": cpu, "cores": os.cpu_count(), "system": system, "python": python}
+
+
+def choose_peers(peers: str) -> list[str]:
+    """Read the list of peers; those that go state by state need this project's states."""
+    wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
+    if unknown := [peer for peer in wanted if peer not in PEERS]:
+        raise click.BadParameter(f"{', '.join(unknown)}: not among {', '.join(PEERS)}", param_hint="--peers")
+    return [p for p in PEERS if p in wanted or (p == OWN and any(peer in wanted for peer in STATE_BY_STATE))]
+
+
+def measure_all(
+    instances: Iterable[Instance],
+    peers: Sequence[str],
+    options: dict[str, Any],
+    *,
+    timeout: float,
+    repeats: int,
+    console: Console,
+) -> list[Row]:
+    """Run every peer on every instance; one that ran out of time or memory is spared larger instances."""
+    rows: list[Row] = []
+    largest: dict[str, int] = {}  # by peer, the number of states that was too much for it
+    for instance in instances:
+        states = 0
+        Path(options["sample_file"]).write_text(NO_SAMPLE, encoding="utf-8")
+        for peer in peers:
+            if peer in largest and states >= largest[peer]:
+                row: Row = {"peer": peer, "instance": instance.name, "status": "not run"}
+                row["extrapolated"] = peer in STATE_BY_STATE
+                row["note"] = f"{largest[peer]:,} states were too many"
+            else:
+                with console.status(f"{instance.name}: {peer}"):
+                    row = repeat(repeats, peer, instance, options, timeout)
+            states = row.get("states") or states
+            if row["status"] in ("out of time", "out of memory") and states:
+                largest[peer] = min(states, largest.get(peer, states))
+            rows.append(row)
+    return rows
+
+
+@click.command()
+@click.argument("names", metavar="[INSTANCE]...", nargs=-1)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=OUT, show_default=True,
+              help="Folder of results.json and the figure.")  # fmt: skip
+@click.option("--timeout", type=click.FloatRange(min=1), default=300.0, show_default=True,
+              help="Seconds for one peer on one instance.")  # fmt: skip
+@click.option("--peers", default=",".join(PEERS), show_default=True, help="Which to run, with commas.")
+@click.option("--memory", type=click.IntRange(min=500), default=12_000, show_default=True,
+              help="MB of address space for one peer.")  # fmt: skip
+@click.option("--repeat", "repeats", type=click.IntRange(min=1), default=3, show_default=True,
+              help=f"Runs that take less than {QUICK:g} s are repeated; the median counts.")  # fmt: skip
+@click.option("--sample", type=click.IntRange(min=1), default=50, show_default=True,
+              help="States that the peers which go state by state solve.")  # fmt: skip
+@click.option("--sample-seconds", type=click.FloatRange(min=0), default=10.0, show_default=True,
+              help="They begin no further state after this time.")  # fmt: skip
+@click.option("--large", is_flag=True, help=f"Add {LARGE} to the default instances: minutes, and gigabytes.")
+def main(
+    names: tuple[str, ...],
+    out: Path,
+    timeout: float,
+    peers: str,
+    memory: int,
+    repeats: int,
+    sample: int,
+    sample_seconds: float,
+    large: bool,
+) -> None:
+    """Compare how long, and how much memory, it takes to get h* of every reachable state."""
+    chosen = choose_peers(peers)
+    console = Console(width=None if sys.stdout.isatty() else 150)
+    with tempfile.TemporaryDirectory(prefix="cost-to-go-") as scratch:
+        folder = Path(scratch)
+        instances = [find_instance(name, folder) for name in names or default_instances()]
+        if large:
+            instances.append(find_instance(LARGE, folder))
+        warm_up = find_instance("kitting-1-1", folder)
+        options = {
+            "warm_up": [str(warm_up.domain), str(warm_up.problem)],
+            "sample_file": str(folder / "sample.json"),
+            "sample": sample,
+            "sample_seconds": sample_seconds,
+            "memory_mb": memory,
+        }
+        rows = measure_all(instances, chosen, options, timeout=timeout, repeats=repeats, console=console)
+    wrong = disagreements(rows)
+    console.print(as_table(rows))
+    console.print("MB: peak beyond the interpreter with all imports done; ≈: extrapolated from a sample.")
+    out.mkdir(parents=True, exist_ok=True)
+    results = {"machine": machine(), "agree": not wrong, "disagreements": wrong, "rows": rows}
+    written = [out / "results.json"]
+    written[0].write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    try:
+        written += plot(rows, out)
+    except ModuleNotFoundError:
+        console.print("No figure: matplotlib is not installed (the extra 'plots').")
+    console.print("Written:", ", ".join(map(str, written)), highlight=False)
+    for line in wrong:
+        console.print(f"[red]{escape(line)}[/red]")
+    if wrong:
+        sys.exit(1)
+    exact = [row["instance"] for row in rows if row["status"] == "ok" and row["checksum"]]
+    shared = sum(exact.count(name) > 1 for name in set(exact))
+    sampled = sum(row.get("sampled", 0) for row in rows)
+    if shared or sampled:
+        told = f"{shared} instances have equal tables, {sampled} states solved one by one are equal"
+        console.print(f"All answers agree: {told}.")
+    else:
+        console.print("Nothing to compare: no two peers gave an exact answer.")
+
+
+if __name__ == "__main__":
+    main()
