@@ -28,6 +28,8 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
+SIMULATED_STATES = 200_000  # each person's POMDP takes about 3 KB a state
+
 
 def fail(message: str, exit_code: int) -> NoReturn:
     """Say in one line on stderr what is wrong, and end."""
@@ -244,7 +246,12 @@ def simulate(
             figures.require()
             if figure.suffix not in figures.FORMATS:
                 raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
-        table = sweep(load(found[0]), max_states=SolveOptions.max_states)
+        try:
+            table = sweep(load(found[0]), max_states=SIMULATED_STATES)
+        except LimitError as error:
+            fail(
+                f"{found[0]}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states", EXIT_FAILED
+            )
         if not math.isfinite(table[table.initial]):
             fail(
                 f"{found[0]}: the goal cannot be reached from the initial state, so there is nobody to assist",
