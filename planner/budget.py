@@ -12,6 +12,10 @@ from pathlib import Path
 from .fast_downward import LimitError
 
 
+class MemoryLimitError(LimitError):
+    """More memory would be needed than is allowed."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """What a sweep may use; each method raises `LimitError` when that is not enough."""
@@ -33,7 +37,7 @@ class Budget:
     def check_memory(self, needed: float) -> None:
         """Check a number of bytes that is about to be in use."""
         if needed > self.memory:
-            raise LimitError(f"{needed / 1e6:.0f} MB of memory needed, {self.memory / 1e6:.0f} MB allowed")
+            raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {self.memory / 1e6:.0f} MB allowed")
 
 
 def available_memory() -> float:

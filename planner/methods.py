@@ -13,6 +13,7 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .budget import MemoryLimitError
 from .costtogo import Table, astar
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
@@ -93,8 +94,10 @@ def cost_to_go(
             threads=jobs,
             if_likely=True,
         )
-    except (LimitError, MemoryError) as error:
+    except (MemoryLimitError, MemoryError):
+        reason = "a table of all states does not fit the memory"  # how much is missing differs from run to run
+    except LimitError as error:
         if deadline is not None and time.monotonic() > deadline:
             raise
-        reason = str(error) or "out of memory"
+        reason = str(error)
     return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=reason)

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 from .task import Fact, Operator, Task
 
-MOST_MOVES = 1 << 16
-"""Tasks whose operators split into more moves than this are swept in another way."""
+MOST_MOVES = 1 << 12
+MANY_EACH = 4
+"""Operators that split into more moves than this, and into more than so many each, are swept in another way."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +49,14 @@ def split_operators(task: Task) -> list[Move] | None:
     counts.
     """
     sizes = [len(variable.facts) for variable in task.variables]
+    most = max(MOST_MOVES, MANY_EACH * len(task.operators))
     earlier: dict[int, list[Sequence[Fact]]] = {}
     moves: list[Move] = []
     for operator in task.operators:
         others = earlier.setdefault(operator.action, [])
         for move in _split(operator, others, sizes):
             moves.append(move)
-            if len(moves) > MOST_MOVES:
+            if len(moves) > most:
                 return None
         others.append(operator.preconditions)
     return moves

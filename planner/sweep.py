@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels
-from .budget import Budget, available_memory
+from .budget import Budget, MemoryLimitError, available_memory
 from .coding import Coding, build_tests
 from .costtogo import Table, backward, compact, smallest_type
 from .fast_downward import LimitError
@@ -450,9 +450,12 @@ def _slow_sweep(task: Task, budget: Budget) -> Table:
     limit = affordable if budget.max_states is None else min(affordable, budget.max_states)
     try:
         space = explore(task, max_states=limit, deadline=budget.deadline)
-    except LimitError as fault:
-        if limit < affordable or str(limit) not in str(fault):
+    except LimitError:
+        budget.check_time(limit)
+        if limit == budget.max_states:
             raise
-        raise LimitError(f"{fault}, and for more {budget.memory / 1e6:.0f} MB of memory may not do") from None
+        raise MemoryLimitError(
+            f"{budget.memory / 1e6:.0f} MB of memory may not do for more than {limit} states"
+        ) from None
     distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, deadline=budget.deadline)
     return Table(space, compact(distance))

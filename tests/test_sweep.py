@@ -151,6 +151,7 @@ def test_random_tasks_with_axioms(seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_random_tasks_the_slow_way(seed, monkeypatch):
     monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
+    monkeypatch.setattr(moves_module, "MANY_EACH", 0)
     rng = random.Random(seed)
     for _ in range(20):
         check(random_task(rng, costs=range(3)))
@@ -321,6 +322,7 @@ def test_limits(kitting, monkeypatch):
     with pytest.raises(LimitError, match="MB"):
         sweep(kitting, memory_limit_mb=20).space.transitions  # noqa: B018
     monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
+    monkeypatch.setattr(moves_module, "MANY_EACH", 0)
     with pytest.raises(LimitError, match="more than 100 states"):
         sweep(kitting, max_states=100)
     with pytest.raises(LimitError, match="MB"):
