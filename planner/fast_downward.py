@@ -9,6 +9,7 @@ Handed on: SAS text, and plans as lists of ground action names; `None` where the
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import importlib.resources
 import os
@@ -58,6 +59,14 @@ NO_LIMITS = Limits()
 def version() -> str:
     """Name the version of Fast Downward that the installed package bundles."""
     return importlib.metadata.version("fast-downward.translate")
+
+
+def digest(instance: Instance) -> str:
+    """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
+    found = hashlib.sha256(f"{version()} {importlib.metadata.version('unified-planning')}".encode())
+    for file in (instance.domain, instance.problem):
+        found.update(hashlib.sha256(file.read_bytes()).digest())
+    return found.hexdigest()
 
 
 def translate(instance: Instance, limits: Limits = NO_LIMITS) -> str:

@@ -48,18 +48,15 @@ def cache_folder() -> Path:
 class Cache:
     """Costs-to-go of a task's states in a file, addressed by content.
 
-    The file's name is a digest of the domain, the problem, their translation and Fast Downward's version,
-    so that a change of any of them begins a new one.
+    The file's name has digests of the domain, the problem, their translation and Fast Downward's version, so
+    that a change of any of them begins a new one.
     """
 
     def __init__(self, task: Task, folder: Path | None = None) -> None:
-        digest = hashlib.sha256(fast_downward.version().encode())
-        for file in (task.instance.domain, task.instance.problem):
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
-        digest.update(hashlib.sha256(task.sas.encode()).digest())
+        translation = hashlib.sha256(task.sas.encode()).hexdigest()
         folder = folder or cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
-        self.file = folder / f"{digest.hexdigest()}.sqlite"
+        self.file = folder / f"{fast_downward.digest(task.instance)[:32]}-{translation[:32]}.sqlite"
         with closing(self._open()) as connection, connection:
             connection.execute(
                 "CREATE TABLE IF NOT EXISTS cost (state BLOB PRIMARY KEY, cost INTEGER NOT NULL) WITHOUT ROWID"

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from . import fast_downward, pddl
 from .fast_downward import NO_LIMITS, Limits
+from .storage import atomic
 
 Fact = tuple[int, int]
 """A variable and one of its values."""
@@ -111,7 +112,13 @@ class Task:
         return sum(self.costs[self.action_index[action]] for action in plan)
 
 
-def load(problem: str | Path | pddl.Instance, domain: str | Path | None = None, *, limits: Limits = NO_LIMITS) -> Task:
+def load(
+    problem: str | Path | pddl.Instance,
+    domain: str | Path | None = None,
+    *,
+    limits: Limits = NO_LIMITS,
+    cache: Path | None = None,
+) -> Task:
     """Read, validate and ground a PDDL instance.
 
     Parameters
@@ -122,6 +129,9 @@ def load(problem: str | Path | pddl.Instance, domain: str | Path | None = None, 
         The domain file; `domain.pddl` beside the problem unless given.
     limits : Limits
         Time and memory of the grounding.
+    cache : Path, optional
+        A folder in which the result is kept, addressed by the files' contents: files that have been read and
+        grounded before are neither validated nor grounded again.
 
     Raises
     ------
@@ -131,8 +141,17 @@ def load(problem: str | Path | pddl.Instance, domain: str | Path | None = None, 
         Grounding ran out of time or memory.
     """
     instance = problem if isinstance(problem, pddl.Instance) else pddl.instance(problem, domain)
+    stored = None
+    if cache is not None and instance.domain.is_file() and instance.problem.is_file():
+        stored = cache / f"{fast_downward.digest(instance)}.sas"
+        if stored.is_file():
+            return from_sas(stored.read_text(encoding="utf-8"), instance)
     pddl.read(instance)
-    return from_sas(fast_downward.translate(instance, limits), instance)
+    sas = fast_downward.translate(instance, limits)
+    if stored is not None:
+        with atomic(stored) as path:
+            path.write_text(sas, encoding="utf-8")
+    return from_sas(sas, instance)
 
 
 def from_sas(sas: str, instance: pddl.Instance) -> Task:

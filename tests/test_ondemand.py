@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, table_of, write_instance
 
-from planner import Cache, Instance, LimitError, Limits, OnDemand, Table, cost_to_go, load
+from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load
 from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.ondemand import fastest_search
 
@@ -94,6 +94,19 @@ def test_the_cache_outlives_the_process_and_is_addressed_by_content(tmp_path: Pa
     other = Cache(load(instance), tmp_path / "cache")
     assert other.file != cache.file
     assert other.read() == {}
+
+
+def test_a_grounded_task_is_kept_by_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = (KITTING / "tiny.pddl").read_text()
+    instance = write_instance(tmp_path / "in", (KITTING / "domain.pddl").read_text(), text)
+    first = load(instance, cache=tmp_path / "cache")
+    with monkeypatch.context() as patch:
+        patch.setattr("planner.fast_downward.translate", None)  # nothing may be grounded any more
+        assert load(instance, cache=tmp_path / "cache") == first
+    instance.problem.write_text(text.replace("(in-slot wrench slot-2)", "(in-slot wrnch slot-2)"))
+    with pytest.raises(PDDLError, match="wrnch"):
+        load(instance, cache=tmp_path / "cache")
+    assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
 def test_what_was_found_survives_a_kill(tmp_path: Path) -> None:
