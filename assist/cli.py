@@ -38,7 +38,7 @@ def fail(message: str, exit_code: int) -> NoReturn:
 
 
 @contextmanager
-def one_line_errors() -> Iterator[None]:
+def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     """Turn what is wrong with the input into one line and the exit code of the contract."""
     try:
         yield
@@ -49,7 +49,7 @@ def one_line_errors() -> Iterator[None]:
     except OSError as error:
         fail(f"{error.filename}: {error.strerror}", EXIT_FAILED)
     except KeyboardInterrupt:
-        fail("interrupted; what was finished is kept, --resume continues", EXIT_INTERRUPTED)
+        fail(interrupted, EXIT_INTERRUPTED)
 
 
 class Rate(ProgressColumn):
@@ -119,7 +119,7 @@ def solve(
     """
     if resume and out is None:
         raise click.UsageError("--resume needs --out")
-    with one_line_errors():
+    with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
         options = SolveOptions(time_limit, memory_limit, max_states, verify)
         with progress_bar("solving", len(found)) as advance:
