@@ -76,7 +76,14 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         for step in {row["step"] for row in trace if row["robot_place"] == place}:
             axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
         if alone:
-            _line(axis, [row for row in alone if row["place"] == place and row["step"] < shown], GREY, "--", 1.3)
+            own = [row for row in alone if row["place"] == place]
+            _line(axis, [row for row in own if row["step"] < shown], GREY, "--", 1.3)
+            if len(own) != len(rows):
+                at = own[min(len(own), shown) - 1]
+                axis.annotate(
+                    f"alone: {len(own)}", (at["step"] + 1, at["cost_to_go_after"] or 0), xytext=(8, 5),
+                    textcoords="offset points", fontsize=9, color=GREY,
+                )  # fmt: skip
         _line(axis, rows, BLUE, "-", 2.0)
         for followed in (True, False):
             told = [row for row in rows if row["suggestion"] and (row["suggestion"] == row["action"]) == followed]
