@@ -154,35 +154,35 @@ class Table:
         return cheapest & (steps[targets] < steps[space.sources])
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
-        """Read an optimal plan off the table; None from a dead end."""
+        """Read an optimal plan off the table; None from a dead end.
+
+        Of the cheapest plans it is one with the fewest actions.
+        """
         start = self.initial if state is None else state
         if not np.isfinite(self[start]):
             return None
         # Actions of cost zero can lead in circles, so this is a search breadth first, not a mere descent.
-        came: dict[int, tuple[int, int]] = {start: (-1, -1)}
-        layer = [start]
-        while True:
-            ends = np.flatnonzero(self.is_goal(layer))
-            if len(ends):
-                return self._way(came, layer[ends[0]])
+        costs = np.asarray(self.task.costs, dtype=np.int64)
+        descent = costs.min(initial=1) > 0
+        seen = np.zeros(len(self), dtype=bool)
+        layer = np.array([start])
+        came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, where they were reached from, and how
+        while not (ends := self.is_goal(layer)).any():
+            seen[layer] = True
             rows = self.choices(layer)
             sources = np.repeat(layer, np.diff(rows.offsets))
-            costs = np.asarray(self.task.costs)[rows.actions]
-            cheapest = costs + self.lookup(rows.targets) == self.lookup(sources)
-            if costs.min(initial=1) > 0:  # then any one way will do
-                cheapest &= np.cumsum(cheapest) == 1
-            layer = []
-            for i in np.flatnonzero(cheapest):
-                target = int(rows.targets[i])
-                if target not in came:
-                    came[target] = (int(sources[i]), int(rows.actions[i]))
-                    layer.append(target)
-
-    def _way(self, came: dict[int, tuple[int, int]], state: int) -> list[str]:
-        plan: list[str] = []
-        while came[state][0] >= 0:
-            state, action = came[state]
-            plan.append(self.task.actions[action])
+            cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
+            cheapest &= ~seen[rows.targets]
+            targets, first = np.unique(rows.targets[cheapest], return_index=True)
+            if descent:  # any one way will do
+                targets, first = targets[:1], first[:1]
+            came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
+            layer = targets
+        at, plan = layer[ends.argmax()], []
+        for targets, sources, actions in reversed(came):
+            place = np.searchsorted(targets, at)
+            plan.append(self.task.actions[actions[place]])
+            at = sources[place]
         return plan[::-1]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, SMALL, named, solvable, table_of, write_instance
+from conftest import DOMAINS, KITTING, SMALL, named, solvable, table_of, write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
@@ -75,6 +75,19 @@ def test_plan_read_off_the_table_reaches_the_goal_at_its_cost(instance: Instance
         assert plan is not None
         assert table.space.task.plan_cost(plan) == table[int(state)]
         assert table.space.goal[table.space.follow(plan, int(state))]
+
+
+def test_a_plan_has_the_fewest_actions_of_the_cheapest() -> None:
+    """Loading and unloading are free: shortest paths by (cost, actions) in one go, with scipy."""
+    table = table_of(Instance(DOMAINS / "delivery" / "three-parcels.pddl", DOMAINS / "delivery" / "domain.pddl"))
+    space = table.space
+    weights = 1000.0 * space.costs + 1
+    graph = csr_array((weights, (space.transitions.targets, space.sources)), shape=(len(space), len(space)))
+    both = dijkstra(graph, indices=np.flatnonzero(space.goal), min_only=True)
+    for state in range(0, len(space), 37):
+        plan = table.optimal_plan(state)
+        assert plan is not None
+        assert 1000 * table[state] + len(plan) == both[state]
 
 
 def test_shipped_instances_are_what_their_readme_says(tiny: Table, fixed: Table, sealed: Table) -> None:
