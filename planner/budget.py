@@ -18,11 +18,23 @@ class MemoryLimitError(LimitError):
 
 @dataclass(frozen=True)
 class Budget:
-    """What a sweep may use; each method raises `LimitError` when that is not enough."""
+    """What a sweep may use; each method raises `LimitError` when that is not enough.
+
+    Attributes
+    ----------
+    max_states : int or None
+    memory : float
+        Bytes.
+    deadline : float or None
+        A time on `time.monotonic()`'s clock.
+    remark : str
+        What else there is to say where there are too many states.
+    """
 
     max_states: int | None
     memory: float
     deadline: float | None
+    remark: str = ""
 
     def check_time(self, states: int) -> None:
         """Check the deadline; `states` is for the message."""
@@ -32,7 +44,7 @@ class Budget:
     def check_states(self, states: int) -> None:
         """Check the number of states."""
         if self.max_states is not None and states > self.max_states:
-            raise LimitError(f"more than {self.max_states} states")
+            raise LimitError(f"more than {self.max_states} states{self.remark}")
 
     def check_memory(self, needed: float) -> None:
         """Check a number of bytes that is about to be in use."""

@@ -419,7 +419,7 @@ def sweep(
     if moves is None or coding is None:
         return _slow_sweep(task, budget)
     if if_likely and max_states is not None and max_states > PROBE and coding.size // SPARSE > max_states:
-        budget = replace(budget, max_states=PROBE)
+        budget = replace(budget, max_states=PROBE, remark=f", and likely more than {max_states}")
     searches = Searches(
         coding,
         build_tests(moves, coding),

@@ -151,6 +151,7 @@ def test_the_choice_of_the_method(tiny: Table) -> None:
     huge = cost_to_go(load(HUGE))
     assert time.monotonic() - start < 30
     assert isinstance(huge, OnDemand)
+    assert huge.reason == "more than 2000000 states, and likely more than 50000000"
     little = cost_to_go(load(HUGE), memory_limit_mb=20)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
