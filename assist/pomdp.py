@@ -83,7 +83,7 @@ class AssistPOMDP:
         if not 0 <= c_suggest < np.inf:
             raise ValueError(f"c_suggest {c_suggest:g}: expected 0 or more")
         population = population or Population()
-        grid = grid or Grid.regular(Population())
+        grid = grid or Grid.regular(population)
         choices = model.choices
         offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]

@@ -134,7 +134,7 @@ class Pool:
             models = [HumanModel.own(choices, human, **known) for human in people]
         else:
             models = [HumanModel.exact(choices, **known)]
-        grid = Grid.regular(Population())
+        grid = Grid.regular(population)
         policies = []
         for done, model in enumerate(models, start=1):
             pomdp = AssistPOMDP.of(

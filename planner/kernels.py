@@ -1,8 +1,9 @@
 """Compiled loops of the sweep.
 
 Kernels work on one block of indices, so that limits are checked between calls. Those that push stop where the
-output may not hold the successors of one more state, and say how far they came. `coding` explains indices,
-`Decoder` and `Tests`.
+output may not hold the successors of one more state, and say how far they came. The walk through the tests is
+written out in each kernel that applies moves, since what is done with a move is its innermost loop. `coding`
+explains indices, `Decoder` and `Tests`.
 """
 
 from __future__ import annotations

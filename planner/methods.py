@@ -80,8 +80,11 @@ def cost_to_go(
     if states is not None:
         count, size = len(np.atleast_2d(np.asarray(states))), largest_size(task)
         start = time.monotonic()
-        astar(task, limits=limits)
-        asking = count * (time.monotonic() - start) / (jobs or os.cpu_count() or 1)
+        try:
+            astar(task, limits=limits)
+            asking = count * (time.monotonic() - start) / (jobs or os.cpu_count() or 1)
+        except LimitError:  # asking does not even answer for one state
+            asking = math.inf
         if asking < min(size, max_states) / SWEEP_RATE:
             reason = f"{count} states are wanted, of up to {size:.3g}"
             return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=reason)

@@ -152,7 +152,7 @@ class OnDemand:
 
     def _rows(self, states: ArrayLike) -> Words:
         numbers = np.atleast_1d(np.asarray(states, dtype=np.int64))
-        return np.array([self._states[number] for number in numbers]).reshape(-1, self.packing.words)
+        return np.array([self._states[number] for number in numbers], dtype=np.uint64).reshape(-1, self.packing.words)
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Tell of states, shape (N,), which are goal states."""

@@ -142,6 +142,15 @@ def test_limits_are_errors_and_never_dead_ends() -> None:
     assert asked._known == {}
 
 
+def test_no_states_have_no_answers(tiny: Table) -> None:
+    for answers in (tiny, OnDemand(tiny.task)):
+        nothing = np.array([], dtype=np.int64)
+        assert answers.lookup(nothing).shape == (0,)
+        assert answers.is_goal(nothing).shape == (0,)
+        assert answers.values(nothing).shape == (0, len(tiny.task.variables))
+        assert len(answers.choices(nothing).targets) == 0
+
+
 def test_the_choice_of_the_method(tiny: Table) -> None:
     assert cost_to_go(tiny.task).method == "sweep"
     limited = cost_to_go(tiny.task, max_states=10)
@@ -159,6 +168,9 @@ def test_the_choice_of_the_method(tiny: Table) -> None:
     few = cost_to_go(middle, states=np.array([middle.initial, middle.initial]))
     assert isinstance(few, OnDemand)
     assert "2 states are wanted" in (few.reason or "")
+    hasty = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**6, limits=Limits(seconds=0.001))
+    assert isinstance(hasty, OnDemand)  # no search answers in a millisecond, so that a sweep was tried
+    assert hasty.reason == "more than 1000000 states"
     with pytest.raises(LimitError):
         cost_to_go(load(HUGE), deadline=time.monotonic())
 

@@ -145,6 +145,14 @@ def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
         assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 4000)
 
 
+def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) -> None:
+    experts = Population(beta=(5.0, 8.0), theta=(0.8, 0.9))
+    pomdp = Pool.sample(tiny_choices, 1, seed=0, population=experts).policies[0].pomdp
+    assert 5 < pomdp.grid.beta[0] < pomdp.grid.beta[-1] < 8
+    assert pomdp.prior.sum(axis=1) @ pomdp.grid.beta == pytest.approx(6.5)
+    assert pomdp.prior.sum(axis=0) @ pomdp.grid.theta == pytest.approx(0.85)
+
+
 def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 6, seed=0, setting=Setting(knowledge="exact"))
     assert len(pool.policies) == 1
