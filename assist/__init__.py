@@ -6,7 +6,7 @@ choices     what a person can do in each state, as arrays
 human       perceived cost, choice, influence, trust; people and populations
 belief      belief over (beta, theta)
 pomdp       one person's assistance problem
-solver      its policy
+mdp         its values where beta and theta are seen; the QMDP policy
 attention   team policies: no assistance, reactive, attention switching
 simulate    episodes of a team
 figures     pictures (extra `plots`)
