@@ -87,12 +87,18 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
     RuntimeError
         The values had not converged after `max_sweeps`.
     """
-    # Costs are positive, so that 0 is an upper bound, and remains one in every sweep.
-    value = _start(pomdp)
+    # Costs are positive, so that 0 is an upper bound, and remains one in every sweep; in a dead end each step to
+    # come costs at least what the cheapest choice in any of them does.
+    choices = pomdp.model.choices
+    value = np.zeros((len(choices), *pomdp.grid.shape))
+    dead = np.isinf(choices.h) & ~pomdp.final
+    if dead.any():
+        value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
     arrays, order = Arrays.of(pomdp), _order(pomdp)
-    _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps)
+    if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
+        raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
     betas, thetas = pomdp.grid.shape
     q = np.full((len(value), betas, pomdp.suggested.shape[1], thetas), -np.inf)
     q[pomdp.final, :, 0] = value[pomdp.final]
@@ -102,7 +108,7 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
 
 
 def evaluate(
-    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-9, max_sweeps: int = 100_000
+    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-4, max_sweeps: int = 100_000
 ) -> Floats:
     """Give the values of a policy that looks only at x, shape (n, B, T): exact or slightly below.
 
@@ -111,26 +117,26 @@ def evaluate(
     pomdp : AssistPOMDP
     robot : int array, shape (n,)
         What the robot does in each state.
-    tolerance, max_sweeps
-        As in `qmdp`, which also says what is raised.
+    tolerance : float
+        Largest error of any value, in cost units.
+    max_sweeps : int
+        Sweeps over all states at the most; what has not converged by then is still below.
     """
-    value = _start(pomdp)
-    if pomdp.frontier is not None:
-        value[pomdp.frontier.states] = pomdp.frontier.lower[:, None, :]
-    error = _converge(value, _order(pomdp), robot, Arrays.of(pomdp), tolerance, max_sweeps)
+    arrays = Arrays.of(pomdp)
     active = ~pomdp.final
-    value[active] -= error + ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
-    return value
-
-
-def _start(pomdp: AssistPOMDP) -> Floats:
-    """Give 0, and for dead ends what the cheapest choice in any of them costs, for ever."""
-    choices = pomdp.model.choices
-    value = np.zeros((len(choices), *pomdp.grid.shape))
-    dead = np.isinf(choices.h) & ~pomdp.final
-    if dead.any():
-        value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
-    return value
+    silent = pomdp.frontier is None and not robot[active].any()
+    if silent:  # then theta does not matter, and one value of it stands for all
+        arrays = arrays._replace(theta=arrays.theta[:1])
+    # Nothing costs more per step than the dearest choice after the dearest robot action: each sweep raises this.
+    worst = pomdp.charge.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)
+    value = np.where(active, -worst / (1 - pomdp.gamma), 0.0)[:, None, None] * np.ones(
+        (len(pomdp.grid.beta), len(arrays.theta))
+    )
+    if pomdp.frontier is not None:
+        value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
+    _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)
+    value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
+    return np.broadcast_to(value, (len(value), *pomdp.grid.shape)) if silent else value
 
 
 def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
@@ -140,15 +146,16 @@ def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
 
 def _converge(
     value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], arrays: Arrays, tolerance: float, sweeps: int
-) -> float:
-    """Sweep until the largest error of any value is below the tolerance, and return it."""
-    residual = np.inf
-    for _ in range(sweeps):
-        residual = _sweep(value, order, robot, arrays)
-        error = residual * arrays.gamma / (1 - arrays.gamma)
-        if error <= tolerance:
-            return error
-    raise RuntimeError(f"value iteration: residual {residual:g} after {sweeps} sweeps")
+) -> bool:
+    """Sweep until no value's error exceeds the tolerance; each beta by itself, since some take much longer."""
+    converged = True
+    for b in range(value.shape[1]):
+        residual, left = np.inf, sweeps
+        while residual * arrays.gamma / (1 - arrays.gamma) > tolerance and left:
+            residual = _sweep(value, order, robot, b, arrays)
+            left -= 1
+        converged &= residual * arrays.gamma / (1 - arrays.gamma) <= tolerance
+    return converged
 
 
 class Arrays(NamedTuple):
@@ -231,19 +238,18 @@ def _row(
 
 
 @numba.njit(cache=True)
-def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], m: Arrays) -> float:
+def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: Arrays) -> float:
     """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
     expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     residual = 0.0
     for x in order:
-        for b in range(value.shape[1]):
-            _row(q, expected, mean, other, value, x, b, robot[x], m)
-            for t in range(thetas):
-                best = q[robot[x], t] if robot[x] >= 0 else q[: m.robots[x], t].max()
-                residual = max(residual, abs(best - value[x, b, t]))
-                value[x, b, t] = best
+        _row(q, expected, mean, other, value, x, b, robot[x], m)
+        for t in range(thetas):
+            best = q[robot[x], t] if robot[x] >= 0 else q[: m.robots[x], t].max()
+            residual = max(residual, abs(best - value[x, b, t]))
+            value[x, b, t] = best
     return residual
 
 
