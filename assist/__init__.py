@@ -7,6 +7,8 @@ human       perceived cost, choice, influence, trust; people and populations
 belief      belief over (beta, theta)
 pomdp       one person's assistance problem
 mdp         its values where beta and theta are seen; the QMDP policy
+vectors     policies made of alpha vectors
+exchange    problems and policies in other programs' formats
 attention   team policies: no assistance, reactive, attention switching
 simulate    episodes of a team
 figures     pictures (extra `plots`)
