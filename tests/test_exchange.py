@@ -32,7 +32,7 @@ from assist.pomdp import AssistPOMDP, Frontier
 from planner.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
-# tiny.pomdpx` (APPL 0.96) ended with the bounds below.
+# tiny.pomdpx` (APPL 0.9) ended with the bounds below.
 POLICY = Path(__file__).parent / "data" / "tiny.policy"
 LOWER, UPPER = -7.24383, -7.2274
 
