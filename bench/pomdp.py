@@ -82,12 +82,12 @@ def run(
 ) -> tuple[int, float, float, str]:
     """Run a program on a terminal of its own, so that each line comes when it is printed.
 
-    Returns the exit code, seconds, peak memory in MB, and the last line of what went wrong.
+    Returns the exit code, seconds, peak memory in MB, and the last line that it printed.
     """
     inner, outer = pty.openpty()
     start = time.perf_counter()
     process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=outer, stderr=subprocess.PIPE, env={**os.environ, **environment},
+        command, stdin=subprocess.DEVNULL, stdout=outer, stderr=outer, env={**os.environ, **environment},
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (memory << 20, memory << 20)),
     )  # fmt: skip
     os.close(outer)
@@ -95,8 +95,8 @@ def run(
     timer.start()
     watch = Memory(process.pid)
     watch.start()
+    last = rest = b""
     try:
-        rest = b""
         while True:
             try:
                 data = os.read(inner, 1 << 16)
@@ -107,17 +107,17 @@ def run(
             now = time.perf_counter() - start
             *lines, rest = (rest + data).replace(b"\r", b"").split(b"\n")
             for line in lines:
+                last = line.strip() or last
                 on_line(now, line.decode(errors="replace"))
-        errors = process.stderr.read().decode(errors="replace") if process.stderr else ""
+        process.wait()
     finally:
         timer.cancel()
-        process.wait()
-        watch.join()
         os.close(inner)
-        if process.stderr:
-            process.stderr.close()
-    last = (errors.strip().splitlines() or [""])[-1]
-    return process.returncode, time.perf_counter() - start, watch.peak, last
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        watch.join()
+    return process.returncode, time.perf_counter() - start, watch.peak, last.decode(errors="replace")
 
 
 NUMBER = r"(-?[\d.]+(?:e[+-]?\d+)?)"
@@ -146,15 +146,15 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
 
     # Its precision is absolute: the gap relative to QMDP's value, which is the smaller of the two that count.
     precision = options["gap"] * abs(reference["qmdp"])
-    command = [program, "--timeout", f"{options['timeout']:g}", "--precision", f"{precision:g}",
-               "--memory", str(options["memory"]), "--output", str(model.with_suffix(".policy")), str(model)]  # fmt: skip
+    timeout, policy = f"{options['timeout']:g}", str(model.with_suffix(".policy"))
+    command = [program, "--timeout", timeout, "--precision", f"{precision:g}",
+               "--memory", str(options["memory"]), "--output", policy, str(model)]  # fmt: skip
     # Its own time limit is asked for between trials only, and begins when the model is read.
-    code, seconds, peak, wrong = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
-    if warnings or wrong:
-        row["note"] = (warnings or [wrong])[0]
+    code, seconds, peak, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
+    row["note"] = warnings[0] if warnings else last if code else ""
     row |= {"process": seconds, "peak_mb": peak, "load": marks.get("load")}
     row["initialise"] = marks["initialise"] - marks["load"] if "initialise" in marks else None
-    row["status"] = "ok" if code == 0 and row["curve"] else f"failed ({code})"
+    row["status"] = "ok" if code == 0 and row["curve"] else "failed"
     return row
 
 
@@ -173,8 +173,8 @@ def own(case: Case, options: dict[str, Any], cache: Path, *, warm: bool) -> Row:
     settings = {**case._asdict(), "timeout": options["timeout"], "gap": options["gap"], "warm": warm}
     command = [sys.executable, str(HERE / "peers" / "pomdp.py"), "kitassist", json.dumps(settings)]
     limit = options["timeout"] * 3 + 300
-    code, seconds, peak, wrong = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
-    row |= {"process": seconds, "peak_mb": peak, "status": "ok" if code == 0 else f"failed ({code})", "note": wrong}
+    code, seconds, peak, last = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
+    row |= {"process": seconds, "peak_mb": peak, "status": "failed" if code else "ok", "note": last if code else ""}
     return row
 
 
@@ -192,9 +192,9 @@ def searches(case: Case, options: dict[str, Any]) -> list[Row]:
     settings = {**case._asdict(), "searches": SEARCHES, "seconds_each": each}
     python = os.environ.get("PEER_PYTHON", sys.executable)
     command = [python, str(HERE / "peers" / "pomdp.py"), "pomdp-py", json.dumps(settings)]
-    code, _, _, wrong = run(command, on_line, 10 * options["timeout"] + 300, options["memory"])
+    code, _, _, last = run(command, on_line, 10 * options["timeout"] + 300, options["memory"])
     if code:
-        rows.append({"solver": "pomdp-py", "status": f"failed ({code})", "note": wrong})
+        rows.append({"solver": "pomdp-py", "status": "failed", "note": last})
     return rows
 
 
