@@ -182,7 +182,10 @@ class AssistPOMDP:
         p = self.chosen[place, action][:, :, None]
         followed = self.chosen[place, np.maximum(suggestion, 0)][:, :, None]
         theta = self.grid.theta
-        total = theta * followed + (1 - theta) * (1 - followed)
+        # Summed, not 1 - followed: where little remains, its digits would be lost, and theta = 0 divides by it.
+        suggested = np.arange(self.chosen.shape[1]) == suggestion[:, None]
+        others = self.chosen[place].sum(axis=1, where=~suggested[:, :, None])[:, :, None]
+        total = theta * followed + (1 - theta) * others
         weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
         influenced = np.divide(
