@@ -136,7 +136,7 @@ def evaluate(
         value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
     _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)
     value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
-    return np.broadcast_to(value, (len(value), *pomdp.grid.shape)) if silent else value
+    return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 
 
 def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
@@ -171,6 +171,7 @@ class Arrays(NamedTuple):
     place: NDArray[np.int64]
     charge: Floats
     chosen: Floats
+    rest: Floats
     low: NDArray[np.int64]
     weight: Floats
     theta: Floats
@@ -183,8 +184,8 @@ class Arrays(NamedTuple):
         choices = pomdp.model.choices
         return cls(
             choices.applicable.sum(axis=1), choices.targets, choices.costs, choices.goal, pomdp.final, pomdp.robots,
-            pomdp.suggested, pomdp.place, pomdp.charge, pomdp.chosen, pomdp.low, pomdp.weight, pomdp.grid.theta,
-            pomdp.gamma, pomdp.model.lapse,
+            pomdp.suggested, pomdp.place, pomdp.charge, pomdp.chosen, pomdp.rest, pomdp.low, pomdp.weight,
+            pomdp.grid.theta, pomdp.gamma, pomdp.model.lapse,
         )  # fmt: skip
 
 
@@ -208,7 +209,9 @@ def _row(
     """Fill `q`, shape (R, T), with the return of every robot action (or of `only` one) in state x for one beta.
 
     A suggestion moves theta alike whatever the person does, so that its returns are interpolated in the sums
-    that `_alone` fills in, not action by action. `expected`, `mean` and `other`, shape (T,), are room for them.
+    that `_alone` fills in, not action by action; where hardly anything but the suggestion is left of a sum, the
+    others are summed anew, because a difference would lose its digits. `expected`, `mean` and `other`, shape
+    (T,), are room for the sums.
     """
     _alone(expected, mean, value, x, b, m)
     for r in range(m.robots[x]):
@@ -216,14 +219,22 @@ def _row(
             continue
         slot, place = m.suggested[x, r], m.place[x, r]
         if slot >= 0:
-            y, c, p = m.targets[x, slot], m.costs[x, slot], m.chosen[x, slot, b]
+            y, c, p, rest = m.targets[x, slot], m.costs[x, slot], m.chosen[x, slot, b], m.rest[x, r, b]
+            if p > 0.9:
+                other[:] = 0.0
+                for a in range(m.counts[x]):
+                    if a != slot:
+                        for t in range(len(m.theta)):
+                            other[t] += m.chosen[x, a, b] * (m.gamma * value[m.targets[x, a], b, t] - m.costs[x, a])
+            else:
+                for t in range(len(m.theta)):
+                    other[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
             for t in range(len(m.theta)):
                 at, up, theta = m.low[x, r, t], m.weight[x, r, t], m.theta[t]
-                e = (1.0 - up) * expected[at] + up * expected[at + 1]
                 followed = p * (m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c)
-                total = theta * p + (1.0 - theta) * (1.0 - p)
-                if total > 0.0:
-                    e = (theta * followed + (1.0 - theta) * (e - followed)) / total
+                others = (1.0 - up) * other[at] + up * other[at + 1]
+                total = theta * p + (1.0 - theta) * rest
+                e = (theta * followed + (1.0 - theta) * others) / total if total > 0.0 else followed + others
                 lapsed = (1.0 - up) * mean[at] + up * mean[at + 1]
                 q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.charge[x, r]
         elif place == x:

@@ -448,7 +448,7 @@ def _split(x, r, belief, told, other, lapsed, m):
         if mass == 0.0:
             continue
         b, t = h // thetas, h % thetas
-        yes, no = _answer(m.theta[t], m.chosen[x, slot, b])
+        yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.rest[x, r, b])
         at, up = h - t + m.low[x, r, t], m.weight[x, r, t]
         told[at] += steady * yes * (1.0 - up) * mass
         told[at + 1] += steady * yes * up * mass
@@ -460,9 +460,9 @@ def _split(x, r, belief, told, other, lapsed, m):
 
 
 @numba.njit(cache=True)
-def _answer(theta, p):
-    """Give the factors by which a suggestion changes the chance p of the suggested slot, and those of the others."""
-    total = theta * p + (1.0 - theta) * (1.0 - p)
+def _answer(theta, p, rest):
+    """Give the factors by which a suggestion changes the chance p of the suggested slot, and that of the others."""
+    total = theta * p + (1.0 - theta) * rest
     if total > 0.0:
         return theta / total, (1.0 - theta) / total
     return 1.0, 1.0
@@ -552,7 +552,7 @@ def _plan(x, r, picked, vector, plans, m):
                 v = (1.0 - m.lapse) * other[t] + m.lapse * mean[t]
             else:
                 at, up = m.low[x, r, t], m.weight[x, r, t]
-                yes, no = _answer(m.theta[t], m.chosen[x, slot, b])
+                yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.rest[x, r, b])
                 v = (1.0 - m.lapse) * (
                     (1.0 - up) * (yes * told[at] + no * other[at]) + up * (yes * told[at + 1] + no * other[at + 1])
                 ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])

@@ -168,7 +168,7 @@ def _look_ahead(
                     theta, weight = m.theta[t], belief[i, b, t]
                     others, suggested = weight, weight
                     if slot >= 0:
-                        total = theta * p + (1.0 - theta) * (1.0 - p)
+                        total = theta * p + (1.0 - theta) * m.rest[s, r, b]
                         if total > 0.0:
                             others, suggested = weight * (1.0 - theta) / total, weight * theta / total
                     at, up = m.low[s, r, t], m.weight[s, r, t]
