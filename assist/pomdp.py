@@ -23,6 +23,9 @@ from .human import NOTHING, Floats, HumanModel, Population, choice, perceived_va
 
 Suggestions = Literal["optimal", "all"]
 
+NEVER = 1e-290
+"""Chances below this count as 0: those of a person who always or never follows are divided by them."""
+
 
 @dataclass(frozen=True)
 class Frontier:
@@ -154,6 +157,7 @@ class AssistPOMDP:
             charge[state, column + count[state]] = c_execute
 
         chosen = np.stack([choice(model.q, choices.applicable, beta) for beta in grid.beta], axis=-1)
+        chosen[chosen < NEVER] = 0.0
         slots = np.arange(choices.applicable.shape[1])
         rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
         value = perceived_value(choices, model.q)
