@@ -40,6 +40,7 @@ TARGET = 0.5  # a trial ends where the gap, discounted, is below this share of t
 BACKUPS = 1000  # between two looks at the clock
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
 FEW = 32  # vectors of a state that are all looked at, whether or not they are of use
+FINEST = 1e-15  # a trial that gains less than this share of the gap gains nothing, and all after it would be alike
 NONE = -1
 
 
@@ -99,7 +100,8 @@ class Solution:
     seconds : float
     backups : int
     stopped : str
-        "gap", "time" or "memory": what ended the search.
+        "gap", "time", "memory", or "rounding" (the bounds are as close as floating point lets them be): what ended
+        the search.
     """
 
     policy: VectorPolicy
@@ -215,6 +217,8 @@ def solve(
     for belief in (pomdp.prior, trusting):
         search.begin(_informed(best, belief), SWEEPS)
 
+    # A value of 0 is approached from below for ever, and the gap remains 1.
+    smallest = ROUNDING * (pomdp.charge.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
     stopped, backups = "gap", 0
     while True:
         lower, upper = search.bounds(x0, prior)
@@ -228,6 +232,9 @@ def solve(
             break
         if not search.make_room(memory_limit_mb):
             stopped = "memory"
+            break
+        if search.fineness[0] < FINEST or upper - lower <= smallest:
+            stopped = "rounding"
             break
         backups += search.trials(x0, prior, gap * abs(lower))
     return search.solution(
