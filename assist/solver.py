@@ -154,7 +154,9 @@ class Solution:
         """Give what no policy exceeds, shape (N,); arguments as in `q_values`."""
         value = np.empty(len(x))
         x = np.ascontiguousarray(x, dtype=np.int64)
-        hulls.uppers(value, x, np.ascontiguousarray(belief, dtype=float).reshape(len(x), -1), self._hull)
+        hulls.uppers(
+            value, x, np.ascontiguousarray(belief, dtype=float).reshape(len(x), self.pomdp.prior.size), self._hull
+        )
         return value
 
     @cached_property
@@ -198,7 +200,7 @@ def solve(
     time_limit : float, optional
         Stop the search after so many seconds. The first bounds are worked out in any case.
     memory_limit_mb : float, optional
-        Stop before vectors and beliefs take more.
+        Stop before vectors and beliefs take more. The first bounds are worked out in any case.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
     """
@@ -298,6 +300,8 @@ class _Search:
     def make_room(self, memory_limit_mb: float | None) -> bool:
         """Double what is nearly full, if the limit allows it."""
         limit = np.inf if memory_limit_mb is None else memory_limit_mb * 1e6
+        if self.memory() > limit:
+            return False
         for name in ("plans", "hull"):
             store = getattr(self, name)
             capacity = len(store.after)
