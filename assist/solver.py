@@ -626,6 +626,7 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             step = fineness[0] * target
             target *= m.gamma
             value = path.q[d, _promising(d, work, room, path, hull, m)]
+            step += 4 * ROUNDING * abs(value)  # what is stored is moved outwards, and would seem to gain that each time
             if value < hulls.upper(x, belief, hull, room) - step:
                 hulls.add(x, belief, value, hull)
                 improved = True
