@@ -1,0 +1,399 @@
+"""One person's problem between two bounds: against the whole tree of beliefs, linear programs and simulation."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import KITTING, table_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from test_mdp import GRID, make
+
+from assist.belief import Grid
+from assist.choices import Choices
+from assist.human import (
+    Human,
+    HumanModel,
+    Population,
+    choice,
+    influence,
+    lapse,
+    perceived_cost_to_go,
+    perceived_value,
+    trust,
+)  # fmt: skip  # isort: skip
+from assist.mdp import evaluate, qmdp
+from assist.pomdp import AssistPOMDP, Policy
+from assist.solver import Solution, relative_gap, solve
+from planner import Instance, Table
+
+
+def by_hand(
+    targets: list[list[int]], h: list[float], costs: list[list[float]] | None = None, initial: int = 0
+) -> Choices:
+    """A task written as the states that each state's actions lead to; a goal has none."""
+    n, slots = len(targets), max(map(len, targets))
+    applicable = np.array([[a < len(row) for a in range(slots)] for row in targets])
+    target = np.array([row + [x] * (slots - len(row)) for x, row in enumerate(targets)])
+    cost = np.where(applicable, 1.0, 0.0)
+    if costs is not None:
+        cost = np.array([row + [0.0] * (slots - len(row)) for row in costs])
+    value = np.array(h)
+    with np.errstate(invalid="ignore"):
+        optimal = applicable & (np.abs(cost + value[target] - value[:, None]) < 1e-9)
+    names = tuple(f"({x}-{a})" for x in range(n) for a in range(slots))
+    actions = np.where(applicable, np.arange(n * slots).reshape(n, slots), -1)
+    return Choices(value, ~applicable.any(axis=1), applicable, actions, target, cost, optimal, names, initial)
+
+
+def detour() -> Choices:
+    """Start, a mess that one can stay in, the state before the goal, the goal."""
+    return by_hand([[2, 1], [0, 1], [3, 1, 0], []], [2, 3, 1, 0], [[1, 1], [1, 0.5], [1, 1, 0.7], []])
+
+
+def whole_tree(pomdp: AssistPOMDP, cut: float) -> tuple[float, float]:
+    """Bound the best return from the tree of all beliefs, level by level; equal beliefs (to 12 digits) meet again.
+
+    The tree ends where the discounted chance to get there is below `cut` whatever the robot does. From there on the
+    return is anything between the worst there can be and 0.
+    """
+    choices = pomdp.model.choices
+    worst = -(pomdp.charge.max() + choices.costs.max()) / (1 - pomdp.gamma)
+    levels = []
+    x, belief, reach = np.array([choices.initial]), pomdp.prior[None], np.ones(1)
+    while len(x):
+        robots = np.where(reach > cut, pomdp.robots[x], 0)
+        node = np.repeat(np.arange(len(x)), robots)
+        robot = np.arange(len(node)) - np.repeat(np.cumsum(robots) - robots, robots)
+        place = pomdp.place[x[node], robot]
+        acts = np.where(choices.goal[place], 0, choices.applicable[place].sum(axis=1))
+        row = np.repeat(np.arange(len(node)), acts)
+        slot = np.arange(len(row)) - np.repeat(np.cumsum(acts) - acts, acts)
+        at = x[node[row]], robot[row], slot
+        chance = (pomdp.likelihood(*at) * belief[node[row]]).sum(axis=(1, 2))
+        row, slot, at, chance = row[chance > 0], slot[chance > 0], tuple(a[chance > 0] for a in at), chance[chance > 0]
+        after, y = pomdp.update(belief[node[row]], *at), choices.targets[place[row], slot]
+        going, child = np.flatnonzero(~choices.goal[y]), np.full(len(row), -1)
+        keys = np.ascontiguousarray(
+            np.column_stack([y[going], (after[going] * 1e12).round().reshape(len(going), pomdp.prior.size)])
+        )
+        _, some, inverse = np.unique(keys.view(f"V{keys.shape[1] * 8}"), return_index=True, return_inverse=True)
+        child[going] = inverse.reshape(-1)
+        levels.append((robots, node, pomdp.charge[x[node], robot], row, chance, choices.costs[place[row], slot], child))
+        reaching = np.zeros(len(some))
+        np.maximum.at(reaching, child[going], pomdp.gamma * (reach[node[row]] * chance)[going])
+        x, belief, reach = y[going][some], after[going][some], reaching
+    low = high = np.zeros(1)
+    for robots, node, charge, row, chance, cost, child in reversed(levels):
+        found = []
+        for bound, end in ((low, worst), (high, 0.0)):
+            ahead = np.append(bound, 0.0)  # a finished child is number -1
+            q = -charge + np.bincount(row, chance * (pomdp.gamma * ahead[child] - cost), len(node))
+            value = np.where(robots > 0, -np.inf, end)
+            np.maximum.at(value, node, q)
+            found.append(value)
+        low, high = found
+    return float(low[0]), float(high[0])
+
+
+def detour_problem(eta: float, gamma: float, **options: object) -> AssistPOMDP:
+    choices = detour()
+    h = perceived_cost_to_go(choices, 0.6, np.random.default_rng(2))
+    model = HumanModel.own(choices, Human(1.0, 0.5, 0.6, h), eta=eta)
+    population = Population(beta=(0.2, 2.5), theta=(0.3, 0.95))
+    return AssistPOMDP.of(
+        model, **{"grid": GRID, "population": population, "gamma": gamma, "c_suggest": 0.05, **options}
+    )  # type: ignore[arg-type]
+
+
+# eta, gamma, options, and where the tree is cut
+TREES = {
+    "trust moves": (0.2, 0.4, {}, 1e-7),
+    "trust moves, all": (0.2, 0.3, {"suggestions": "all"}, 1e-6),
+    "execute": (0.2, 0.3, {"execute": True, "c_execute": 0.4}, 1e-7),
+    "trust stays": (0.0, 0.4, {}, 1e-7),
+    "trust jumps": (5.0, 0.7, {}, 1e-7),
+    "far sight": (5.0, 0.95, {}, 1e-6),
+}
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_bounds_meet_the_value_of_the_whole_tree(name: str) -> None:
+    eta, gamma, options, cut = TREES[name]
+    pomdp = detour_problem(eta, gamma, **options)
+    low, high = whole_tree(pomdp, cut)
+    assert high - low < 1e-4
+    coarse, fine = solve(pomdp, gap=0.02), solve(pomdp, gap=1e-6)
+    assert coarse.value_qmdp > high + 1e-3  # so that there is something to search for
+    for solution in (coarse, fine):
+        assert solution.lower <= high + 1e-9
+        assert solution.upper >= low - 1e-9
+    assert fine.lower >= low - 1e-5
+    assert fine.upper <= high + 1e-5
+
+
+def problem(name: str, gamma: float, c_suggest: float, sigma: float, **options: object) -> AssistPOMDP:
+    """A kitting task and a person whose misconception the robot knows; options as in `AssistPOMDP.of`."""
+    choices = Choices.of(table_of(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl")))
+    model = HumanModel.own(
+        choices, Human(1.0, 0.5, sigma, perceived_cost_to_go(choices, sigma, np.random.default_rng(0)))
+    )
+    return AssistPOMDP.of(model, gamma=gamma, c_suggest=c_suggest, **options)  # type: ignore[arg-type]
+
+
+@cache
+def solution_of(name: str) -> Solution:
+    """Solutions with bounds apart, so that there is room for a law to be broken."""
+    if name == "paper-fixed":
+        return solve(problem("paper-fixed", 0.95, 0.5, 0.5), gap=5e-3)
+    if name == "sealed":
+        return solve(problem("sealed", 0.9, 0.3, 0.5, suggestions="all"), gap=5e-3)
+    return solve(problem("tiny", 0.95, 0.3, 0.9, execute=True, c_execute=0.7, grid=GRID), gap=1e-4)
+
+
+def some_beliefs(solution: Solution, seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """States and beliefs: even ones, some with most of their mass in a few entries, and mixtures of stored ones."""
+    rng = np.random.default_rng(seed)
+    stored = np.flatnonzero(np.diff(solution.first))
+    x = np.where(rng.random(count) < 0.7, rng.choice(stored, count), rng.integers(0, len(solution.corner), count))
+    cells = solution.pomdp.prior.size
+    belief = np.stack([rng.dirichlet(np.full(cells, a)) for a in rng.choice([0.02, 0.3, 3.0], count)])
+    for i in np.flatnonzero(rng.random(count) < 0.6):
+        mine = solution.point[solution.first[x[i]] : solution.first[x[i] + 1]].reshape(-1, cells)
+        if len(mine):
+            weights = rng.dirichlet(np.full(len(mine), 0.2))
+            belief[i] = 0.95 * weights @ mine + 0.05 * belief[i] * (rng.random() < 0.5)
+            belief[i] /= belief[i].sum()
+    return x, belief.reshape(count, *solution.pomdp.grid.shape)
+
+
+NAMES = ["tiny", "sealed", "paper-fixed"]
+seeds = st.integers(0, 2**31)
+few = settings(max_examples=10, deadline=None)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@few
+@given(seed=seeds)
+def test_bounds_are_ordered_everywhere(name: str, seed: int) -> None:
+    solution = solution_of(name)
+    x, belief = some_beliefs(solution, seed)
+    lower, upper = solution.value(x, belief), solution.upper_bound(x, belief)
+    ahead = solution.q_values(x, belief).max(axis=1)
+    highest = np.einsum("nbt,nbt->n", solution.corner[x], belief)
+    size = 1e-9 * np.abs(lower)
+    assert (lower <= ahead + size).all()  # one step ahead, the policy is worth its vectors or more
+    assert (ahead <= upper + size).all()
+    assert (upper <= highest + size).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@few
+@given(seed=seeds, power=st.integers(-40, 40))
+def test_bounds_scale_with_the_belief(name: str, seed: int, power: int) -> None:
+    """By powers of two, which round nothing: other factors may tip which pivots are made, with a bound as valid."""
+    solution, scale = solution_of(name), 2.0**power
+    x, belief = some_beliefs(solution, seed)
+    for bound in (solution.value, solution.upper_bound):
+        np.testing.assert_allclose(bound(x, scale * belief), scale * bound(x, belief), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@few
+@given(seed=seeds)
+def test_no_policy_exceeds_the_upper_bound(name: str, seed: int) -> None:
+    """The exact value of a policy that looks only at x is linear in the belief, and so below the bound everywhere."""
+    solution = solution_of(name)
+    pomdp = solution.pomdp
+    x, belief = some_beliefs(solution, seed)
+    helpful = solution.choose(np.arange(len(pomdp.robots)), np.broadcast_to(belief[0], solution.corner.shape))
+    upper = solution.upper_bound(x, belief)
+    for robot in (np.random.default_rng(seed).integers(0, pomdp.robots), helpful):
+        value = evaluate(pomdp, robot.astype(np.int64))
+        assert (np.einsum("nbt,nbt->n", value[x], belief) <= upper + 1e-9 * np.abs(upper)).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@few
+@given(seed=seeds)
+def test_upper_bound_lies_between_the_convex_hull_and_the_sawtooth(name: str, seed: int) -> None:
+    """A few pivots of the linear program: never below its optimum, never above its first step."""
+    solution = solution_of(name)
+    x, belief = some_beliefs(solution, seed, 10)
+    upper = solution.upper_bound(x, belief)
+    for i, b in enumerate(belief.reshape(len(x), -1)):
+        rows = slice(solution.first[x[i]], solution.first[x[i] + 1])
+        point, drop = solution.point[rows].reshape(-1, b.size), solution.drop[rows]
+        base = float(solution.corner[x[i]].reshape(-1) @ b)
+        best = sawtooth = 0.0
+        if len(drop):
+            # In units of the largest drop, because the program's tolerances are absolute.
+            best = linprog(drop / -drop.min(), A_ub=point.T, b_ub=b, method="highs").fun * -drop.min()
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = np.where(point > 0, b / point, np.inf).min(axis=1)
+            sawtooth = (drop * share).min()
+        assert upper[i] >= base + best - 1e-6 * abs(base)
+        assert upper[i] <= base + sawtooth + 1e-9 * abs(base)
+
+
+ROUNDING_CASES = {
+    "lapses only": {"lapse": 0.9},
+    "no lapses": {"lapse": 0.0},
+    "almost certain": {"lapse": 0.0, "beta": (1.0, 40.0), "scale": 0.9},
+    "certain to the last digit": {"beta": (0.0, 1000.0), "scale": 0.72},  # exp(-720) is a denormal number
+    "certain": {"lapse": 0.0, "beta": (0.0, 1e6), "suggestions": "all"},
+    "they refuse": {"population": Population((0.2, 2.5), (0.0, 0.0)), "suggestions": "all"},
+    "they obey": {"population": Population((0.2, 2.5), (1.0, 1.0))},
+    "help is free": {"c_suggest": 0.0},
+    "some actions are free": {"costs": [[0, 1], [0, 0], [0, 1, 0], []]},
+    "all actions are free": {"costs": [[0, 0], [0, 0], [0, 0, 0], []]},
+    "help only costs": {"costs": [[0, 0], [0, 0], [0, 0, 0], []], "execute": True},
+    "no way out of the mess": {"targets": [[2, 1], [1], [3, 1, 0], []]},
+    "stuck in the mess": {"targets": [[2, 1], [1], [3, 1, 0], []], "costs": [[1, 1], [1], [1, 1, 1], []]},
+    "far": {"gamma": 0.9999},
+    "begun at the goal": {"initial": 3},
+}
+
+
+@pytest.mark.parametrize("name", ROUNDING_CASES)
+def test_bounds_stay_ordered_and_finite(name: str) -> None:
+    options = dict(ROUNDING_CASES[name])
+    targets = options.pop("targets", [[2, 1], [0, 1], [3, 1, 0], []])
+    scale = options.pop("scale", 1.0)
+    unit = [[1, 1], [1, 1][: len(targets[1])], [1, 1, 1], []]
+    costs = [[scale * c for c in row] for row in options.pop("costs", unit)]
+    h = np.full(4, np.inf)
+    h[3] = 0
+    for _ in h:
+        h[:3] = [min(c + h[y] for c, y in zip(costs[x], targets[x], strict=True)) for x in range(3)]
+    choices = by_hand(targets, list(h), costs, options.pop("initial", 0))
+    model = HumanModel.exact(choices, lapse=options.pop("lapse", 1e-3))
+    beta = options.pop("beta", (0.3, 2.0))
+    given = {"gamma": 0.9, "c_suggest": 0.05, "population": Population(beta, (0.0, 1.0)), **options}
+    pomdp = AssistPOMDP.of(model, grid=Grid(np.array(beta), np.array([0.0, 0.5, 1.0])), **given)
+    solution = solve(pomdp, gap=1e-3, time_limit=10)
+    assert solution.stopped in {"gap", "rounding"}
+    x = np.repeat(np.arange(4), 50)
+    belief = np.random.default_rng(0).dirichlet(np.full(6, 0.2), len(x)).reshape(-1, 2, 3)
+    belief[::50] = pomdp.prior
+    lower, upper = solution.value(x, belief), solution.upper_bound(x, belief)
+    assert np.isfinite(lower).all()
+    assert (lower <= upper).all()
+    assert (upper <= 0).all()
+    assert (lower >= -(pomdp.charge.max() + 1) / (1 - pomdp.gamma) * (1 + 1e-9)).all()
+    assert solution.lower <= solution.upper <= solution.value_qmdp * (1 - 1e-9) + 1e-12
+    assert max(solution.value_never, solution.value_always) <= solution.upper + 1e-12
+
+
+def test_nothing_is_left_to_do_at_the_goal() -> None:
+    solution = solve(AssistPOMDP.of(HumanModel.exact(by_hand([[1], []], [1, 0], initial=1))), gap=0)
+    assert (solution.lower, solution.upper, solution.gap, solution.stopped) == (0, 0, 0, "gap")
+    assert relative_gap(0.0, 0.0) == 0
+    assert relative_gap(-2.0, -1.0) == 0.5
+    nobody = np.empty(0, dtype=np.int64), np.empty((0, *solution.pomdp.grid.shape))
+    for answer in (solution.value, solution.upper_bound, solution.choose):
+        assert answer(*nobody).shape == (0,)
+
+
+def test_search_ends_where_rounding_stops_it(tiny_choices: Choices) -> None:
+    solution = solve(make(tiny_choices, gamma=0.7), gap=0, time_limit=20)
+    assert solution.stopped == "rounding"
+    assert 0 < solution.gap < 1e-9
+
+
+def test_dead_ends_cost_for_ever(sealed: Table) -> None:
+    """From a dead end both bounds are those of never getting out."""
+    solution = solution_of("sealed")
+    dead = np.flatnonzero(sealed.dead_end)
+    belief = np.broadcast_to(solution.pomdp.prior, (len(dead), *solution.pomdp.grid.shape))
+    assert len(dead)
+    for bound in (solution.value, solution.upper_bound):
+        np.testing.assert_allclose(bound(dead, belief), -1 / (1 - 0.9), rtol=1e-4)  # unit costs
+
+
+def test_bounds_tighten_until_the_gap_is_reached() -> None:
+    steps: list[tuple[float, float, float]] = []
+    pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
+    solution = solve(pomdp, gap=2e-3, progress=lambda *step: steps.append(step))
+    seconds, lower, upper = np.array(steps).T
+    assert len(steps) > 3
+    assert (np.diff(seconds) > 0).all()
+    assert (np.diff(lower) >= 0).all()
+    assert (np.diff(upper) <= 0).all()
+    assert lower[-1] > lower[0]
+    assert upper[-1] < upper[0]
+    assert (solution.lower, solution.upper) == (lower[-1], upper[-1])
+    assert solution.stopped == "gap"
+    assert solution.gap <= 2e-3
+    # The result is the same where the search was.
+    x, prior = np.array([pomdp.model.choices.initial]), pomdp.prior[None]
+    assert solution.value(x, prior)[0] == pytest.approx(solution.lower, rel=1e-9)
+    assert solution.upper_bound(x, prior)[0] == pytest.approx(solution.upper, rel=1e-3)
+    again = solve(pomdp, gap=2e-3)
+    assert (again.lower, again.upper, again.backups) == (solution.lower, solution.upper, solution.backups)
+    np.testing.assert_array_equal(again.policy.vectors, solution.policy.vectors)
+    np.testing.assert_array_equal(again.drop, solution.drop)
+
+
+def test_limits_stop_the_search() -> None:
+    pomdp = problem("paper-fixed", 0.95, 1.0, 1.0)
+    stopped = {
+        "time": solve(pomdp, gap=1e-6, time_limit=0.5),
+        "memory": solve(pomdp, gap=1e-6, memory_limit_mb=15, time_limit=20),
+    }
+    for reason, solution in stopped.items():
+        assert solution.stopped == reason
+        assert solution.value_always < solution.lower < solution.upper < solution.value_qmdp
+        assert solution.backups > 0
+    assert stopped["time"].seconds < 5
+    assert solve(pomdp, memory_limit_mb=1).backups == 0  # less than the first bounds take
+
+
+@pytest.mark.parametrize("gap", [-1e-3, float("nan")])
+def test_gap_is_checked(tiny_choices: Choices, gap: float) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        solve(make(tiny_choices), gap=gap)
+
+
+def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarray:
+    """Let a policy help people who are as the robot's model says, one drawn from the prior for each episode.
+
+    What they do comes from the equations of `assist.human`, not from the arrays that the solver reads.
+    """
+    pomdp, grid = policy.pomdp, policy.pomdp.grid
+    model, choices = pomdp.model, pomdp.model.choices
+    b, t = np.divmod(rng.choice(pomdp.prior.size, episodes, p=pomdp.prior.reshape(-1)), len(grid.theta))
+    x, belief = np.full(episodes, choices.initial), np.repeat(pomdp.prior[None], episodes, axis=0)
+    total, discount = np.zeros(episodes), 1.0
+    going = np.flatnonzero(~choices.goal[x])
+    while len(going):
+        at = x[going]
+        robot = policy.choose(at, belief[going])
+        heard, theta = pomdp.suggested[at, robot], grid.theta[t[going]]
+        p = choice(model.q[at], choices.applicable[at], grid.beta[b[going]])
+        p = lapse(influence(p, heard, theta), choices.applicable[at], model.lapse)
+        slot = (p.cumsum(axis=1) < rng.random((len(at), 1)) * p.sum(axis=1, keepdims=True)).sum(axis=1)
+        total[going] -= discount * (pomdp.c_suggest * (heard >= 0) + choices.costs[at, slot])
+        belief[going] = pomdp.update(belief[going], at, robot, slot)
+        v = perceived_value(choices, model.q)
+        moved = trust(theta, v[at], v[choices.targets[at, np.maximum(heard, 0)]], model.eta)
+        low, weight = grid.shares(np.where(heard >= 0, moved, theta))
+        t[going] = low + (rng.random(len(at)) < weight)
+        x[going] = choices.targets[at, slot]
+        going, discount = going[~choices.goal[x[going]]], discount * pomdp.gamma
+    return total
+
+
+@pytest.mark.parametrize("episodes", [4_000, pytest.param(20_000, marks=pytest.mark.long)])
+def test_people_as_modelled_give_the_policy_what_its_bounds_say(episodes: int) -> None:
+    pomdp = problem("paper-fixed", 0.99, 0.2, 0.5)
+    solution = solve(pomdp)
+    for policy, least in ((solution, solution.lower), (qmdp(pomdp), -np.inf)):
+        found = returns(policy, episodes, np.random.default_rng(4))
+        mean, error = found.mean(), found.std(ddof=1) / np.sqrt(episodes)
+        assert mean + 2.6 * error >= least
+        assert mean - 2.6 * error <= solution.upper
+        assert error < 0.003 * abs(mean)
