@@ -1,0 +1,78 @@
+"""The price of honesty: what one person's help is worth with optimal suggestions only, and with all.
+
+    python bench/honesty.py [--quick] [--instances a,b] [--gammas ...] [--costs ...] [--sigmas ...] [--etas ...]
+                            [--gap G] [--time-limit S]
+
+A case is a kitting instance, a population's range of theta, the rate eta at which suggestions move it, gamma,
+c_suggest, and the sigma of the person's misconception, which the robot knows. Printed is a Markdown table: the bounds
+of both values in the initial state, the price (how much less optimal suggestions are worth), its share of the return,
+and whether it is proven that there is one.
+
+Optimal suggestions are among all of them, so that whatever policy is found for them is one for all as well, and what
+no policy with all of them exceeds, none with some does: each pair of bounds is tightened by the other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import click
+import numpy as np
+
+from assist.choices import Choices
+from assist.human import Human, HumanModel, Population, perceived_cost_to_go
+from assist.pomdp import AssistPOMDP, Suggestions
+from assist.solver import solve
+from planner import Instance, load, sweep
+
+KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
+THETAS = ((0.05, 0.5), (0.5, 0.95))
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Two cases of each instance only.")
+@click.option("--instances", default="paper-fixed,paper", show_default=True)
+@click.option("--etas", default="0.2,0", show_default=True)
+@click.option("--gammas", default="0.99,0.95", show_default=True)
+@click.option("--costs", default="0.05,0.2,0.5,1", show_default=True, help="Values of c_suggest.")
+@click.option("--sigmas", default="0,0.5,1", show_default=True)
+@click.option("--gap", default=5e-4, show_default=True, help="Stop at this relative gap.")
+@click.option("--time-limit", default=10.0, show_default=True, help="Seconds for each search at the most.")
+def main(
+    quick: bool, instances: str, etas: str, gammas: str, costs: str, sigmas: str, gap: float, time_limit: float
+) -> None:
+    """Print the table."""
+    print("| instance | theta | eta | gamma | c_suggest | sigma | optimal | all | price | of the return | proven |")
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    values = [[float(value) for value in values.split(",")] for values in (etas, gammas, costs, sigmas)]
+    if quick:
+        values = [[0.2], [0.95], [0.2], [0.5]]
+    for name in instances.split(","):
+        choices = Choices.of(sweep(load(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl"))))
+        for theta, eta, gamma, c_suggest, sigma in itertools.product(THETAS, *values):
+            h = perceived_cost_to_go(choices, sigma, np.random.default_rng(0))
+            model = HumanModel.own(choices, Human(1.0, 0.5, sigma, h), eta=eta)  # of which only h is used
+
+            def bounds(suggestions: Suggestions, model=model, theta=theta, gamma=gamma, c=c_suggest):
+                pomdp = AssistPOMDP.of(
+                    model, population=Population(theta=theta), gamma=gamma, c_suggest=c, suggestions=suggestions
+                )
+                solution = solve(pomdp, gap=gap, time_limit=time_limit)
+                return solution.lower, solution.upper
+
+            (some_lower, some_upper), (all_lower, all_upper) = bounds("optimal"), bounds("all")
+            some_upper, all_lower = min(some_upper, all_upper), max(all_lower, some_lower)
+            least, most = max(all_lower - some_upper, 0.0), all_upper - some_lower
+            # The return is negative: the smallest share is that of the lowest value with optimal suggestions.
+            shares = 100 * least / -some_lower, 100 * most / -some_upper
+            print(
+                f"| {name} | {theta[0]:g} to {theta[1]:g} | {eta:g} | {gamma:g} | {c_suggest:g} | {sigma:g} "
+                f"| {some_lower:.3f} to {some_upper:.3f} | {all_lower:.3f} to {all_upper:.3f} "
+                f"| {least:.3f} to {most:.3f} | {shares[0]:.2f} to {shares[1]:.2f} % | {'yes' if least else 'no'} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
