@@ -30,7 +30,7 @@ from .choices import WAIT, Choices
 from .human import Floats, HumanModel, Population, choice
 from .pomdp import AssistPOMDP, Frontier, Suggestions
 
-BATCH = 500  # states that are looked at together
+BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
 ADVISED = 0.9  # the weight of an action that an adviser would have people take
 LEVELS = 10_000  # largest h* for which the bound below is worked out level by level
 SWEEPS = 200
@@ -86,7 +86,7 @@ class Region:
         growth = _Growth(known, Grid.regular(population or Population()).beta)
         start = time.monotonic()
         while growth.expanded < states and (time_limit is None or time.monotonic() - start < time_limit):
-            done = growth.step(min(BATCH, states - growth.expanded))
+            done = growth.step(min(BATCH[known.method], states - growth.expanded))
             if not done:
                 break
             if progress is not None:
