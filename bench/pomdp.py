@@ -79,10 +79,10 @@ class Memory(threading.Thread):
 
 def run(
     command: Sequence[str], on_line: Callable[[float, str], None], limit: float, memory: int, **environment: str
-) -> tuple[int, float, float, str]:
+) -> tuple[int, dict[str, float], str]:
     """Run a program on a terminal of its own, so that each line comes when it is printed.
 
-    Returns the exit code, seconds, peak memory in MB, and the last line that it printed.
+    Returns the exit code; seconds on the clock and of the processor, and peak memory in MB; the last line printed.
     """
     inner, outer = pty.openpty()
     start = time.perf_counter()
@@ -109,7 +109,8 @@ def run(
             for line in lines:
                 last = line.strip() or last
                 on_line(now, line.decode(errors="replace"))
-        process.wait()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
     finally:
         timer.cancel()
         os.close(inner)
@@ -117,7 +118,9 @@ def run(
             process.kill()
             process.wait()
         watch.join()
-    return process.returncode, time.perf_counter() - start, watch.peak, last.decode(errors="replace")
+    seconds = time.perf_counter() - start
+    measured = {"process": seconds, "cpu": usage.ru_utime + usage.ru_stime, "peak_mb": watch.peak}
+    return process.returncode, measured, last.decode(errors="replace")
 
 
 NUMBER = r"(-?[\d.]+(?:e[+-]?\d+)?)"
@@ -150,9 +153,9 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
     command = [program, "--timeout", timeout, "--precision", f"{precision:g}",
                "--memory", str(options["memory"]), "--output", policy, str(model)]  # fmt: skip
     # Its own time limit is asked for between trials only, and begins when the model is read.
-    code, seconds, peak, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
+    code, measured, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
     row["note"] = warnings[0] if warnings else last if code else ""
-    row |= {"process": seconds, "peak_mb": peak, "load": marks.get("load")}
+    row |= {**measured, "load": marks.get("load")}
     row["initialise"] = marks["initialise"] - marks["load"] if "initialise" in marks else None
     row["status"] = "ok" if code == 0 and row["curve"] else "failed"
     return row
@@ -173,8 +176,8 @@ def own(case: Case, options: dict[str, Any], cache: Path, *, warm: bool) -> Row:
     settings = {**case._asdict(), "timeout": options["timeout"], "gap": options["gap"], "warm": warm}
     command = [sys.executable, str(HERE / "peers" / "pomdp.py"), "kitassist", json.dumps(settings)]
     limit = options["timeout"] * 3 + 300
-    code, seconds, peak, last = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
-    row |= {"process": seconds, "peak_mb": peak, "status": "failed" if code else "ok", "note": last if code else ""}
+    code, measured, last = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
+    row |= {**measured, "status": "failed" if code else "ok", "note": last if code else ""}
     return row
 
 
@@ -192,7 +195,7 @@ def searches(case: Case, options: dict[str, Any]) -> list[Row]:
     settings = {**case._asdict(), "searches": SEARCHES, "seconds_each": each}
     python = os.environ.get("PEER_PYTHON", sys.executable)
     command = [python, str(HERE / "peers" / "pomdp.py"), "pomdp-py", json.dumps(settings)]
-    code, _, _, last = run(command, on_line, 10 * options["timeout"] + 300, options["memory"])
+    code, _, last = run(command, on_line, 10 * options["timeout"] + 300, options["memory"])
     if code:
         rows.append({"solver": "pomdp-py", "status": "failed", "note": last})
     return rows
@@ -218,7 +221,7 @@ def references(case: Case, model: Path) -> tuple[dict[str, float], Row]:
     x = pomdp.model.choices.initial
     values = {"qmdp": float(qmdp(pomdp).value(np.array([x]), pomdp.prior[None])[0])}
     for name, robot in (("never", np.zeros(len(pomdp.robots), dtype=np.int64)), ("always", pomdp.first_optimal)):
-        values[name] = float((evaluate(pomdp, robot)[x] * pomdp.prior).sum())
+        values[name] = float((evaluate(pomdp, robot, tolerance=1e-6)[x] * pomdp.prior).sum())
     return values, {**row, "states": len(pomdp.robots), "hidden": pomdp.prior.size}
 
 
@@ -260,7 +263,19 @@ def as_table(results: Sequence[Row]) -> Table:
     table = Table(title="Bounds on one person's problem; seconds from where the problem is in memory")
     for column in ("case", "solver"):
         table.add_column(column, no_wrap=True)
-    columns = ("to 1e-2", "to 1e-3", "to 1e-4", "final gap", "lower", "upper", "load s", "init s", "process s", "MB")
+    columns = (
+        "to 1e-2",
+        "to 1e-3",
+        "to 1e-4",
+        "final gap",
+        "lower",
+        "upper",
+        "load s",
+        "init s",
+        "process s",
+        "cpu s",
+        "MB",
+    )
     for column in columns:
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("note", overflow="fold")
@@ -281,7 +296,9 @@ def as_table(results: Sequence[Row]) -> Table:
         cells = [shown(row.get(f"to_{gap:g}")) for gap in GAPS]
         cells.append("–" if "gap" not in row else f"{row['gap']:.1e}")
         cells += [shown(row.get(key), 4) for key in ("lower", "upper")]
-        cells += [shown(row.get(key)) for key in ("load", "initialise", "process")] + [shown(row.get("peak_mb"), 0)]
+        cells += [shown(row.get(key)) for key in ("load", "initialise", "process", "cpu")] + [
+            shown(row.get("peak_mb"), 0)
+        ]
         table.add_row(case, row["solver"], *cells, note)
     return table
 

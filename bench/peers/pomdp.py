@@ -79,7 +79,10 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
 
     pomdp = case.problem()
     never = float(
-        (evaluate(pomdp, np.zeros(len(pomdp.robots), dtype=np.int64))[pomdp.model.choices.initial] * pomdp.prior).sum()
+        (
+            evaluate(pomdp, np.zeros(len(pomdp.robots), dtype=np.int64), tolerance=1e-6)[pomdp.model.choices.initial]
+            * pomdp.prior
+        ).sum()
     )
     for name, simulations in options["searches"]:
         rng = np.random.default_rng(case.seed)
