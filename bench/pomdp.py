@@ -12,9 +12,10 @@ Every solver gets the same problem in the same run, SARSOP as the POMDPX file th
   have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
 
 The relative gap is (upper - lower) / |lower| in the initial state. Seconds count from where the problem is in memory
-(of SARSOP's initialisation too): reading the model and the whole process stand apart. SARSOP reports its bounds every
-50 backups or so, so that its times are late by up to that. Written are `results.jsonl` (a line per solver and case,
-with the curve) and `pomdp.png`. The program ends with exit code 1 where two solvers' bounds exclude each other.
+(of SARSOP's initialisation too): reading the model and the whole process stand apart. SARSOP's seconds are those of
+its own clock, which is the processor's, as its time limit is; it reports its bounds every 50 backups or so, and is
+late by up to that. Written are `results.jsonl` (a line per solver and case, with the curve) and `pomdp.png`. The
+program ends with exit code 1 where two solvers' bounds exclude each other.
 """
 
 from __future__ import annotations
@@ -144,7 +145,7 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
         elif "warning" in line.lower() or "error" in line.lower():
             warnings.append(line)
         elif match := TRIAL.match(line):
-            row["curve"].append([now - marks["load"], float(match[4]), float(match[5])])
+            row["curve"].append([float(match[1]), float(match[4]), float(match[5])])
             row["vectors"], row["backups"] = int(match[7]), int(match[3])
 
     # Its precision is absolute: the gap relative to QMDP's value, which is the smaller of the two that count.
@@ -152,7 +153,7 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
     timeout, policy = f"{options['timeout']:g}", str(model.with_suffix(".policy"))
     command = [program, "--timeout", timeout, "--precision", f"{precision:g}",
                "--memory", str(options["memory"]), "--output", policy, str(model)]  # fmt: skip
-    # Its own time limit is asked for between trials only, and begins when the model is read.
+    # Its own time limit is asked for between trials only, begins when the model is read, and is processor time.
     code, measured, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
     row["note"] = warnings[0] if warnings else last if code else ""
     row |= {**measured, "load": marks.get("load")}
