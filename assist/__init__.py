@@ -8,6 +8,8 @@ belief      belief over (beta, theta)
 pomdp       one person's assistance problem
 mdp         its values where beta and theta are seen; the QMDP policy
 vectors     policies made of alpha vectors
+hull        an upper bound on the value at every belief, from its values at some
+solver      its policy, with proven bounds
 exchange    problems and policies in other programs' formats
 attention   team policies: no assistance, reactive, attention switching
 simulate    episodes of a team

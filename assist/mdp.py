@@ -87,12 +87,18 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
     RuntimeError
         The values had not converged after `max_sweeps`.
     """
-    # Costs are positive, so that 0 is an upper bound, and remains one in every sweep.
-    value = _start(pomdp)
+    # Costs are positive, so that 0 is an upper bound, and remains one in every sweep; in a dead end each step to
+    # come costs at least what the cheapest choice in any of them does.
+    choices = pomdp.model.choices
+    value = np.zeros((len(choices), *pomdp.grid.shape))
+    dead = np.isinf(choices.h) & ~pomdp.final
+    if dead.any():
+        value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
     arrays, order = Arrays.of(pomdp), _order(pomdp)
-    _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps)
+    if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
+        raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
     betas, thetas = pomdp.grid.shape
     q = np.full((len(value), betas, pomdp.suggested.shape[1], thetas), -np.inf)
     q[pomdp.final, :, 0] = value[pomdp.final]
@@ -102,7 +108,7 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
 
 
 def evaluate(
-    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-9, max_sweeps: int = 100_000
+    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-4, max_sweeps: int = 100_000
 ) -> Floats:
     """Give the values of a policy that looks only at x, shape (n, B, T): exact or slightly below.
 
@@ -111,26 +117,26 @@ def evaluate(
     pomdp : AssistPOMDP
     robot : int array, shape (n,)
         What the robot does in each state.
-    tolerance, max_sweeps
-        As in `qmdp`, which also says what is raised.
+    tolerance : float
+        Largest error of any value, in cost units.
+    max_sweeps : int
+        Sweeps over all states at the most; what has not converged by then is still below.
     """
-    value = _start(pomdp)
-    if pomdp.frontier is not None:
-        value[pomdp.frontier.states] = pomdp.frontier.lower[:, None, :]
-    error = _converge(value, _order(pomdp), robot, Arrays.of(pomdp), tolerance, max_sweeps)
+    arrays = Arrays.of(pomdp)
     active = ~pomdp.final
-    value[active] -= error + ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
-    return value
-
-
-def _start(pomdp: AssistPOMDP) -> Floats:
-    """Give 0, and for dead ends what the cheapest choice in any of them costs, for ever."""
-    choices = pomdp.model.choices
-    value = np.zeros((len(choices), *pomdp.grid.shape))
-    dead = np.isinf(choices.h) & ~pomdp.final
-    if dead.any():
-        value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
-    return value
+    silent = pomdp.frontier is None and not robot[active].any()
+    if silent:  # then theta does not matter, and one value of it stands for all
+        arrays = arrays._replace(theta=arrays.theta[:1])
+    # Nothing costs more per step than the dearest choice after the dearest robot action: each sweep raises this.
+    worst = pomdp.charge.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)
+    value = np.where(active, -worst / (1 - pomdp.gamma), 0.0)[:, None, None] * np.ones(
+        (len(pomdp.grid.beta), len(arrays.theta))
+    )
+    if pomdp.frontier is not None:
+        value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
+    _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)
+    value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
+    return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 
 
 def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
@@ -140,15 +146,16 @@ def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
 
 def _converge(
     value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], arrays: Arrays, tolerance: float, sweeps: int
-) -> float:
-    """Sweep until the largest error of any value is below the tolerance, and return it."""
-    residual = np.inf
-    for _ in range(sweeps):
-        residual = _sweep(value, order, robot, arrays)
-        error = residual * arrays.gamma / (1 - arrays.gamma)
-        if error <= tolerance:
-            return error
-    raise RuntimeError(f"value iteration: residual {residual:g} after {sweeps} sweeps")
+) -> bool:
+    """Sweep until no value's error exceeds the tolerance; each beta by itself, since some take much longer."""
+    converged = True
+    for b in range(value.shape[1]):
+        residual, left = np.inf, sweeps
+        while residual * arrays.gamma / (1 - arrays.gamma) > tolerance and left:
+            residual = _sweep(value, order, robot, b, arrays)
+            left -= 1
+        converged &= residual * arrays.gamma / (1 - arrays.gamma) <= tolerance
+    return converged
 
 
 class Arrays(NamedTuple):
@@ -164,6 +171,7 @@ class Arrays(NamedTuple):
     place: NDArray[np.int64]
     charge: Floats
     chosen: Floats
+    rest: Floats
     low: NDArray[np.int64]
     weight: Floats
     theta: Floats
@@ -176,8 +184,8 @@ class Arrays(NamedTuple):
         choices = pomdp.model.choices
         return cls(
             choices.applicable.sum(axis=1), choices.targets, choices.costs, choices.goal, pomdp.final, pomdp.robots,
-            pomdp.suggested, pomdp.place, pomdp.charge, pomdp.chosen, pomdp.low, pomdp.weight, pomdp.grid.theta,
-            pomdp.gamma, pomdp.model.lapse,
+            pomdp.suggested, pomdp.place, pomdp.charge, pomdp.chosen, pomdp.rest, pomdp.low, pomdp.weight,
+            pomdp.grid.theta, pomdp.gamma, pomdp.model.lapse,
         )  # fmt: skip
 
 
@@ -201,7 +209,9 @@ def _row(
     """Fill `q`, shape (R, T), with the return of every robot action (or of `only` one) in state x for one beta.
 
     A suggestion moves theta alike whatever the person does, so that its returns are interpolated in the sums
-    that `_alone` fills in, not action by action. `expected`, `mean` and `other`, shape (T,), are room for them.
+    that `_alone` fills in, not action by action; where hardly anything but the suggestion is left of a sum, the
+    others are summed anew, because a difference would lose its digits. `expected`, `mean` and `other`, shape
+    (T,), are room for the sums.
     """
     _alone(expected, mean, value, x, b, m)
     for r in range(m.robots[x]):
@@ -209,14 +219,22 @@ def _row(
             continue
         slot, place = m.suggested[x, r], m.place[x, r]
         if slot >= 0:
-            y, c, p = m.targets[x, slot], m.costs[x, slot], m.chosen[x, slot, b]
+            y, c, p, rest = m.targets[x, slot], m.costs[x, slot], m.chosen[x, slot, b], m.rest[x, r, b]
+            if p > 0.9:
+                other[:] = 0.0
+                for a in range(m.counts[x]):
+                    if a != slot:
+                        for t in range(len(m.theta)):
+                            other[t] += m.chosen[x, a, b] * (m.gamma * value[m.targets[x, a], b, t] - m.costs[x, a])
+            else:
+                for t in range(len(m.theta)):
+                    other[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
             for t in range(len(m.theta)):
                 at, up, theta = m.low[x, r, t], m.weight[x, r, t], m.theta[t]
-                e = (1.0 - up) * expected[at] + up * expected[at + 1]
                 followed = p * (m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c)
-                total = theta * p + (1.0 - theta) * (1.0 - p)
-                if total > 0.0:
-                    e = (theta * followed + (1.0 - theta) * (e - followed)) / total
+                others = (1.0 - up) * other[at] + up * other[at + 1]
+                total = theta * p + (1.0 - theta) * rest
+                e = (theta * followed + (1.0 - theta) * others) / total if total > 0.0 else followed + others
                 lapsed = (1.0 - up) * mean[at] + up * mean[at + 1]
                 q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.charge[x, r]
         elif place == x:
@@ -231,19 +249,18 @@ def _row(
 
 
 @numba.njit(cache=True)
-def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], m: Arrays) -> float:
+def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: Arrays) -> float:
     """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
     expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     residual = 0.0
     for x in order:
-        for b in range(value.shape[1]):
-            _row(q, expected, mean, other, value, x, b, robot[x], m)
-            for t in range(thetas):
-                best = q[robot[x], t] if robot[x] >= 0 else q[: m.robots[x], t].max()
-                residual = max(residual, abs(best - value[x, b, t]))
-                value[x, b, t] = best
+        _row(q, expected, mean, other, value, x, b, robot[x], m)
+        for t in range(thetas):
+            best = q[robot[x], t] if robot[x] >= 0 else q[: m.robots[x], t].max()
+            residual = max(residual, abs(best - value[x, b, t]))
+            value[x, b, t] = best
     return residual
 
 

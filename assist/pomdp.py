@@ -70,6 +70,8 @@ class AssistPOMDP:
         Cost of each robot action.
     chosen : float array, shape (n, A, B)
         The person's choice without a suggestion and without lapses.
+    rest : float array, shape (n, R, B)
+        The chance of all slots but the suggested one, summed: 1 - p would lose its digits where p is almost 1.
     low, weight : int and float arrays, shape (n, R, T)
         Where a robot action moves theta to, as `Grid.shares` gives it.
     frontier : Frontier or None
@@ -87,13 +89,15 @@ class AssistPOMDP:
     place: NDArray[np.int64]
     charge: Floats
     chosen: Floats
+    rest: Floats
     low: NDArray[np.int64]
     weight: Floats
     frontier: Frontier | None = None
 
     def __post_init__(self) -> None:
         for array in (
-            self.prior, self.robots, self.suggested, self.place, self.charge, self.chosen, self.low, self.weight,
+            self.prior, self.robots, self.suggested, self.place, self.charge, self.chosen, self.rest, self.low,
+            self.weight,
         ):  # fmt: skip
             array.flags.writeable = False
 
@@ -150,6 +154,8 @@ class AssistPOMDP:
             charge[state, column + count[state]] = c_execute
 
         chosen = np.stack([choice(model.q, choices.applicable, beta) for beta in grid.beta], axis=-1)
+        slots = np.arange(choices.applicable.shape[1])
+        rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
         value = perceived_value(choices, model.q)
         # Without a suggestion the person expects to stay where they are, so that theta does not move.
         after = np.where(
@@ -159,7 +165,7 @@ class AssistPOMDP:
         low, weight = grid.shares(theta)
         return cls(
             model, grid, gamma, c_suggest, c_execute, grid.prior(population), robots, suggested, place, charge, chosen,
-            low, weight, frontier,
+            rest, low, weight, frontier,
         )  # fmt: skip
 
     @cached_property
@@ -182,10 +188,7 @@ class AssistPOMDP:
         p = self.chosen[place, action][:, :, None]
         followed = self.chosen[place, np.maximum(suggestion, 0)][:, :, None]
         theta = self.grid.theta
-        # Summed, not 1 - followed: where little remains, its digits would be lost, and theta = 0 divides by it.
-        suggested = np.arange(self.chosen.shape[1]) == suggestion[:, None]
-        others = self.chosen[place].sum(axis=1, where=~suggested[:, :, None])[:, :, None]
-        total = theta * followed + (1 - theta) * others
+        total = theta * followed + (1 - theta) * self.rest[x, robot][:, :, None]
         weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
         influenced = np.divide(

@@ -164,15 +164,11 @@ def _look_ahead(
             other[:], same[:], lapsed[:] = 0.0, 0.0, 0.0
             for b in range(betas):
                 p = m.chosen[place, max(slot, 0), b]
-                rest = 0.0  # summed, not 1 - p, which would lose its digits where p is almost 1
-                for a in range(m.counts[place]):
-                    if a != slot:
-                        rest += m.chosen[place, a, b]
                 for t in range(thetas):
                     theta, weight = m.theta[t], belief[i, b, t]
                     others, suggested = weight, weight
                     if slot >= 0:
-                        total = theta * p + (1.0 - theta) * rest
+                        total = theta * p + (1.0 - theta) * m.rest[s, r, b]
                         if total > 0.0:
                             others, suggested = weight * (1.0 - theta) / total, weight * theta / total
                     at, up = m.low[s, r, t], m.weight[s, r, t]

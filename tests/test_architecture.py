@@ -13,7 +13,8 @@ ORDER = [
     "planner.successors", "planner.statespace", "planner.costtogo", "planner.moves", "planner.kernels",
     "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
     "assist.choices", "assist.human", "assist.belief", "assist.pomdp", "assist.mdp", "assist.vectors",
-    "assist.exchange", "assist.attention", "assist.simulate", "assist.figures", "assist.cli",
+    "assist.hull", "assist.solver", "assist.exchange", "assist.attention", "assist.simulate", "assist.figures",
+    "assist.cli",
 ]  # fmt: skip
 MAY_READ_PDDL = {"assist.cli"}
 ARRAYS = {"planner", "planner.errors", "planner.storage"}
