@@ -12,9 +12,10 @@ Every solver gets the same problem in the same run, SARSOP as the POMDPX file th
   have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
 
 The relative gap is (upper - lower) / |lower| in the initial state. Seconds count from where the problem is in memory
-(of SARSOP's initialisation too): reading the model and the whole process stand apart. SARSOP's seconds are those of
-its own clock, which is the processor's, as its time limit is; it reports its bounds every 50 backups or so, and is
-late by up to that. Written are `results.jsonl` (a line per solver and case, with the curve) and `pomdp.png`. The
+(of SARSOP's initialisation too): reading the model and the whole process stand apart. They are the processor's, so
+that a busy machine favours nobody: SARSOP's own clock and time limit are that; the time limit of this project's solver
+is the clock's. SARSOP reports its bounds every 50 backups or so, this project's solver every tenth of a second: both
+are late by up to that. Written are `results.jsonl` (a line per solver and case, with the curve) and `pomdp.png`. The
 program ends with exit code 1 where two solvers' bounds exclude each other.
 """
 
