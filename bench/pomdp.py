@@ -25,7 +25,6 @@ import json
 import os
 import pty
 import re
-import resource
 import subprocess
 import sys
 import tempfile
@@ -61,21 +60,29 @@ STYLES = {"kitassist": ("#0072B2", "-"), "sarsop": ("#D55E00", "--")}
 
 
 class Memory(threading.Thread):
-    """Watches a process's peak memory in MB. What `wait4` tells of a child includes what its parent had before."""
+    """Watches a process's peak memory in MB, and ends it above a limit.
 
-    def __init__(self, process: int) -> None:
+    A limit of the address space would not do: SARSOP asks for far more than it uses. And what `wait4` tells of a child
+    includes what its parent had before.
+    """
+
+    def __init__(self, process: subprocess.Popen[bytes], limit: float) -> None:
         super().__init__(daemon=True)
-        self.file, self.peak = Path(f"/proc/{process}/status"), 0.0
+        self.process, self.limit, self.peak = process, limit, 0.0
 
     def run(self) -> None:
+        file = Path(f"/proc/{self.process.pid}/status")
         while True:
             try:
-                found = re.search(r"VmHWM:\s+(\d+)", self.file.read_text())
+                found = re.search(r"VmHWM:\s+(\d+)", file.read_text())
             except OSError:
                 return
             if found is None:  # it has ended
                 return
             self.peak = int(found[1]) / 1024
+            if self.peak > self.limit:
+                self.process.kill()
+                return
             time.sleep(0.05)
 
 
@@ -89,13 +96,12 @@ def run(
     inner, outer = pty.openpty()
     start = time.perf_counter()
     process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=outer, stderr=outer, env={**os.environ, **environment},
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (memory << 20, memory << 20)),
+        command, stdin=subprocess.DEVNULL, stdout=outer, stderr=outer, env={**os.environ, **environment}
     )  # fmt: skip
     os.close(outer)
     timer = threading.Timer(limit, process.kill)
     timer.start()
-    watch = Memory(process.pid)
+    watch = Memory(process, memory)
     watch.start()
     last = rest = b""
     try:
@@ -122,10 +128,13 @@ def run(
         watch.join()
     seconds = time.perf_counter() - start
     measured = {"process": seconds, "cpu": usage.ru_utime + usage.ru_stime, "peak_mb": watch.peak}
+    if watch.peak > memory:
+        return process.returncode, measured, f"stopped above {memory:,} MB"
     return process.returncode, measured, last.decode(errors="replace")
 
 
 NUMBER = r"(-?[\d.]+(?:e[+-]?\d+)?)"
+PHASE = re.compile(rf"(loading|initialization) time *: *{NUMBER}")
 TRIAL = re.compile(rf"^ *{NUMBER} +(\d+) +(\d+) +{NUMBER} +{NUMBER} +{NUMBER} +(\d+) +(\d+) *$")
 
 
@@ -138,11 +147,9 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
     marks: dict[str, float] = {}
     warnings: list[str] = []
 
-    def on_line(now: float, line: str) -> None:
-        if "loading time" in line:
-            marks["load"] = now
-        elif "initialization time" in line:
-            marks["initialise"] = now
+    def on_line(_: float, line: str) -> None:
+        if match := PHASE.search(line):
+            marks[match[1]] = float(match[2])
         elif "warning" in line.lower() or "error" in line.lower():
             warnings.append(line)
         elif match := TRIAL.match(line):
@@ -157,8 +164,7 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
     # Its own time limit is asked for between trials only, begins when the model is read, and is processor time.
     code, measured, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
     row["note"] = warnings[0] if warnings else last if code else ""
-    row |= {**measured, "load": marks.get("load")}
-    row["initialise"] = marks["initialise"] - marks["load"] if "initialise" in marks else None
+    row |= {**measured, "load": marks.get("loading"), "initialise": marks.get("initialization")}
     row["status"] = "ok" if code == 0 and row["curve"] else "failed"
     return row
 

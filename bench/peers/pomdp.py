@@ -52,7 +52,7 @@ def own(case: Case, options: dict[str, Any]) -> None:
     from assist.solver import solve
 
     if options["warm"]:
-        solve(Case("tiny", 0.95, 0.5, 0.5, 0).problem(), gap=0.1, time_limit=5)
+        solve(Case("tiny", 0.95, 0.5, 0.5, 0).problem(), gap=0.01)
     start = time.process_time()
     pomdp = case.problem()
     loaded = time.process_time()
