@@ -135,6 +135,7 @@ class Region:
             levels = _advised(survey, costs, floor, grid, model, gamma, c_suggest)
             reached = np.isfinite(h)
             lower[reached] = levels[h[reached].astype(np.int64)]
+        lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot is silent
         return lower, upper
 
 
