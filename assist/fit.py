@@ -145,8 +145,8 @@ class Method:
     eta : float or None
         Rate of the trust update where it is known; estimated, from 0 to 1, where it is None.
     largest_beta : float or None
-        Estimates and intervals end here. None: where a mistake of the smallest size that could be made has odds of
-        exp(-20) = 2e-9 against it.
+        Estimates and intervals end here. None: where the smallest mistake that could be made has odds of only
+        exp(-10), 5 in 100,000. That is less than a lapse has, so that nothing recorded speaks about larger values.
     """
 
     level: float = 0.95
@@ -235,7 +235,7 @@ def largest_beta(observations: Sequence[Observations], method: Method) -> float:
     if method.largest_beta is not None:
         return method.largest_beta
     sizes = [o.excess[(o.excess > 0) & np.isfinite(o.excess)] for o in observations]
-    return 20.0 / min((float(size.min()) for size in sizes if len(size)), default=1.0)
+    return 10.0 / min((float(size.min()) for size in sizes if len(size)), default=1.0)
 
 
 def fit(
