@@ -75,7 +75,9 @@ class Grid:
     def prior(self, population: Population | Mixture) -> Floats:
         """Give the belief, shape (B, T), in a person drawn from a population.
 
-        That in a mixture is the mixture of those in its parts. Beta is uniform over the grid's values in the population's range (over the nearest one, where
+        That in a mixture is the mixture of those in its parts.
+
+        Beta is uniform over the grid's values in the population's range (over the nearest one, where
         none is). The uniform density of theta is shared between grid points like single values are,
         so that its mean is exact.
         """

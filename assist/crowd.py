@@ -5,9 +5,9 @@ people is a share of each cell, and the one is sought under which all that was r
 
     sum over people k of log( sum over cells g of share(g) L_k(g) ).
 
-Within families: beta uniform or log-uniform on a range or log-normal, theta uniform on a range or normal, all cut off at the ends
-of the grid; or free of any family ("histogram", Laird 1978). The result is a `Mixture`, from which people can be
-drawn and simulated.
+Within families: beta uniform or log-uniform on a range or log-normal, theta uniform on a range or normal, all cut
+off at the ends of the grid; or free of any family ("histogram", Laird 1978). The result is a `Mixture`, from which
+people can be drawn and simulated.
 """
 
 from __future__ import annotations
@@ -154,8 +154,12 @@ def mixture(record: dict[str, Any]) -> Mixture:
         It is none.
     """
     try:
-        parts = [(float(p["share"]), *(tuple(map(float, p[k])) for k in ("beta", "theta", "sigma"))) for p in record["parts"]]
-        return Mixture(tuple(Population(*spans) for _, *spans in parts), tuple(share for share, *_ in parts))
+        parts, shares = [], []
+        for part in record["parts"]:
+            (b, c), (t, u), (v, w) = (part[name] for name in ("beta", "theta", "sigma"))
+            parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w))))
+            shares.append(float(part["share"]))
+        return Mixture(tuple(parts), tuple(shares))
     except (KeyError, TypeError) as error:
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({error!r})") from None
 
@@ -229,7 +233,9 @@ def fit_crowd(
             Margin.of(names[k], tuple(values[2 * k : 2 * k + 2].tolist()), (edges_beta, edges_theta)[k], parts[k])
             for k in range(1 + told)
         ]
-    return Crowd(len(observations), margins[0], margins[1] if told else None, eta if told else None, score + top, shares)
+    return Crowd(
+        len(observations), margins[0], margins[1] if told else None, eta if told else None, score + top, shares
+    )
 
 
 def _summit(x: Floats, y: Floats) -> float:
@@ -243,7 +249,7 @@ def _summit(x: Floats, y: Floats) -> float:
 
 
 def _free(table: Floats, rounds: int) -> tuple[Floats, float]:
-    """Maximise over all shares, shape (B, T), by expectation and maximisation from equal ones; give them and the score."""
+    """Maximise over all shares, shape (B, T), by the EM algorithm from equal ones; give them and the score."""
     flat = table.reshape(len(table), -1)
     shares = np.full(flat.shape[1], 1 / flat.shape[1])
     for _ in range(rounds):

@@ -58,6 +58,8 @@ class Observations:
     state : int array, shape (N,)
     cost_to_go : float array, shape (N,)
         h* of the state.
+    goal : bool array, shape (N, A)
+        Which targets are goal states.
     """
 
     person: str
@@ -72,6 +74,7 @@ class Observations:
     begins: NDArray[np.bool_]
     state: Ints
     cost_to_go: Floats
+    goal: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -93,7 +96,7 @@ class Observations:
         return int((self.regret > 0).sum())
 
 
-def observe(recording: Recording, h: Floats) -> list[Observations]:
+def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Observations]:
     """Give each person's observations, in the order of `recording.people`.
 
     Parameters
@@ -101,6 +104,8 @@ def observe(recording: Recording, h: Floats) -> list[Observations]:
     recording : Recording
     h : float array, shape (states,)
         h* of the states that `recording.wanted()` names, infinite at dead ends; others are not read.
+    goal : bool array, shape (states,)
+        Which of them are goal states.
     """
     r = recording
     ahead = np.where(r.applicable, h[r.targets], np.inf)
@@ -125,6 +130,7 @@ def observe(recording: Recording, h: Floats) -> list[Observations]:
             Observations(
                 person, names, excess[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
                 r.suggested[own], gain[own], begins[own], r.state[own], best[own],
+                goal[r.targets[own]] & r.applicable[own],
             )
         )  # fmt: skip
     return result
@@ -289,13 +295,14 @@ def log_likelihood(
 
 SMALL = 1e-3  # beta is searched on a scale that is linear below this share of its range, and logarithmic above
 POINTS = (48, 31, 17)  # of the coarse grid over beta, theta, eta
+RIDGES = 5
 
 
 class _Data(NamedTuple):
     """Observations in the form that compiled code reads."""
 
     excess: Floats
-    count: Ints
+    options: Ints
     chosen: Ints
     suggested: Ints
     gain: Floats
@@ -325,6 +332,8 @@ class _Search:
         self.low, self.high = (np.array([axis[end] for axis in spans]) for end in (0, -1))
         self.step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in spans])
         self.values = _grid(self.data, self.small * np.expm1(spans[BETA]), spans[THETA], spans[ETA])
+        sizes = np.abs(self.data.gain[np.isfinite(self.data.gain) & (self.data.gain != 0)])
+        self.unit = float(sizes.min()) if len(sizes) else 1.0
         self.drop = chi2.ppf(method.level, 1) / 2
 
     def fit(self) -> Fit:
@@ -358,7 +367,7 @@ class _Search:
         if fixed >= 0:
             step[fixed] = 0.0
         at = start.copy()
-        best = _climb(self.data, at, step, self.low, self.high, self.small)
+        best = _climb(self.data, at, step, self.low, self.high, self.small, self.unit)
         return best, at
 
     def _to_the_end(self, best: float, at: Floats) -> Floats:
@@ -404,7 +413,10 @@ class _Search:
             if len(kept):
                 inside = float(grid[outside[kept[-1]]])
                 outside = outside[kept[-1] + 1 :]
-            margin = lambda value: self._profile(axis, value, at) - best + self.drop  # noqa: E731
+
+            def margin(value: float) -> float:
+                return self._profile(axis, value, at) - best + self.drop
+
             end, opened = inside, True
             for index in outside:
                 value = float(grid[index])
@@ -427,7 +439,7 @@ def _alone(data: _Data, beta: float, own: Floats, told: Floats) -> None:
     """Fill in the probability, shape (N,), of what was chosen and of what was suggested, were nothing suggested."""
     for i in range(len(data.chosen)):
         total = picked = heard = 0.0
-        for a in range(data.count[i]):
+        for a in range(data.options[i]):
             weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
             total += weight
             if a == data.chosen[i]:
@@ -461,7 +473,7 @@ def _with_trust(data: _Data, own: Floats, told: Floats, first: float, eta: float
             if norm > 0.0:
                 p *= (theta if data.chosen[i] == data.suggested[i] else 1.0 - theta) / norm
             theta = _moved(theta, eta, data.gain[i])
-        product *= (1.0 - data.lapse) * p + data.lapse / data.count[i]
+        product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
         if product < 1e-100:
             total += math.log(product)
             product = 1.0
@@ -488,27 +500,35 @@ def _at(data: _Data, at: Floats, small: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, small: float) -> float:
-    """Improve a point in place by a pattern search (Hooke and Jeeves 1961); return its log-likelihood."""
+def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, small: float, unit: float) -> float:
+    """Improve a point in place by a pattern search (Hooke and Jeeves 1961); return its log-likelihood.
+
+    Besides single coordinates it moves along theta + k unit eta = constant: where trust just reaches 0 or 1 after k
+    suggestions that change V by `unit`, the likelihood has a ridge.
+    """
     own, told = np.empty(len(data.chosen)), np.empty(len(data.chosen))
     filled = at[0]
     _alone(data, small * math.expm1(filled), own, told)
     best = _with_trust(data, own, told, at[1], at[2])
+    before = at.copy()
     for _ in range(18):  # until steps are a 260,000th of the grid's
         improved = True
         rounds = 0
         while improved and rounds < 50:
             improved = False
             rounds += 1
-            for axis in range(3):
-                if step[axis] == 0.0:
+            for direction in range(3 + 2 * RIDGES):
+                axis = min(direction, 2)
+                if step[axis] == 0.0 or (direction > 2 and step[1] == 0.0):
                     continue
+                k = (direction - 1) // 2 * (1.0 if direction % 2 else -1.0)
                 for sign in (-1.0, 1.0):
-                    before = at[axis]
-                    after = min(max(before + sign * step[axis], low[axis]), high[axis])
-                    if after == before:
-                        continue
-                    at[axis] = after
+                    before[:] = at
+                    at[axis] += sign * step[axis]
+                    if direction > 2:
+                        at[1] -= sign * step[2] * k * unit
+                    for c in range(3):
+                        at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
                         _alone(data, small * math.expm1(filled), own, told)
@@ -517,7 +537,7 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
                         best = value
                         improved = True
                         break
-                    at[axis] = before
+                    at[:] = before
         step /= 2
     return best
 

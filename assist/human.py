@@ -196,7 +196,9 @@ class Mixture:
         if not self.parts or len(self.parts) != len(self.shares):
             raise ValueError(f"{len(self.parts)} parts, {len(self.shares)} shares: expected one share for each part")
         if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
-            raise ValueError(f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1")
+            raise ValueError(
+                f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
+            )
 
     @property
     def beta(self) -> Range:

@@ -15,6 +15,7 @@ import difflib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -225,11 +226,14 @@ def replay(
     walks = []
     for key in sorted(episodes):
         rows = sorted(episodes[key], key=lambda row: (row[0].step, row[0].line))
-        twice = [(a[0], b[0]) for a, b in zip(rows, rows[1:], strict=False) if a[0].step == b[0].step]
+        twice = [(a[0], b[0]) for a, b in pairwise(rows) if a[0].step == b[0].step]
         if twice:
             first, second = twice[0]
             faults.append(
-                _at(second, f"step {second.step} is on line {first.line} already; are these two episodes, or two people?")
+                _at(
+                    second,
+                    f"step {second.step} is on line {first.line} already; are these two episodes, or two people?",
+                )
             )
         else:
             walks.append(_Walk(rows))

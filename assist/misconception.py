@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq, minimize_scalar
 from scipy.stats import chi2
@@ -36,7 +35,9 @@ class Misconception:
     sigma : float
         Standard deviation, in cost units.
     interval : (float, float)
-        By the profile likelihood; its upper end may be the end of the search.
+        By the profile likelihood.
+    open_above : bool
+        Whether the interval ends where the search does, at `LARGEST_SIGMA`.
     beta : float
         Expertise where mistakes may come from misconceptions: no smaller than that of the plain model.
     log_likelihood, without : float
@@ -51,6 +52,7 @@ class Misconception:
 
     sigma: float
     interval: tuple[float, float]
+    open_above: bool
     beta: float
     log_likelihood: float
     without: float
@@ -64,17 +66,15 @@ class Misconception:
             array.flags.writeable = False
 
 
-def fit_misconception(fitted: Fit, goal: NDArray[np.bool_]) -> Misconception:
+def fit_misconception(fitted: Fit) -> Misconception:
     """Estimate sigma and h of a person.
 
     Parameters
     ----------
     fitted : Fit
         The person's estimates without misconceptions.
-    goal : bool array, shape (N, A)
-        Which targets of the person's observations are goal states: these are recognised.
     """
-    model = _Model(fitted, goal)
+    model = _Model(fitted)
     sizes = fitted.observations.excess
     sizes = sizes[(sizes > 0) & np.isfinite(sizes)]
     unit = float(sizes.min()) if len(sizes) else 1.0
@@ -101,12 +101,14 @@ def fit_misconception(fitted: Fit, goal: NDArray[np.bool_]) -> Misconception:
     sigma, best = (float(found.x), -float(found.fun)) if -found.fun > values[place] else (tried[place], values[place])
     drop = chi2.ppf(fitted.method.level, 1) / 2
 
+    def margin(sigma: float) -> float:
+        return best_beta(sigma)[1] - best + drop
+
     def end(side: int) -> float:
         outside = tried[(tried - sigma) * side > 1e-9][::side]
         inside = sigma
         for value in outside:
-            if best_beta(float(value))[1] < best - drop:
-                margin = lambda x: best_beta(x)[1] - best + drop  # noqa: E731
+            if margin(float(value)) < 0:
                 return float(brentq(margin, inside, value, xtol=0.02 * unit)) if margin(inside) > 0 else float(inside)
             inside = value
         return float(outside[-1]) if len(outside) else float(sigma)
@@ -116,20 +118,29 @@ def fit_misconception(fitted: Fit, goal: NDArray[np.bool_]) -> Misconception:
     perceived = model.h + (z / beta if sigma > 0 else 0.0)
     interval = (0.0 if sigma == 0 else end(-1), top if sigma >= top else end(1))
     return Misconception(
-        float(sigma), interval, beta, float(best), float(values[0]), model.states, model.h, perceived, model.seen
+        float(sigma),
+        interval,
+        interval[1] >= top,
+        beta,
+        float(best),
+        float(values[0]),
+        model.states,
+        model.h,
+        perceived,
+        model.seen,
     )
 
 
 class _Model:
     """Choices among alternatives whose costs are uncertain, each state's by one number z = beta sigma eps."""
 
-    def __init__(self, fitted: Fit, goal: NDArray[np.bool_]) -> None:
+    def __init__(self, fitted: Fit) -> None:
         o: Observations = fitted.observations
         rows = np.arange(len(o))
         # A needless way into a dead end is a lapse, and a choice that is none says nothing.
         kept = np.isfinite(o.regret) & np.isfinite(o.cost_to_go) & (o.applicable.sum(axis=1) > 1)
         possible = o.applicable & np.isfinite(o.excess)
-        uncertain = possible & ~goal & kept[:, None]
+        uncertain = possible & ~o.goal & kept[:, None]
         self.states, first, inverse, self.seen = np.unique(
             o.targets[uncertain], return_index=True, return_inverse=True, return_counts=True
         )
@@ -166,7 +177,7 @@ class _Model:
         value, p = self._terms(beta, z)
         value -= float(z @ z) / (2 * variance)
         for _ in range(50):
-            gradient = np.bincount(self.index.ravel(), p.ravel(), m + 1)
+            gradient: Floats = np.bincount(self.index.ravel(), p.ravel(), m + 1).astype(float)
             gradient -= np.bincount(self.index[np.arange(len(p)), self.chosen], minlength=m + 1)
             gradient = (gradient - z / variance)[:m]
             factor = cho_factor(self._curvature(p, m) + np.eye(m) / variance)

@@ -112,7 +112,9 @@ def record(
         told = np.full(len(at), NOTHING, dtype=np.int64)
         asked = np.flatnonzero(rng.random(len(at)) < suggest)
         if len(asked):
-            exact = q if people.noise is None else perceived_costs(answers, People(people.beta, people.theta), k, x[at])[0]
+            exact = (
+                q if people.noise is None else perceived_costs(answers, People(people.beta, people.theta), k, x[at])[0]
+            )
             best = (exact == exact.min(axis=1, keepdims=True))[asked]
             pool = np.where((rng.random(len(asked)) < good)[:, None], best, applicable[asked])
             told[asked] = np.where(pool, rng.random(pool.shape), -1.0).argmax(axis=1)
@@ -120,14 +122,14 @@ def record(
         slot = (p.cumsum(axis=1) <= rng.random((len(at), 1))).sum(axis=1)
         slot = np.minimum(slot, p.shape[1] - 1 - (p[:, ::-1] > 0).argmax(axis=1))
         lines = np.arange(len(at))
-        for i in lines:
-            rows.append(
-                {
-                    "person": names[k[i]], "episode": str(number[at[i]] + 1), "step": step,
-                    "action": actions_of[actions[i, slot[i]]],
-                    "suggestion": actions_of[actions[i, told[i]]] if told[i] != NOTHING else None,
-                }
-            )  # fmt: skip
+        rows += [
+            {
+                "person": names[k[i]], "episode": str(number[at[i]] + 1), "step": step,
+                "action": actions_of[actions[i, slot[i]]],
+                "suggestion": actions_of[actions[i, told[i]]] if told[i] != NOTHING else None,
+            }
+            for i in lines
+        ]  # fmt: skip
         if len(asked):
             before = value(answers, people, k[asked], x[at][asked])
             after = value(answers, people, k[asked], targets[asked, told[asked]])
@@ -145,7 +147,7 @@ def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
     ]
     recording, faults = replay(entries, answers)
     assert not faults
-    h = np.full(len(answers), np.nan)
+    h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
     wanted = recording.wanted()
-    h[wanted] = answers.lookup(wanted)
-    return observe(recording, h)
+    h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
+    return observe(recording, h, goal)
