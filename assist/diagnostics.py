@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from .fit import Fit
 from .human import Floats
@@ -62,7 +62,7 @@ def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
     count = count[kept]
     predicted = np.bincount(number, p, bins)[kept] / count
     observed = np.bincount(number, hit, bins)[kept] / count
-    z = float(norm.ppf(0.975))
+    z = float(ndtri(0.975))
     middle = (observed + z * z / (2 * count)) / (1 + z * z / count)
     half = z * np.sqrt(observed * (1 - observed) / count + z * z / (4 * count**2)) / (1 + z * z / count)
     return Calibration(predicted, observed, middle - half, middle + half, count)

@@ -22,7 +22,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .human import NOTHING, Floats, choice, influence, lapse
 from .log import Recording
@@ -334,7 +334,7 @@ class _Search:
         self.values = _grid(self.data, self.small * np.expm1(spans[BETA]), spans[THETA], spans[ETA])
         sizes = np.abs(self.data.gain[np.isfinite(self.data.gain) & (self.data.gain != 0)])
         self.unit = float(sizes.min()) if len(sizes) else 1.0
-        self.drop = chi2.ppf(method.level, 1) / 2
+        self.drop = float(chdtri(1, 1 - method.level)) / 2
 
     def fit(self) -> Fit:
         best, at = -np.inf, np.zeros(3)

@@ -128,6 +128,7 @@ def errors_figure(fits: list[Fit]) -> Figure:
 def episodes_figure(fits: list[Fit]) -> Figure:
     """Draw the cost-to-go along each person's episodes, and the suggestions."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     shown = fits
     if len(fits) > MOST_PANELS:  # from the least to the most expert
@@ -158,7 +159,8 @@ def episodes_figure(fits: list[Fit]) -> Figure:
         axis.set_title(f"{o.person}: β = {f.beta.value:.2g}, {o.suboptimal} of {len(o)} suboptimal", fontsize=9)
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
-        axis.set_ylim(bottom=0)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes[0].set_ylim(bottom=0)  # shared, and only now: a limit stops the scaling
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else "all people"
     figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled where taken", fontsize=10)
     figure.supxlabel("action", fontsize=9)

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq, minimize_scalar
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from .fit import Fit, Ints, Observations
 from .human import NOTHING, Floats
@@ -99,10 +100,10 @@ def fit_misconception(fitted: Fit) -> Misconception:
         lambda sigma: -best_beta(float(sigma))[1], bounds=(low, high), method="bounded", options={"xatol": 0.02 * unit}
     )
     sigma, best = (float(found.x), -float(found.fun)) if -found.fun > values[place] else (tried[place], values[place])
-    drop = chi2.ppf(fitted.method.level, 1) / 2
+    drop = chdtri(1, 1 - fitted.method.level) / 2
 
     def margin(sigma: float) -> float:
-        return best_beta(sigma)[1] - best + drop
+        return float(best_beta(sigma)[1] - best + drop)
 
     def end(side: int) -> float:
         outside = tried[(tried - sigma) * side > 1e-9][::side]
@@ -180,7 +181,7 @@ class _Model:
             gradient: Floats = np.bincount(self.index.ravel(), p.ravel(), m + 1).astype(float)
             gradient -= np.bincount(self.index[np.arange(len(p)), self.chosen], minlength=m + 1)
             gradient = (gradient - z / variance)[:m]
-            factor = cho_factor(self._curvature(p, m) + np.eye(m) / variance)
+            factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
             step = cho_solve(factor, gradient)
             size = 1.0
             while True:  # the function is concave, so that a short enough step improves it
@@ -195,14 +196,19 @@ class _Model:
             if gain < 1e-7:
                 break
         self.z = z
-        factor = cho_factor(self._curvature(p, m) + np.eye(m) / variance)
+        factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
         determinant = 2 * float(np.log(np.diag(factor[0])).sum()) + m * float(np.log(variance))
         return value - determinant / 2, z[:m]
 
-    def _curvature(self, p: Floats, m: int) -> Floats:
-        """Minus the second derivatives of the choices' log-likelihood by z, shape (M, M)."""
-        n, width = p.shape
-        spread = np.zeros((n, m + 1))
-        np.add.at(spread, (np.repeat(np.arange(n), width), self.index.ravel()), p.ravel())
-        result = np.diag(spread.sum(axis=0)) - spread.T @ spread
-        return result[:m, :m]
+
+@numba.njit(cache=True, nogil=True)
+def _curvature(p: Floats, index: Ints, m: int) -> Floats:
+    """Minus the second derivatives of the choices' log-likelihood by z, shape (M, M)."""
+    result = np.zeros((m + 1, m + 1))
+    for i in range(p.shape[0]):
+        for a in range(p.shape[1]):
+            if p[i, a] > 0.0:
+                result[index[i, a], index[i, a]] += p[i, a]
+                for b in range(p.shape[1]):
+                    result[index[i, a], index[i, b]] -= p[i, a] * p[i, b]
+    return result[:m, :m]

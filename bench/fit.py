@@ -8,22 +8,25 @@ them, `identify` draws what can and cannot be told apart, `time` runs the comman
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 import numpy as np
+from rich.console import Console
+from rich.table import Table as Grid
+from scipy.stats import spearmanr
 
-from assist.fit import Fit, Method, Observations, fit, observe
+from assist.crowd import fit_crowd
+from assist.diagnostics import check
+from assist.fit import Method, Observations, fit, observe
 from assist.human import NOTHING, choice, influence, trust
-from assist.log import Entry, Recording, replay
-from planner import CostToGo, OnDemand, Table, cost_to_go, load
+from assist.log import Entry, replay
+from assist.misconception import fit_misconception
+from planner import Cache, CostToGo, OnDemand, Task, load, sweep
 from planner.storage import write_records
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -151,3 +154,203 @@ def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
     wanted = recording.wanted()
     h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
     return observe(recording, h, goal)
+
+
+def uniform(rng: np.random.Generator, low: float, high: float, count: int, distribution: str) -> np.ndarray:
+    """Draw numbers between two bounds, evenly or evenly in the logarithm."""
+    if distribution == "log-uniform":
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+    return rng.uniform(low, high, count)
+
+
+@click.group()
+def main() -> None:
+    """Measure what is recovered of people from their recorded actions."""
+
+
+@main.command()
+@click.option("--instance", default="kitting/paper", show_default=True)
+@click.option("--people", "count", type=int, default=200, show_default=True)
+@click.option("--episodes", type=int, default=3, show_default=True)
+@click.option("--distribution", type=click.Choice(["uniform", "log-uniform"]), default="uniform", show_default=True)
+@click.option("--beta", nargs=2, type=float, default=(0.1, 5.0), show_default=True)
+@click.option("--theta", nargs=2, type=float, default=(0.3, 0.95), show_default=True)
+@click.option("--sigma", type=float, default=0.0, show_default=True)
+@click.option("--suggest", type=float, default=0.5, show_default=True, help="Share of steps with a suggestion.")
+@click.option("--eta", type=float, help="Tell the fit the rate of the trust update (0.2).")
+@click.option("--largest-beta", type=float)
+@click.option("--seeds", type=int, default=1, show_default=True)
+def recover(
+    instance: str, count: int, episodes: int, distribution: str, beta: tuple[float, float],
+    theta: tuple[float, float], sigma: float, suggest: float, eta: float | None, largest_beta: float | None, seeds: int,
+) -> None:  # fmt: skip
+    """Estimate people whose parameters are known, and say how many intervals cover them."""
+    table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
+    method = Method(eta=eta, largest_beta=largest_beta)
+    shown = Grid(
+        title=f"{instance}: {count} people, {episodes} episodes, beta {distribution} in {beta}, sigma {sigma:g}"
+    )
+    for name in (
+        "seed", "actions", "seconds", "beta covered", "rank corr.", "not bounded", "theta covered", "eta covered",
+        "family", "mean", "true", "spread", "true", "theta mean", "true", "spread", "true",
+    ):  # fmt: skip
+        shown.add_column(name, justify="right")
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        people = People(
+            uniform(rng, *beta, count, distribution), rng.uniform(*theta, count),
+            noise=sigma * rng.standard_normal((count, len(table))) if sigma else None,
+        )  # fmt: skip
+        observations = observed(table, record(table, people, episodes=episodes, rng=rng, suggest=suggest, most=2000))
+        start = time.perf_counter()
+        fits = fit(observations, method)
+        seconds = time.perf_counter() - start
+        crowd = fit_crowd(observations, method)
+
+        def covered(true: np.ndarray, ends: list[tuple[float, float]]) -> str:
+            low, high = np.array(ends).T
+            return f"{100 * ((low <= true) & (true <= high)).mean():.1f} %"
+
+        told = all(f.theta is not None for f in fits)
+        shown.add_row(
+            str(seed),
+            f"{sum(map(len, observations)):,}",
+            f"{seconds:.1f}",
+            covered(people.beta, [f.beta.interval for f in fits]),
+            f"{spearmanr(people.beta, [f.beta.value for f in fits])[0]:.3f}",
+            f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
+            covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
+            covered(np.full(count, people.eta), [f.eta.interval for f in fits]) if told and eta is None else "-",
+            crowd.beta.family,
+            *(f"{x:.2f}" for x in (crowd.beta.mean, people.beta.mean(), crowd.beta.spread, people.beta.std())),
+            *(
+                f"{x:.2f}"
+                for x in (crowd.theta.mean, people.theta.mean(), crowd.theta.spread, people.theta.std())
+                if crowd.theta is not None
+            ),
+        )
+    Console(width=190).print(shown)
+
+
+@main.command()
+@click.option("--people", "count", type=int, default=10, show_default=True)
+def misconceptions(count: int) -> None:
+    """Estimate sigma and h of people whose misconceptions are known."""
+    table = sweep(load(KITTING / "paper.pddl"))
+    shown = Grid(title=f"kitting/paper: {count} people each, beta 2, medians")
+    for name in (
+        "episodes", "sigma", "plain beta", "beta", "sigma found", "sigma covered", "corr. of h", "check p < 0.05",
+        "seconds each",
+    ):  # fmt: skip
+        shown.add_column(name, justify="right")
+    for episodes in (3, 10, 30):
+        for sigma in (0.0, 0.5, 1.0):
+            rng = np.random.default_rng(1)
+            noise = sigma * rng.standard_normal((count, len(table)))
+            people = People(np.full(count, 2.0), np.full(count, 0.6), noise=noise)
+            fits = fit(observed(table, record(table, people, episodes=episodes, rng=rng, most=500)))
+            start = time.perf_counter()
+            found = [fit_misconception(f) for f in fits]
+            seconds = (time.perf_counter() - start) / count
+            alike = [
+                np.corrcoef(m.perceived - m.cost_to_go, noise[k, m.states])[0, 1]
+                for k, m in enumerate(found)
+                if sigma and m.sigma > 0
+            ]
+            p = np.array([c.p for c in (check(f, rng) for f in fits) if c.p is not None])
+            shown.add_row(
+                str(episodes),
+                f"{sigma:g}",
+                f"{np.median([f.beta.value for f in fits]):.2f}",
+                f"{np.median([m.beta for m in found]):.2f}",
+                f"{np.median([m.sigma for m in found]):.2f}",
+                f"{100 * np.mean([m.interval[0] <= sigma <= m.interval[1] for m in found]):.0f} %",
+                f"{np.mean(alike):.2f}" if alike else "-",
+                f"{(p < 0.05).sum()} of {len(p)}",
+                f"{seconds:.1f}",
+            )
+    Console(width=120).print(shown)
+
+
+def forty_actions(rows: list[dict], actions: int) -> list[dict]:
+    """Keep each person's first actions."""
+    kept: list[dict] = []
+    counts: dict[str, int] = {}
+    for row in sorted(rows, key=lambda row: (row["person"], int(row["episode"]), row["step"])):
+        counts[row["person"]] = counts.get(row["person"], 0) + 1
+        if counts[row["person"]] <= actions:
+            kept.append(row)
+    return kept
+
+
+def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> list[dict]:
+    """Write down people of whom each follows a cheapest plan but for a share of random actions.
+
+    For tasks that are too large to look up every alternative: one search for each mistake will do.
+    """
+    asked = OnDemand(task)
+    rows: list[dict] = []
+    for k, share in enumerate(np.linspace(0.1, 0.7, count)):
+        x, plan, episode, step = asked.initial, asked.optimal_plan(), 1, 0
+        for _ in range(actions):
+            options = asked.choices([x])
+            slot = int(rng.integers(len(options.actions)))
+            if rng.random() >= share:
+                slot = int(np.flatnonzero(options.actions == task.action_index[plan[0]])[0])
+            action = task.actions[options.actions[slot]]
+            rows.append({"person": f"person-{k + 1:02}", "episode": str(episode), "step": step, "action": action})
+            x, step = int(options.targets[slot]), step + 1
+            plan = plan[1:] if action == plan[0] else asked.optimal_plan(x)
+            if not plan:
+                x, plan, episode, step = asked.initial, asked.optimal_plan(), episode + 1, 0
+    return rows
+
+
+@main.command("time")
+@click.option("--people", "count", type=int, default=32, show_default=True)
+@click.option("--actions", type=int, default=40, show_default=True)
+@click.option("--huge", is_flag=True, help="Also a task of 1.2e9 states, killed on the way and begun again.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("build/bench/fit"), show_default=True)
+def timing(count: int, actions: int, huge: bool, out: Path) -> None:
+    """Time `kitassist fit` from the PDDL files to the report."""
+    out.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(0)
+    middle = KITTING / "ladder-2x8.pddl"
+    table = sweep(load(middle))
+    people = People(uniform(rng, 0.1, 3.0, count, "log-uniform"), rng.uniform(0.3, 0.95, count))
+    rows = record(table, people, episodes=6, rng=rng, suggest=0.3, most=actions)
+    write_records(out / "middle.jsonl", forty_actions(rows, actions))
+    size, chosen = len(table), forty_actions(rows, actions)
+    del table
+    print(f"{middle.stem}: {size:,} states, {count} people, {len(chosen)} actions")
+    run(middle, out / "middle.jsonl", out)
+    if huge:
+        large = KITTING / "ladder-4x10.pddl"
+        write_records(out / "huge.jsonl", wander(load(large), count, actions, rng))
+        for file in out.glob("cache/*"):
+            file.unlink()
+        print(f"{large.stem}: 1,173,311,155 states, {count} people, {count * actions} actions")
+        run(large, out / "huge.jsonl", out, kill_after=20)
+        run(large, out / "huge.jsonl", out)
+        run(large, out / "huge.jsonl", out)
+
+
+def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -> None:
+    """Run the command; say what it took, and how many states its cache has."""
+    command = [str(Path(sys.executable).with_name("kitassist")), "fit", str(instance), str(log), "--jobs", "2"]
+    command += ["--out", str(out / "people.jsonl"), "--population", str(out / "population.json")]
+    command += ["--figures", str(out / "figures"), "--cache", str(out / "cache")]
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        process.wait(kill_after)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    seconds = time.perf_counter() - start
+    kept = len(Cache(load(instance), out / "cache").read())
+    print(f"  exit {process.returncode} after {seconds:.1f} s; {kept:,} states in the cache")
+
+
+if __name__ == "__main__":
+    main()
