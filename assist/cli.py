@@ -510,7 +510,7 @@ def fit(
             for profile in people
         ]
         records += [failed(person, "no episode can be used") for person in left]
-        records.sort(key=lambda record: record["person"])
+        records.sort(key=lambda record: logs.in_order(record["person"]))
         general = None
         if crowd_file or (not as_json and len(people) >= FEWEST_FOR_CROWD):
             with progress_bar("fitting the population", crowd.ETAS) as advance:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -106,6 +107,11 @@ def read(file: Path) -> tuple[list[Entry], list[Fault]]:
     return [entry for entry in entries if (entry.person, entry.episode) not in spoilt], faults
 
 
+def in_order(name: str) -> list[tuple[int, int, str]]:
+    """Give a key by which names are sorted, numbers in them by their size: episode 9 comes before episode 10."""
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
+
+
 def _name(value: object) -> str | None:
     return str(value) if isinstance(value, str | int) else None
 
@@ -133,12 +139,13 @@ def _fault(record: Any) -> str | None:
 class Recording:
     """What people could choose from, step by step, and what they chose; N steps of up to A choices.
 
-    The steps of an episode are in order, episodes of a person follow each other, and so do people.
+    The steps of an episode are in order, episodes of a person follow each other in the order of their names, and so
+    do people.
 
     Attributes
     ----------
     people : tuple of str
-        Their names, sorted.
+        Their names.
     episodes : tuple of str
         The name of each episode.
     person, episode : int arrays, shape (N,)
@@ -224,7 +231,7 @@ def replay(
             continue
         episodes.setdefault((entry.person, entry.episode), []).append((entry, action, suggestion))
     walks = []
-    for key in sorted(episodes):
+    for key in sorted(episodes, key=lambda names: [in_order(name) for name in names]):
         rows = sorted(episodes[key], key=lambda row: (row[0].step, row[0].line))
         twice = [(a[0], b[0]) for a, b in pairwise(rows) if a[0].step == b[0].step]
         if twice:
@@ -348,7 +355,7 @@ def _shown(words: Words) -> str:
 
 def _record(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
     """Arrange what episodes consist of."""
-    people = tuple(sorted({walk.rows[0][0].person for walk in walks}))
+    people = tuple(sorted({walk.rows[0][0].person for walk in walks}, key=in_order))
     number = {person: place for place, person in enumerate(people)}
     size = sum(len(walk.rows) for walk in walks)
     width = max((len(targets) for walk in walks for _, _, targets, _, _ in walk.taken), default=1)
