@@ -246,15 +246,15 @@ def test_dead_ends_do_no_harm(sealed: Table) -> None:
 
 
 def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
-    """Sixty people: intervals cover nine in ten at least, and the order of beta is kept."""
+    """Forty people: intervals cover nine in ten at least, and the order of beta is kept."""
     rng = np.random.default_rng(7)
-    beta = np.geomspace(0.1, 3.0, 60)
+    beta = np.geomspace(0.1, 3.0, 40)
     found = fit(observed(paper, people_at_work(paper_choices, beta.tolist(), rng, suggest=0.4)), Method(eta=0.2))
     found = sorted(found, key=lambda f: int(f.observations.person[1:]))
     covered = [f.beta.interval[0] <= b <= f.beta.interval[1] for f, b in zip(found, beta, strict=True)]
-    assert sum(covered) >= 54
+    assert sum(covered) >= 36
     ranks = np.argsort(np.argsort([f.beta.value for f in found]))
-    assert np.corrcoef(ranks, np.arange(60))[0, 1] > 0.9
+    assert np.corrcoef(ranks, np.arange(40))[0, 1] > 0.9
     told = [f for f in found if f.theta is not None]
     assert sum(f.theta.interval[0] <= 0.6 <= f.theta.interval[1] for f in told if f.theta) >= 0.88 * len(told)
 
@@ -510,7 +510,7 @@ def test_fit_refuses_what_makes_no_sense(
 
 def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) -> None:
     trace = tmp_path / "trace.jsonl"
-    team = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 20, "--pool", 5, "--policy", "reactive")
+    team = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
     kitassist(*team, "--trace", trace, check=True)
     files = {name: tmp_path / name for name in ("people.jsonl", "population.json", "figures")}
     result = kitassist(
@@ -519,7 +519,7 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
     )  # fmt: skip
     assert (result.returncode, result.stderr) == (0, "")
     records = [json.loads(line) for line in files["people.jsonl"].read_text().splitlines()]
-    assert [r["person"] for r in records] == [f"human-{k}" for k in range(1, 6)]
+    assert [r["person"] for r in records] == [f"human-{k}" for k in range(1, 5)]
     rows = [json.loads(line) for line in trace.read_text().splitlines()]
     for r in records:
         own = [row for row in rows if row["person"] == r["person"]]
@@ -531,12 +531,12 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
     assert sorted(f.name for f in files["figures"].iterdir()) == [
         "calibration.png", "episodes.png", "errors.png", "expertise.png",
     ]  # fmt: skip
-    assert "population of 5: beta is" in result.stdout
+    assert "population of 4: beta is" in result.stdout
     again = kitassist(*team, "--population", files["population.json"], "--json")
     assert again.returncode == 0
     assert json.loads(again.stdout)["population"]["parts"]
-    other = kitassist(*team, "--population", trace)
-    assert other.returncode == 2
+    other = CliRunner().invoke(main, [*map(str, team), "--population", str(trace)])
+    assert other.exit_code == 2
     assert "expected a population" in other.stderr or "Extra data" in other.stderr
 
 
