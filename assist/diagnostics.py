@@ -4,7 +4,7 @@
 Boltzmann choice on h* does not have, each as an additional term in the exponent of the choice (Rao 1948):
 
 repetition        they choose again what they chose here before: habits, or misconceptions (sigma)
-large mistakes    they avoid costly mistakes more, or less, than beta says: lapses, another form of noise
+large_mistakes    they avoid costly mistakes more, or less, than beta says: lapses, another form of noise
 learning          they err more in the beginning of what is recorded, or in the end: beta is not constant
 
 Each score is compared with those of actions that are drawn from the fitted model in the same states, after the part
@@ -21,7 +21,7 @@ from scipy.special import ndtri
 from .fit import Fit
 from .human import Floats
 
-TERMS = ("repetition", "large mistakes", "learning")
+TERMS = ("repetition", "large_mistakes", "learning")
 
 
 @dataclass(frozen=True)

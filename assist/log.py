@@ -263,6 +263,12 @@ def replay(
                 told = NOTHING if suggestion is None else matcher.slot(suggestion, options)
             except _UnmatchedError as error:
                 walk.fault = _at(entry, f"step {entry.step}: {error}")
+                faults += [
+                    _at(later, f"step {later.step}: {matcher.unknown(own)}")
+                    for later, *both in walk.rows[step + 1 :]
+                    for own in both
+                    if own is not None and matcher.unknown(own)
+                ]
                 continue
             walk.take(int(states[i]), options, targets[offsets[i] : offsets[i + 1]], slot, told)
     faults += [walk.fault for walk in walks if walk.fault is not None]
@@ -312,7 +318,7 @@ class _Matcher:
         self.actions = actions
         self.words = [tuple(action[1:-1].lower().split()) for action in actions]
         self.number = {words: number for number, words in enumerate(self.words)}
-        self.names = {words[0] for words in self.words}
+        self.beginnings = {words[:end] for words in self.words for end in range(1, len(words) + 1)}
 
     def slot(self, words: Words, options: NDArray[np.int32]) -> int:
         """Give the slot of the action that is meant among those that are applicable (ground actions, ascending)."""
@@ -331,15 +337,17 @@ class _Matcher:
         if words and slots:
             several = ", ".join(self.actions[options[slot]] for slot in slots)
             raise _UnmatchedError(f"{_shown(words)} may be any of {several}")
-        raise _UnmatchedError(f"{self._why(words)}; {self._nearest(words, options)}")
+        why = self.unknown(words) or f"{_shown(words)} is not applicable here"
+        raise _UnmatchedError(f"{why}; {self._nearest(words, options)}")
 
-    def _why(self, words: Words) -> str:
+    def unknown(self, words: Words) -> str | None:
+        """Say why words stand for no action of the task, in whatever state; None if they may."""
         if not words:
             return "an empty action"
-        if words[0] not in self.names:
+        if words in self.beginnings or words == (STAND_STILL[1:-1],):
+            return None
+        if words[:1] not in self.beginnings:
             return f"{_shown(words)}: no action of the task is called '{words[0]}'"
-        if any(own[: len(words)] == words for own in self.words):
-            return f"{_shown(words)} is not applicable here"
         return f"{_shown(words)} is no action of the task"
 
     def _nearest(self, words: Words, options: NDArray[np.int32]) -> str:

@@ -75,7 +75,7 @@ def fit_misconception(fitted: Fit) -> Misconception:
     fitted : Fit
         The person's estimates without misconceptions.
     """
-    model = _Model(fitted)
+    model = MarginalLikelihood(fitted)
     sizes = fitted.observations.excess
     sizes = sizes[(sizes > 0) & np.isfinite(sizes)]
     unit = float(sizes.min()) if len(sizes) else 1.0
@@ -132,7 +132,7 @@ def fit_misconception(fitted: Fit) -> Misconception:
     )
 
 
-class _Model:
+class MarginalLikelihood:
     """Choices among alternatives whose costs are uncertain, each state's by one number z = beta sigma eps."""
 
     def __init__(self, fitted: Fit) -> None:

@@ -99,7 +99,7 @@ def _words(found: Check) -> str:
         "repetition": "choices are repeated more often than chance has it, as by habit or misconception"
         if score > 0
         else "choices in a state are changed more often than chance has it",
-        "large mistakes": "there are more large mistakes than the small ones suggest"
+        "large_mistakes": "there are more large mistakes than the small ones suggest"
         if score > 0
         else "there are fewer large mistakes than the small ones suggest",
         "learning": "there are fewer mistakes in later actions"

@@ -31,7 +31,7 @@ from assist.fit import Method, Observations, fit, log_likelihood, observe
 from assist.fit_figures import calibration_figure, expertise_figure
 from assist.human import NOTHING, HumanModel, choice, influence, trust
 from assist.log import Entry, replay
-from assist.misconception import _Model, fit_misconception
+from assist.misconception import MarginalLikelihood, fit_misconception
 from assist.pomdp import AssistPOMDP
 from planner import Cache, CostToGo, OnDemand, Table, Task, load, sweep
 from planner.storage import write_records
@@ -314,7 +314,7 @@ def draw_identify(table: Table, file: Path) -> None:
     for place, episodes in ((1, 3), (2, 30)):
         person = People(np.array([2.0]), np.array([0.6]), noise=noise)
         (o,) = observed(table, record(table, person, episodes=episodes, rng=np.random.default_rng(5)))
-        model = _Model(fit([o])[0])
+        model = MarginalLikelihood(fit([o])[0])
         values = np.array([[model.marginal(b, s)[0] for b in beta] for s in sigma])
         axis = panel(
             figure, place, f"beta against sigma: {episodes} episodes, {len(o)} actions", "expertise β",

@@ -25,7 +25,7 @@ from assist.diagnostics import calibrate, check
 from assist.fit import Method, Observations, fit, log_likelihood, observe
 from assist.human import HumanModel, Mixture, Population, choice, influence, perceived_cost, perceived_value, trust
 from assist.log import Entry, read, replay
-from assist.misconception import fit_misconception
+from assist.misconception import MarginalLikelihood, fit_misconception
 from assist.pomdp import AssistPOMDP
 from planner import Cache, Table, load, sweep
 
@@ -316,9 +316,7 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
     """Two alternatives with one uncertain cost each: a normal integral of a logistic function."""
     rows = lines(FETCH, WRONG, "(remove hammer slot-2 box-a)")
     (found,) = fit(observed(tiny, rows[:3]))
-    from assist.misconception import _Model
-
-    model = _Model(found)
+    model = MarginalLikelihood(found)
     beta, sigma = 0.8, 0.5
     value, z = model.marginal(beta, sigma)
     rng = np.random.default_rng(0)
@@ -463,6 +461,16 @@ def test_faults_are_named_and_good_episodes_used(
     assert (fault.line, whose) == (line, message)
     assert recording.people == ("bob",)
     assert len(recording) == 6
+
+
+def test_every_line_that_fits_no_action_is_reported(tiny: Table) -> None:
+    rows = lines(FETCH, "(fetch box-b)", "(hammer)", WRONG, "(place hammer box-a)", told={1: BACK})
+    _, faults = replay(entries_of(rows), tiny)
+    assert [(f.line, f.message.partition(";")[0]) for f in faults] == [
+        (2, "step 1: (fetch box-b) is not applicable here"),
+        (3, "step 2: (hammer): no action of the task is called 'hammer'"),
+        (5, "step 4: (place hammer box-a) is no action of the task"),
+    ]
 
 
 def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
