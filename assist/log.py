@@ -263,12 +263,7 @@ def replay(
                 told = NOTHING if suggestion is None else matcher.slot(suggestion, options)
             except _UnmatchedError as error:
                 walk.fault = _at(entry, f"step {entry.step}: {error}")
-                faults += [
-                    _at(later, f"step {later.step}: {matcher.unknown(own)}")
-                    for later, *both in walk.rows[step + 1 :]
-                    for own in both
-                    if own is not None and matcher.unknown(own)
-                ]
+                faults += walk.unknown(step + 1, matcher)
                 continue
             walk.take(int(states[i]), options, targets[offsets[i] : offsets[i + 1]], slot, told)
     faults += [walk.fault for walk in walks if walk.fault is not None]
@@ -305,6 +300,12 @@ class _Walk:
             targets = np.array([state], dtype=np.int64)
         self.taken.append((state, actions, targets.astype(np.int64), slot, told))
         self.states.append(int(targets[slot]))
+
+    def unknown(self, start: int, matcher: _Matcher) -> list[Fault]:
+        """Name the lines from a step on that fit no action of the task, whatever the state."""
+        rows = [(entry, own) for entry, *both in self.rows[start:] for own in both if own is not None]
+        reasons = [(entry, matcher.unknown(own)) for entry, own in rows]
+        return [_at(entry, f"step {entry.step}: {why}") for entry, why in reasons if why is not None]
 
 
 class _UnmatchedError(ValueError):

@@ -213,6 +213,7 @@ def recover(
         fits = fit(observations, method)
         seconds = time.perf_counter() - start
         crowd = fit_crowd(observations, method)
+        theta_of = crowd.theta
 
         def covered(true: np.ndarray, ends: list[tuple[float, float]]) -> str:
             low, high = np.array(ends).T
@@ -231,9 +232,9 @@ def recover(
             crowd.beta.family,
             *(f"{x:.2f}" for x in (crowd.beta.mean, people.beta.mean(), crowd.beta.spread, people.beta.std())),
             *(
-                f"{x:.2f}"
-                for x in (crowd.theta.mean, people.theta.mean(), crowd.theta.spread, people.theta.std())
-                if crowd.theta is not None
+                ["-"] * 4
+                if theta_of is None
+                else (f"{x:.2f}" for x in (theta_of.mean, people.theta.mean(), theta_of.spread, people.theta.std()))
             ),
         )
     Console(width=190).print(shown)
