@@ -474,6 +474,11 @@ def fit(
         if folder:
             figures.require()
         task = load(found[0])
+        if task.decided_by_translator:
+            fail(
+                f"{found[0]}: the goal cannot be reached, or holds from the start; there is nothing to learn from",
+                EXIT_FAILED,
+            )
         entries, faults = logs.read(log)
         walked = OnDemand(task)
         names = {old.strip(): new.strip() for old, _, new in (pair.partition("=") for pair in rename)}

@@ -570,3 +570,16 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     (record,) = json.loads(result.stdout)
     assert (record["actions"], record["suboptimal_actions"]) == (6, 2)
     assert len(Cache(task, tmp_path / "cache").read()) > known
+
+
+def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:
+    file = write_log(tmp_path / "log.jsonl", GOOD)
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "unsolvable.pddl"), str(file)])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "unsolvable.pddl: the goal cannot be reached" in result.stderr
+
+
+@pytest.mark.parametrize("bad", [{}, {"parts": [1]}, {"parts": []}, {"parts": [{"share": 1, "beta": [1, 2]}]}, []])
+def test_what_is_no_population_is_refused(bad: object) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        mixture(bad)  # type: ignore[arg-type]
