@@ -6,7 +6,11 @@ choices        what a person can do in each state, as arrays
 human          perceived cost, choice, influence, trust; people and populations
 belief         belief over (beta, theta)
 pomdp          one person's assistance problem
-solver         its policy
+mdp            its values where beta and theta are seen; the QMDP policy
+vectors        policies made of alpha vectors
+hull           an upper bound on the value at every belief, from its values at some
+solver         its policy, with proven bounds
+exchange       problems and policies in other programs' formats
 attention      team policies: no assistance, reactive, attention switching
 simulate       episodes of a team
 log            recorded actions, as a log has them and as the task has them

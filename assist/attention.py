@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .human import Floats
-from .solver import Policy
+from .pomdp import Policy
 
 BASE = -1
 """The robot's place before it has gone to anybody; also the last row of a distance matrix."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 import numpy as np
@@ -22,6 +22,7 @@ from rich.text import Text
 
 from planner import (
     Cache,
+    Instance,
     InstanceError,
     LimitError,
     Limits,
@@ -36,6 +37,10 @@ from planner.batch import DONE, ResultsExistError, solve_batch
 from planner.errors import MissingExtraError
 from planner.fast_downward import FastDownwardError
 from planner.solving import Record, SolveOptions, versions
+
+if TYPE_CHECKING:
+    from .choices import Choices
+    from .pomdp import AssistPOMDP, Suggestions
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -177,6 +182,29 @@ def range_option(name: str, default: Range, text: str) -> Callable[[Callable[...
     return click.option(name, nargs=2, type=float, metavar="LOW HIGH", default=default, show_default=True, help=text)
 
 
+def one_instance(instance: str, domain: str | None) -> Instance:
+    """Find the one problem that INSTANCE stands for."""
+    found = find_instances([instance], domain)
+    if len(found) != 1:
+        raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
+    return found[0]
+
+
+def choices_of(instance: Instance) -> Choices:
+    """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
+    from .choices import Choices
+
+    try:
+        table = sweep(load(instance), max_states=SIMULATED_STATES)
+    except LimitError as error:
+        fail(f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states", EXIT_FAILED)
+    if not math.isfinite(table[table.initial]):
+        fail(
+            f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist", EXIT_FAILED
+        )
+    return Choices.of(table)
+
+
 @main.command()
 @click.argument("instance", metavar="INSTANCE")
 @click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team.")
@@ -253,29 +281,15 @@ def simulate(
 
     from . import figures
     from . import simulate as simulation
-    from .choices import Choices
     from .human import Mixture, Population
 
     with one_line_errors():
-        found = find_instances([instance], domain)
-        if len(found) != 1:
-            raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
+        found = one_instance(instance, domain)
         if figure:
             figures.require()
             if figure.suffix not in figures.FORMATS:
                 raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
-        try:
-            table = sweep(load(found[0]), max_states=SIMULATED_STATES)
-        except LimitError as error:
-            fail(
-                f"{found[0]}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states", EXIT_FAILED
-            )
-        if not math.isfinite(table[table.initial]):
-            fail(
-                f"{found[0]}: the goal cannot be reached from the initial state, so there is nobody to assist",
-                EXIT_FAILED,
-            )
-        choices = Choices.of(table)
+        choices = choices_of(found)
         try:
             population: Population | Mixture = Population(beta, theta, sigma)
             if crowd_file:
@@ -326,8 +340,8 @@ def simulate(
     summaries = [simulation.summarise(result) for result in results]
     if as_json:
         document = {
-            "instance": str(found[0].problem),
-            "domain": str(found[0].domain),
+            "instance": str(found.problem),
+            "domain": str(found.domain),
             "humans": humans,
             "pool": size,
             "episodes": episodes,
@@ -379,6 +393,113 @@ def _show_summaries(summaries: list[Any]) -> None:
         table.add_row(summary.policy, *cells, f"{summary.cut_off}")
     Console(width=None if sys.stdout.isatty() else 140).print(table)
     click.echo(f"mean ± standard error over {summaries[0].episodes} episodes")
+
+
+def person_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say whose problem it is; `person_problem` takes them all."""
+    options = (
+        click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
+        click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
+        click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion."),
+        click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update."),
+        click.option(
+            "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."
+        ),
+        click.option(
+            "--lapse", type=float, default=1e-3, show_default=True,
+            help="Weight of a uniform choice in the robot's model.",
+        ),
+        click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True),
+        click.option("--execute", is_flag=True, help="The robot can also do such an action itself."),
+        click.option("--c-execute", type=float, default=1.0, show_default=True, help="What that costs."),
+        range_option("--beta", (0.1, 3.0), "Range of the person's expertise."),
+        range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
+        click.option(
+            "--sigma", type=float, default=0.0, show_default=True,
+            help="Size of a misconception, drawn once and known to the robot; with 0 it knows the task only.",
+        ),
+        click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the misconception."),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def person_problem(
+    instance: str,
+    *,
+    domain: str | None,
+    gamma: float,
+    c_suggest: float,
+    eta: float,
+    utility_scale: float,
+    lapse: float,
+    suggestions: Suggestions,
+    execute: bool,
+    c_execute: float,
+    beta: Range,
+    theta: Range,
+    sigma: float,
+    seed: int,
+) -> tuple[Instance, AssistPOMDP]:
+    """Set up one person's problem from `person_options`; errors are those of a command."""
+    from .human import HumanModel, Population, perceived_cost, perceived_cost_to_go
+    from .pomdp import AssistPOMDP
+
+    found = one_instance(instance, domain)
+    if not 0 <= sigma < math.inf:
+        raise click.UsageError(f"--sigma {sigma:g}: expected 0 or more")
+    choices = choices_of(found)
+    h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
+    try:
+        pomdp = AssistPOMDP.of(
+            HumanModel(choices, perceived_cost(choices, h), eta, lapse, utility_scale),
+            population=Population(beta, theta), gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
+            execute=execute, c_execute=c_execute,
+        )  # fmt: skip
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    return found, pomdp
+
+
+@main.command()
+@click.argument("instance", metavar="INSTANCE")
+@click.option(
+    "--format", "form", type=click.Choice(["pomdpx", "pomdp"]), default="pomdpx", show_default=True,
+    help="POMDPX with mixed observability, or the flat format, for small tasks.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The file to write.")
+@person_options
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
+def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
+    """Write the problem of assisting one person, for other solvers."""
+    from . import exchange
+
+    if out.suffix != f".{form}":  # solvers choose the parser by it
+        raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
+    with one_line_errors():
+        found, pomdp = person_problem(instance, **person)
+        try:
+            {"pomdpx": exchange.write_pomdpx, "pomdp": exchange.write_pomdp}[form](pomdp, out)
+        except ValueError as error:
+            fail(f"{found}: {error}", EXIT_FAILED)
+        record = {
+            "instance": str(found.problem),
+            "domain": str(found.domain),
+            "format": form,
+            "out": str(out),
+            "states": len(pomdp.model.choices),
+            "hidden": pomdp.prior.size,
+            "robot_actions": len(exchange.action_names(pomdp)),
+            "bytes": out.stat().st_size,
+        }
+    if as_json:
+        click.echo(json.dumps(record, indent=2))
+    else:
+        click.echo(
+            f"{out}: {record['states']:,} states, {record['hidden']} hidden pairs, "
+            f"{record['robot_actions']} robot actions, {record['bytes']:,} bytes"
+        )
 
 
 @main.command()
@@ -468,15 +589,13 @@ def fit(
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     with one_line_errors("interrupted; states that were evaluated on demand are kept"):
-        found = find_instances([instance], domain)
-        if len(found) != 1:
-            raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
+        found = one_instance(instance, domain)
         if folder:
             figures.require()
-        task = load(found[0])
+        task = load(found)
         if task.decided_by_translator:
             fail(
-                f"{found[0]}: the goal cannot be reached, or holds from the start; there is nothing to learn from",
+                f"{found}: the goal cannot be reached, or holds from the start; there is nothing to learn from",
                 EXIT_FAILED,
             )
         entries, faults = logs.read(log)
@@ -493,13 +612,11 @@ def fit(
         if not len(recording):
             if not entries and not faults:
                 fail(f"{log}: no recorded actions", EXIT_FAILED)
-            fail(
-                f"{log}: no episode can be followed through {found[0]}; is it the log of another instance?", EXIT_FAILED
-            )
+            fail(f"{log}: no episode can be followed through {found}; is it the log of another instance?", EXIT_FAILED)
         h, goal = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs)
         if not math.isfinite(h[recording.wanted()].min()):
             fail(
-                f"{found[0]}: no state that was visited has a way to the goal, so that all actions are alike",
+                f"{found}: no state that was visited has a way to the goal, so that all actions are alike",
                 EXIT_FAILED,
             )
         observations = fitting.observe(recording, h, goal)

@@ -435,19 +435,24 @@ class _Search:
 
 
 @numba.njit(cache=True, nogil=True)
-def _alone(data: _Data, beta: float, own: Floats, told: Floats) -> None:
-    """Fill in the probability, shape (N,), of what was chosen and of what was suggested, were nothing suggested."""
+def _alone(data: _Data, beta: float, own: Floats, told: Floats, rest: Floats) -> None:
+    """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
+
+    It is that without a suggestion. The others are summed: 1 - told would lose its digits where that is almost 1.
+    """
     for i in range(len(data.chosen)):
-        total = picked = heard = 0.0
+        picked = heard = others = 0.0
         for a in range(data.options[i]):
             weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
-            total += weight
             if a == data.chosen[i]:
                 picked = weight
             if a == data.suggested[i]:
                 heard = weight
-        own[i] = picked / total
-        told[i] = heard / total
+            else:
+                others += weight
+        own[i] = picked / (heard + others)
+        told[i] = heard / (heard + others)
+        rest[i] = others / (heard + others)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -459,7 +464,7 @@ def _moved(theta: float, eta: float, gain: float) -> float:
 
 
 @numba.njit(cache=True, nogil=True)
-def _with_trust(data: _Data, own: Floats, told: Floats, first: float, eta: float) -> float:
+def _with_trust(data: _Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
     """Add up the log-likelihood for what `_alone` has filled in."""
     total = 0.0
     product = 1.0  # of several probabilities: a logarithm costs more than they do
@@ -469,7 +474,7 @@ def _with_trust(data: _Data, own: Floats, told: Floats, first: float, eta: float
             theta = first
         p = own[i]
         if data.suggested[i] >= 0:
-            norm = theta * told[i] + (1.0 - theta) * (1.0 - told[i])
+            norm = theta * told[i] + (1.0 - theta) * rest[i]
             if norm > 0.0:
                 p *= (theta if data.chosen[i] == data.suggested[i] else 1.0 - theta) / norm
             theta = _moved(theta, eta, data.gain[i])
@@ -483,20 +488,22 @@ def _with_trust(data: _Data, own: Floats, told: Floats, first: float, eta: float
 @numba.njit(cache=True, nogil=True)
 def _grid(data: _Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
     result = np.empty((len(beta), len(theta), len(eta)))
-    own, told = np.empty(len(data.chosen)), np.empty(len(data.chosen))
+    n = len(data.chosen)
+    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
     for b in range(len(beta)):
-        _alone(data, beta[b], own, told)
+        _alone(data, beta[b], own, told, rest)
         for t in range(len(theta)):
             for e in range(len(eta)):
-                result[b, t, e] = _with_trust(data, own, told, theta[t], eta[e])
+                result[b, t, e] = _with_trust(data, own, told, rest, theta[t], eta[e])
     return result
 
 
 @numba.njit(cache=True, nogil=True)
 def _at(data: _Data, at: Floats, small: float) -> float:
-    own, told = np.empty(len(data.chosen)), np.empty(len(data.chosen))
-    _alone(data, small * math.expm1(at[0]), own, told)
-    return _with_trust(data, own, told, at[1], at[2])
+    n = len(data.chosen)
+    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
+    _alone(data, small * math.expm1(at[0]), own, told, rest)
+    return _with_trust(data, own, told, rest, at[1], at[2])
 
 
 @numba.njit(cache=True, nogil=True)
@@ -506,10 +513,11 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
     Besides single coordinates it moves along theta + k unit eta = constant: where trust just reaches 0 or 1 after k
     suggestions that change V by `unit`, the likelihood has a ridge.
     """
-    own, told = np.empty(len(data.chosen)), np.empty(len(data.chosen))
+    n = len(data.chosen)
+    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
     filled = at[0]
-    _alone(data, small * math.expm1(filled), own, told)
-    best = _with_trust(data, own, told, at[1], at[2])
+    _alone(data, small * math.expm1(filled), own, told, rest)
+    best = _with_trust(data, own, told, rest, at[1], at[2])
     before = at.copy()
     for _ in range(18):  # until steps are a 260,000th of the grid's
         improved = True
@@ -531,8 +539,8 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
                         at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
-                        _alone(data, small * math.expm1(filled), own, told)
-                    value = _with_trust(data, own, told, at[1], at[2])
+                        _alone(data, small * math.expm1(filled), own, told, rest)
+                    value = _with_trust(data, own, told, rest, at[1], at[2])
                     if value > best:
                         best = value
                         improved = True

@@ -41,8 +41,8 @@ from .human import (
     perceived_value,
     trust,
 )
-from .pomdp import AssistPOMDP, Suggestions
-from .solver import Policy, solve
+from .mdp import qmdp
+from .pomdp import AssistPOMDP, Policy, Suggestions
 
 Knowledge = Literal["own", "exact"]
 POLICIES = ("none", "reactive", "attention")
@@ -142,7 +142,7 @@ class Pool:
                 model, grid=grid, population=population, gamma=setting.gamma,
                 c_suggest=setting.c_suggest, suggestions=setting.suggestions,
             )  # fmt: skip
-            policies.append(solve(pomdp))
+            policies.append(qmdp(pomdp))
             if progress is not None:
                 progress(done, len(models))
         return cls(choices, setting, tuple(people), tuple(policies))

@@ -12,9 +12,10 @@ ORDER = [
     "planner.errors", "planner.storage", "planner.pddl", "planner.fast_downward", "planner.task", "planner.budget",
     "planner.successors", "planner.statespace", "planner.costtogo", "planner.moves", "planner.kernels",
     "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
-    "assist.choices", "assist.human", "assist.belief", "assist.pomdp", "assist.solver", "assist.attention",
-    "assist.simulate", "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
-    "assist.profile", "assist.figures", "assist.fit_figures", "assist.cli",
+    "assist.choices", "assist.human", "assist.belief", "assist.pomdp", "assist.mdp", "assist.vectors",
+    "assist.hull", "assist.solver", "assist.exchange", "assist.attention", "assist.simulate", "assist.log",
+    "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics", "assist.profile", "assist.figures",
+    "assist.fit_figures", "assist.cli",
 ]  # fmt: skip
 MAY_READ_PDDL = {"assist.cli"}
 ARRAYS = {"planner", "planner.errors", "planner.storage"}
@@ -72,7 +73,7 @@ def test_import_direction(module: str) -> None:
         ("planner.pddl", "import assist.human"),
         ("assist.human", "from .simulate import Episode"),
         ("assist.pomdp", "from planner import load"),
-        ("assist.solver", "from planner.pddl import read"),
+        ("assist.mdp", "from planner.pddl import read"),
     ],
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:

@@ -129,3 +129,16 @@ def test_sharing_keeps_theta(theta: float) -> None:
 def test_a_grid_is_checked(beta: list[float], theta: list[float]) -> None:
     with pytest.raises(ValueError, match="expected"):
         Grid(np.array(beta), np.array(theta, dtype=float))
+
+
+def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Choices) -> None:
+    """With theta = 0 what is suggested is out of the question, however small the chance of anything else was."""
+    grid = Grid(np.array([4.0, 8.0, 12.0]), np.array([0.0, 0.5, 1.0]))
+    pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid, suggestions="all")
+    x, robot = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robots[:, None])
+    x, robot = x[~tiny_choices.goal[x]], robot[~tiny_choices.goal[x]]
+    total = np.zeros((len(x), *grid.shape))
+    for slot in range(tiny_choices.applicable.shape[1]):
+        there = tiny_choices.applicable[x, slot]
+        total[there] += pomdp.likelihood(x[there], robot[there], np.full(there.sum(), slot))
+    np.testing.assert_allclose(total, 1, rtol=1e-13)

@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as arrays
 from assist.belief import Grid
 from assist.choices import Choices
 from assist.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.mdp import QMDP, qmdp
 from assist.pomdp import AssistPOMDP
-from assist.solver import Policy, solve
 from planner import Table
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
@@ -68,25 +68,25 @@ def policy_iteration(pomdp: AssistPOMDP) -> np.ndarray:
 @pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"gamma": 0.99, "c_suggest": 0.0}])
 def test_values_equal_policy_iterations(tiny_choices: Choices, options: dict[str, object]) -> None:
     pomdp = make(tiny_choices, **options)
-    policy = solve(pomdp, tolerance=1e-9)
+    policy = qmdp(pomdp, tolerance=1e-9)
     np.testing.assert_allclose(policy.value_mdp, policy_iteration(pomdp), rtol=0, atol=2e-9)
 
 
 def test_values_equal_policy_iterations_with_dead_ends(sealed: Table) -> None:
     """Dead ends cost for ever: the return there is that of never reaching the goal, not of ending."""
     pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(sealed)), grid=GRID, gamma=0.9)
-    policy = solve(pomdp, tolerance=1e-9)
+    policy = qmdp(pomdp, tolerance=1e-9)
     dead = sealed.dead_end
     np.testing.assert_allclose(policy.value_mdp[dead], -1 / (1 - 0.9), atol=1e-8)  # unit costs, nothing to suggest
     assert (policy.value_mdp[~dead] > -10).all()
 
 
 @pytest.fixture(scope="module")
-def policy(tiny_choices: Choices) -> Policy:
-    return solve(make(tiny_choices))
+def policy(tiny_choices: Choices) -> QMDP:
+    return qmdp(make(tiny_choices))
 
 
-def test_values_are_the_best_of_the_action_values(policy: Policy) -> None:
+def test_values_are_the_best_of_the_action_values(policy: QMDP) -> None:
     np.testing.assert_allclose(policy.q_mdp.max(axis=1), policy.value_mdp, atol=1e-6)
 
 
@@ -94,7 +94,7 @@ def test_suggesting_pays_where_the_person_would_err(tiny_choices: Choices) -> No
     """To a person without misconceptions who follows, free suggestions are right everywhere; dear ones nowhere."""
     x = np.flatnonzero(~tiny_choices.goal)
     model = HumanModel.exact(tiny_choices)
-    free, dear = (solve(AssistPOMDP.of(model, grid=GRID, gamma=0.95, c_suggest=c)) for c in (0.0, 100.0))
+    free, dear = (qmdp(AssistPOMDP.of(model, grid=GRID, gamma=0.95, c_suggest=c)) for c in (0.0, 100.0))
     belief = np.zeros((len(x), *GRID.shape))
     belief[:, 0, 2] = 1  # a novice who always follows
     q = free.q_values(x, belief)
@@ -111,7 +111,7 @@ beliefs = arrays.arrays(float, (1, 2, 3), elements=st.floats(0.001, 1)).map(lamb
 
 
 @given(beliefs, st.integers(0, 20))
-def test_qmdp_is_the_best_action_value_and_below_the_bound(policy: Policy, belief: np.ndarray, x: int) -> None:
+def test_qmdp_is_the_best_action_value_and_below_the_bound(policy: QMDP, belief: np.ndarray, x: int) -> None:
     at = np.array([x])
     q = policy.q_values(at, belief)[0]
     assert q.max() <= policy.value(at, belief)[0] + 1e-9

@@ -1,0 +1,401 @@
+"""Bounds against time on one person's problem: this project's solver beside SARSOP, and pomdp-py's planners.
+
+    python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--out DIR]
+
+A case is a kitting instance, gamma, c_suggest, sigma and the seed of the person's misconception, which the robot knows.
+Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.exchange` writes:
+
+- `kitassist`: `assist.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is also run
+  cold, with nothing compiled yet;
+- `sarsop`: APPL's `pomdpsol`, the program that the environment variable SARSOP names;
+- `pomdp-py`: what its POUCT and POMCP get in simulation, by the time of a decision. They give no bounds, so that they
+  have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
+
+The relative gap is (upper - lower) / |lower| in the initial state. Seconds count from where the problem is in memory
+(of SARSOP's initialisation too): reading the model and the whole process stand apart. SARSOP reports its bounds every
+50 backups or so, so that its times are late by up to that. Written are `results.jsonl` (a line per solver and case,
+with the curve) and `pomdp.png`. The program ends with exit code 1 where two solvers' bounds exclude each other.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from peers.pomdp import Case
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from assist.exchange import write_pomdpx
+from assist.mdp import evaluate, qmdp
+
+HERE = Path(__file__).resolve().parent
+OUT = Path("build/bench/pomdp")
+SOLVERS = ("kitassist", "sarsop", "pomdp-py")
+INSTANCES = ("paper-fixed", "paper", "ladder-5x5")
+SETTINGS = ("0.95/0.5/0.5", "0.95/1/1", "0.99/0.2/0.5", "0.99/0.5/0.5", "0.99/1/0.5")
+GAPS = (1e-2, 1e-3, 1e-4)
+SEARCHES = [["POUCT", 100], ["POUCT", 1000], ["POMCP", 1000]]
+ROUNDING = 2e-5  # relative: SARSOP prints six digits
+
+Row = dict[str, Any]
+
+# Okabe and Ito's colours; the dashes say the same again.
+STYLES = {"kitassist": ("#0072B2", "-"), "sarsop": ("#D55E00", "--")}
+
+
+class Memory(threading.Thread):
+    """Watches a process's peak memory in MB. What `wait4` tells of a child includes what its parent had before."""
+
+    def __init__(self, process: int) -> None:
+        super().__init__(daemon=True)
+        self.file, self.peak = Path(f"/proc/{process}/status"), 0.0
+
+    def run(self) -> None:
+        while True:
+            try:
+                found = re.search(r"VmHWM:\s+(\d+)", self.file.read_text())
+            except OSError:
+                return
+            if found is None:  # it has ended
+                return
+            self.peak = int(found[1]) / 1024
+            time.sleep(0.05)
+
+
+def run(
+    command: Sequence[str], on_line: Callable[[float, str], None], limit: float, memory: int, **environment: str
+) -> tuple[int, float, float, str]:
+    """Run a program on a terminal of its own, so that each line comes when it is printed.
+
+    Returns the exit code, seconds, peak memory in MB, and the last line that it printed.
+    """
+    inner, outer = pty.openpty()
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=outer, stderr=outer, env={**os.environ, **environment},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (memory << 20, memory << 20)),
+    )  # fmt: skip
+    os.close(outer)
+    timer = threading.Timer(limit, process.kill)
+    timer.start()
+    watch = Memory(process.pid)
+    watch.start()
+    last = rest = b""
+    try:
+        while True:
+            try:
+                data = os.read(inner, 1 << 16)
+            except OSError:  # Linux says so when the other side is closed
+                break
+            if not data:
+                break
+            now = time.perf_counter() - start
+            *lines, rest = (rest + data).replace(b"\r", b"").split(b"\n")
+            for line in lines:
+                last = line.strip() or last
+                on_line(now, line.decode(errors="replace"))
+        process.wait()
+    finally:
+        timer.cancel()
+        os.close(inner)
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        watch.join()
+    return process.returncode, time.perf_counter() - start, watch.peak, last.decode(errors="replace")
+
+
+NUMBER = r"(-?[\d.]+(?:e[+-]?\d+)?)"
+TRIAL = re.compile(rf"^ *{NUMBER} +(\d+) +(\d+) +{NUMBER} +{NUMBER} +{NUMBER} +(\d+) +(\d+) *$")
+
+
+def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) -> Row:
+    """Run SARSOP on the exported problem."""
+    row: Row = {"solver": "sarsop", "curve": []}
+    program = os.environ.get("SARSOP")
+    if not program:
+        return {**row, "status": "not run", "note": "the environment variable SARSOP names no program"}
+    marks: dict[str, float] = {}
+    warnings: list[str] = []
+
+    def on_line(now: float, line: str) -> None:
+        if "loading time" in line:
+            marks["load"] = now
+        elif "initialization time" in line:
+            marks["initialise"] = now
+        elif "warning" in line.lower() or "error" in line.lower():
+            warnings.append(line)
+        elif match := TRIAL.match(line):
+            row["curve"].append([now - marks["load"], float(match[4]), float(match[5])])
+            row["vectors"], row["backups"] = int(match[7]), int(match[3])
+
+    # Its precision is absolute: the gap relative to QMDP's value, which is the smaller of the two that count.
+    precision = options["gap"] * abs(reference["qmdp"])
+    timeout, policy = f"{options['timeout']:g}", str(model.with_suffix(".policy"))
+    command = [program, "--timeout", timeout, "--precision", f"{precision:g}",
+               "--memory", str(options["memory"]), "--output", policy, str(model)]  # fmt: skip
+    # Its own time limit is asked for between trials only, and begins when the model is read.
+    code, seconds, peak, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
+    row["note"] = warnings[0] if warnings else last if code else ""
+    row |= {"process": seconds, "peak_mb": peak, "load": marks.get("load")}
+    row["initialise"] = marks["initialise"] - marks["load"] if "initialise" in marks else None
+    row["status"] = "ok" if code == 0 and row["curve"] else "failed"
+    return row
+
+
+def own(case: Case, options: dict[str, Any], cache: Path, *, warm: bool) -> Row:
+    """Run this project's solver."""
+    row: Row = {"solver": "kitassist" if warm else "kitassist (cold)", "curve": []}
+
+    def on_line(_: float, line: str) -> None:
+        if line.startswith("{"):
+            event = json.loads(line)
+            if event.pop("event") == "point":
+                row["curve"].append([event["seconds"], event["lower"], event["upper"]])
+            else:
+                row.update(event)
+
+    settings = {**case._asdict(), "timeout": options["timeout"], "gap": options["gap"], "warm": warm}
+    command = [sys.executable, str(HERE / "peers" / "pomdp.py"), "kitassist", json.dumps(settings)]
+    limit = options["timeout"] * 3 + 300
+    code, seconds, peak, last = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
+    row |= {"process": seconds, "peak_mb": peak, "status": "failed" if code else "ok", "note": last if code else ""}
+    return row
+
+
+def searches(case: Case, options: dict[str, Any]) -> list[Row]:
+    """Run pomdp-py's planners."""
+    rows: list[Row] = []
+
+    def on_line(_: float, line: str) -> None:
+        if line.startswith("{"):
+            event = json.loads(line)
+            if event.pop("event") == "search":
+                rows.append({"solver": f"pomdp-py {event['planner']}", "status": "ok", **event})
+
+    each = options["timeout"] / len(SEARCHES)
+    settings = {**case._asdict(), "searches": SEARCHES, "seconds_each": each}
+    python = os.environ.get("PEER_PYTHON", sys.executable)
+    command = [python, str(HERE / "peers" / "pomdp.py"), "pomdp-py", json.dumps(settings)]
+    code, _, _, last = run(command, on_line, 10 * options["timeout"] + 300, options["memory"])
+    if code:
+        rows.append({"solver": "pomdp-py", "status": "failed", "note": last})
+    return rows
+
+
+def finish(row: Row) -> Row:
+    """Work out what the table shows: final bounds, and when the gap was first reached."""
+    if row.get("curve"):
+        _, row["lower"], row["upper"] = row["curve"][-1]
+        row["gap"] = (row["upper"] - row["lower"]) / abs(row["lower"])
+        for gap in GAPS:
+            reached = [t for t, low, high in row["curve"] if high - low <= gap * abs(low)]
+            row[f"to_{gap:g}"] = reached[0] if reached else None
+    return row
+
+
+def references(case: Case, model: Path) -> tuple[dict[str, float], Row]:
+    """Export the problem, and give values between which the best lies: of two simple policies, and QMDP's bound."""
+    pomdp = case.problem()
+    start = time.perf_counter()
+    write_pomdpx(pomdp, model)
+    row = {"export_seconds": time.perf_counter() - start, "export_mb": model.stat().st_size / 1e6}
+    x = pomdp.model.choices.initial
+    values = {"qmdp": float(qmdp(pomdp).value(np.array([x]), pomdp.prior[None])[0])}
+    for name, robot in (("never", np.zeros(len(pomdp.robots), dtype=np.int64)), ("always", pomdp.first_optimal)):
+        values[name] = float((evaluate(pomdp, robot)[x] * pomdp.prior).sum())
+    return values, {**row, "states": len(pomdp.robots), "hidden": pomdp.prior.size}
+
+
+def disagreements(name: str, rows: Sequence[Row], reference: dict[str, float]) -> list[str]:
+    """Say where what one solver claims is impossible if another, or a simple policy's exact value, is right."""
+    known = [("never", reference["never"], np.inf), ("always", reference["always"], np.inf)]
+    known += [("QMDP", -np.inf, reference["qmdp"])]
+    known += [(row["solver"], row["lower"], row["upper"]) for row in rows if "lower" in row]
+    slack = ROUNDING * abs(reference["qmdp"])
+    return [
+        f"{name}: {one}'s lower bound {low:g} is above {other}'s upper bound {high:g}"
+        for one, low, _ in known
+        for other, _, high in known
+        if low > high + slack
+    ]
+
+
+def losses(name: str, rows: Sequence[Row]) -> list[str]:
+    """Say where SARSOP is ahead of this project's solver."""
+    ours = next((row for row in rows if row["solver"] == "kitassist" and "gap" in row), None)
+    theirs = next((row for row in rows if row["solver"] == "sarsop" and "gap" in row), None)
+    if ours is None or theirs is None:
+        return []
+    found = []
+    for gap in GAPS:
+        mine, other = ours[f"to_{gap:g}"], theirs[f"to_{gap:g}"]
+        if other is not None and (mine is None or mine > other):
+            found.append(f"{name}: to {gap:g} SARSOP takes {other:.2f} s, this solver {shown(mine)} s")
+    if theirs["gap"] < ours["gap"] and ours["gap"] > GAPS[-1]:
+        found.append(f"{name}: SARSOP ends at a gap of {theirs['gap']:.2e}, this solver at {ours['gap']:.2e}")
+    return found
+
+
+def shown(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:,.{digits}f}"
+
+
+def as_table(results: Sequence[Row]) -> Table:
+    table = Table(title="Bounds on one person's problem; seconds from where the problem is in memory")
+    for column in ("case", "solver"):
+        table.add_column(column, no_wrap=True)
+    columns = ("to 1e-2", "to 1e-3", "to 1e-4", "final gap", "lower", "upper", "load s", "init s", "process s", "MB")
+    for column in columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("note", overflow="fold")
+    last = None
+    for row in results:
+        if last not in (None, row["case"]):
+            table.add_section()
+        case, last = ("" if last == row["case"] else row["case"]), row["case"]
+        note = escape(row.get("note") or "")
+        if row["solver"].startswith("pomdp-py ") and row["status"] == "ok":
+            mean = "no episode" if row["mean"] is None else f"{row['mean']:.3f} ± {row['stderr'] or np.nan:.3f}"
+            note = f"return {mean} in {row['episodes']} episodes, {shown(row['decision_seconds'], 3)} s a decision "
+            note += f"({row['simulations']} simulations)"
+            if row["deprived"]:
+                note += f"; {row['deprived']} episodes ended without particles"
+        if row["status"] != "ok":
+            note = f"[red]{row['status']}[/red] {note}"
+        cells = [shown(row.get(f"to_{gap:g}")) for gap in GAPS]
+        cells.append("–" if "gap" not in row else f"{row['gap']:.1e}")
+        cells += [shown(row.get(key), 4) for key in ("lower", "upper")]
+        cells += [shown(row.get(key)) for key in ("load", "initialise", "process")] + [shown(row.get("peak_mb"), 0)]
+        table.add_row(case, row["solver"], *cells, note)
+    return table
+
+
+def draw(results: Sequence[Row], file: Path) -> None:
+    """Draw the gap against time, one panel per case."""
+    from matplotlib.figure import Figure
+
+    cases = list(dict.fromkeys(row["case"] for row in results if row.get("curve")))
+    if not cases:
+        return
+    columns = min(3, len(cases))
+    rows = -(-len(cases) // columns)
+    figure = Figure(figsize=(4.2 * columns, 3.2 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharey=True)).ravel()
+    for axis, case in zip(axes, cases, strict=False):
+        for row in results:
+            if row["case"] == case and row["solver"] in STYLES and row.get("curve"):
+                colour, dashes = STYLES[row["solver"]]
+                seconds, lower, upper = np.array(row["curve"], dtype=float).T
+                gap = np.maximum((upper - lower) / np.abs(lower), 1e-6)
+                axis.step(np.maximum(seconds, 1e-3), gap, where="post", color=colour, linestyle=dashes,
+                          label=row["solver"])  # fmt: skip
+        axis.set(xscale="log", yscale="log")
+        axis.set_title(case, loc="left", fontsize=9)
+        axis.grid(visible=True, which="major", color="0.88", linewidth=0.8)
+        axis.spines[["top", "right"]].set_visible(False)
+    for axis in axes[len(cases) :]:
+        axis.set_visible(False)
+    figure.supxlabel("seconds")
+    figure.supylabel("relative gap")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(file, dpi=130)
+
+
+def parse(settings: Sequence[str]) -> list[tuple[float, float, float]]:
+    found = []
+    for text in settings:
+        parts = text.split("/")
+        try:
+            gamma, c_suggest, sigma = map(float, parts)
+        except ValueError:
+            raise click.BadParameter(f"{text}: expected GAMMA/C_SUGGEST/SIGMA", param_hint="--settings") from None
+        found.append((gamma, c_suggest, sigma))
+    return found
+
+
+@click.command()
+@click.option("--instances", default="paper-fixed", show_default=True, help=f"Of {', '.join(INSTANCES)}; with commas.")
+@click.option("--settings", multiple=True, default=SETTINGS, show_default=True, metavar="G/C/S",
+              help="gamma/c_suggest/sigma; repeat it.")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="People per setting.")
+@click.option("--timeout", type=click.FloatRange(min=1), default=60.0, show_default=True,
+              help="Seconds for one solver on one case.")  # fmt: skip
+@click.option("--gap", type=click.FloatRange(min=0, min_open=True), default=GAPS[-1], show_default=True)
+@click.option("--memory", type=click.IntRange(min=500), default=12_000, show_default=True, help="MB for one solver.")
+@click.option("--solvers", default=",".join(SOLVERS), show_default=True, help="Which to run, with commas.")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=OUT, show_default=True)
+def main(
+    instances: str, settings: tuple[str, ...], seeds: int, timeout: float, gap: float, memory: int, solvers: str,
+    out: Path,
+) -> None:  # fmt: skip
+    """Compare bounds against time."""
+    wanted = solvers.split(",")
+    if unknown := set(wanted) - set(SOLVERS):
+        raise click.BadParameter(f"{', '.join(unknown)}: not among {', '.join(SOLVERS)}", param_hint="--solvers")
+    options = {"timeout": timeout, "gap": gap, "memory": memory}
+    cases = [Case(i, *s, n) for i in instances.split(",") for s in parse(settings) for n in range(seeds)]
+    console = Console(width=None if sys.stdout.isatty() else 200)
+    out.mkdir(parents=True, exist_ok=True)
+    results: list[Row] = []
+    wrong: list[str] = []
+    behind: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="pomdp-") as scratch, (out / "results.jsonl").open("w") as stream:
+        model, cache = Path(scratch, "problem.pomdpx"), Path(scratch, "cache")
+        cold = True
+        for case in cases:
+            name = f"{case.instance} {case.gamma:g}/{case.c_suggest:g}/{case.sigma:g} #{case.seed}"
+            with console.status(name):
+                reference, shared = references(case, model)
+                rows: list[Row] = []
+                if "kitassist" in wanted:
+                    if cold:
+                        rows.append(own(case, options, cache, warm=False))
+                        cold = False
+                    rows.append(own(case, options, cache, warm=True))
+                if "sarsop" in wanted:
+                    rows.append(sarsop(model, reference, options))
+                if "pomdp-py" in wanted:
+                    rows += searches(case, options)
+            rows = [{"case": name, **case._asdict(), **shared, **reference, **finish(row)} for row in rows]
+            wrong += disagreements(name, rows, reference)
+            behind += losses(name, rows)
+            stream.writelines(json.dumps(row) + "\n" for row in rows)
+            stream.flush()
+            results += rows
+    console.print(as_table(results))
+    try:
+        draw(results, out / "pomdp.png")
+    except ModuleNotFoundError:
+        console.print("No figure: matplotlib is not installed (the extra 'plots').")
+    for line in behind:
+        console.print(f"[yellow]behind[/yellow] {escape(line)}")
+    for line in wrong:
+        console.print(f"[red]{escape(line)}[/red]")
+    if wrong:
+        sys.exit(1)
+    compared = sum("lower" in row for row in results)
+    console.print(
+        f"No bounds exclude each other: {compared} pairs of bounds, and the values of QMDP, never and always."
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,386 @@
+"""What is exported is the problem, number by number; what SARSOP returns is read for what it is."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import KITTING, kitassist
+from scipy.sparse import csr_array
+from test_mdp import make
+from test_vectors import lockers, problems
+
+from assist.choices import Choices
+from assist.exchange import (
+    FORBIDDEN,
+    Observed,
+    PolicyFileError,
+    action_names,
+    read_policy,
+    to_pomdp_py,
+    write_pomdp,
+    write_pomdpx,
+)
+from assist.mdp import evaluate, qmdp
+from assist.pomdp import AssistPOMDP, Frontier
+from planner.errors import MissingExtraError
+
+# SARSOP's own output for `make(tiny_choices)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
+# tiny.pomdpx` (APPL 0.9) ended with the bounds below.
+POLICY = Path(__file__).parent / "data" / "tiny.policy"
+LOWER, UPPER = -7.24383, -7.2274
+
+NAMES = ["optimal", "all", "execute", "lockers", "no lapses"]
+
+
+class Pomdpx:
+    """A reader of POMDPX: of each table, what it gives for values of its parents and itself."""
+
+    def __init__(self, path: Path) -> None:
+        root = ElementTree.parse(path).getroot()
+        self.gamma = float(root.findtext("Discount", ""))
+        self.values: dict[str, list[str]] = {}
+        self.observed = []
+        for node in root.findall("Variable/StateVar"):
+            for name in (node.get("vnamePrev", ""), node.get("vnameCurr", "")):
+                self.values[name] = node.findtext("ValueEnum", "").split()
+            if node.get("fullyObs") == "true":
+                self.observed.append(node.get("vnamePrev"))
+        for node in root.findall("Variable/ActionVar"):
+            self.values[node.get("vname", "")] = node.findtext("ValueEnum", "").split()
+        self.tables = {}
+        for node in [*root.iter("CondProb"), *root.iter("Func")]:
+            name = node.findtext("Var", "")
+            parents = [parent for parent in node.findtext("Parent", "").split() if parent != "null"]
+            variables = parents + ([name] if node.tag == "CondProb" else [])
+            table: dict[tuple[str, ...], float] = {}
+            for entry in node.iter("Entry"):
+                table.update(self.expand(entry, variables))
+            self.tables[name] = table
+
+    def expand(self, entry: ElementTree.Element, variables: list[str]) -> dict[tuple[str, ...], float]:
+        """One entry: `*` stands for every value alike, `-` for every value with a number of its own."""
+        instance = entry.findtext("Instance", "").split()
+        numbers = (entry.findtext("ProbTable") or entry.findtext("ValueTable") or "").split()
+        each = [self.values[v] if word in "*-" else [word] for v, word in zip(variables, instance, strict=True)]
+        dashes = [i for i, word in enumerate(instance) if word == "-"]
+        shape = [len(each[i]) for i in dashes]
+        array = np.eye(*shape) if numbers == ["identity"] else np.array(numbers, dtype=float).reshape(shape)
+        return {
+            tuple(values[i] for values, i in zip(each, places, strict=True)): float(
+                array[tuple(places[i] for i in dashes)]
+            )
+            for places in product(*(range(len(values)) for values in each))
+        }
+
+
+def exact(pomdp: AssistPOMDP, x: int, r: int, b: int, t: int) -> tuple[list[tuple[int, float]], float]:
+    """Each slot's target and chance, and the expected reward, of robot action r in (x, b, t), by the problem itself."""
+    choices = pomdp.model.choices
+    if choices.goal[x]:
+        return [(x, 1.0)], 0.0
+    forbidden = r >= pomdp.robots[x]
+    r = 0 if forbidden else r
+    place, reward = pomdp.place[x, r], -pomdp.charge[x, r] - FORBIDDEN * forbidden
+    if choices.goal[place]:
+        return [(place, 1.0)], reward
+    steps = []
+    for a in np.flatnonzero(choices.applicable[place]):
+        chance = float(pomdp.likelihood(np.array([x]), np.array([r]), np.array([a]))[0, b, t])
+        steps.append((int(choices.targets[place, a]), chance))
+        reward -= chance * choices.costs[place, a]
+    return steps, reward
+
+
+def theta_after(pomdp: AssistPOMDP, x: int, r: int, t: int) -> np.ndarray:
+    shares = np.zeros(len(pomdp.grid.theta))
+    if pomdp.model.choices.goal[x] or r >= pomdp.robots[x]:
+        shares[t] = 1
+    else:
+        shares[pomdp.low[x, r, t]] = 1 - pomdp.weight[x, r, t]
+        shares[pomdp.low[x, r, t] + 1] += pomdp.weight[x, r, t]
+    return shares
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pomdpx_holds_the_problems_own_numbers(tiny_choices: Choices, tmp_path: Path, name: str) -> None:
+    pomdp = problems(tiny_choices)[name]
+    write_pomdpx(pomdp, tmp_path / "problem.pomdpx")
+    file, observed = Pomdpx(tmp_path / "problem.pomdpx"), Observed.of(pomdp)
+    betas, thetas = pomdp.grid.shape
+    hidden = list(product(range(betas), range(thetas)))
+    assert file.gamma == pomdp.gamma
+    assert file.observed == ["x_0"]
+    x_after: dict[tuple[str, ...], list[tuple[int, float]]] = {}
+    for (*given, after), chance in file.tables["x_1"].items():
+        x_after.setdefault(tuple(given), []).append((file.values["x_1"].index(after), chance))
+    for (r, robot), value in product(enumerate(file.values["robot"]), range(len(observed.state))):
+        x, here = int(observed.state[value]), file.values["x_0"][value]
+        for b, t in hidden:
+            given = robot, here, f"b{b}", f"t{t}"
+            steps, reward = exact(pomdp, x, r, b, t)
+            # Which of the copies is the slot's is the writer's choice; that each has one is tested below.
+            written = sorted((int(observed.state[y]), p) for y, p in x_after[given] if p > 0)
+            if len(steps) == 1:
+                assert written == [(steps[0][0], pytest.approx(1))]
+            else:
+                merged: dict[int, list[float]] = {}
+                for y, p in steps:
+                    merged.setdefault(y, []).append(p)
+                expected = [
+                    (y, p)
+                    for y, chances in merged.items()
+                    for p in ([sum(chances)] if pomdp.model.choices.goal[y] else chances)
+                    if p > 0
+                ]
+                assert [y for y, _ in written] == [y for y, _ in sorted(expected)]
+                np.testing.assert_allclose([p for _, p in written], [p for _, p in sorted(expected)], rtol=1e-14)
+            assert sum(p for _, p in x_after[given]) == pytest.approx(1, abs=1e-12)
+            assert file.tables["reward"][given] == pytest.approx(reward, rel=1e-11)
+        for t in range(thetas):
+            row = [file.tables["theta_1"][robot, here, f"t{t}", f"t{u}"] for u in range(thetas)]
+            np.testing.assert_array_equal(row, theta_after(pomdp, x, r, t))
+    assert all(file.tables["beta_1"][f"b{b}", f"b{c}"] == (b == c) for b in range(betas) for c in range(betas))
+    prior = [
+        [file.tables["beta_0"][f"b{b}",] * file.tables["theta_0"][f"t{t}",] for t in range(thetas)]
+        for b in range(betas)
+    ]
+    np.testing.assert_allclose(prior, pomdp.prior, rtol=1e-14, atol=1e-16)
+    initial = {name for (name,), p in file.tables["x_0"].items() if p == 1}
+    assert initial == {f"s{pomdp.model.choices.initial}"}
+
+
+def test_every_action_of_a_person_is_seen() -> None:
+    """No two actions lead from a state to the same observed value, unless the task ends there."""
+    choices = lockers()
+    observed = Observed.of(problems(choices)["optimal"])
+    assert len(observed.state) > len(choices)
+    assert len(set(observed.names)) == len(observed.state)
+    for x in np.flatnonzero(~choices.goal):
+        slots = np.flatnonzero(choices.applicable[x])
+        after = observed.targets[x, slots]
+        np.testing.assert_array_equal(observed.state[after], choices.targets[x, slots])
+        assert len(set(after[~choices.goal[observed.state[after]]])) == (~choices.goal[observed.state[after]]).sum()
+
+
+def test_a_prior_whose_parts_depend_on_each_other(tiny_choices: Choices, tmp_path: Path) -> None:
+    prior = np.array([[0.5, 0.0, 0.0], [0.1, 0.1, 0.3]])
+    write_pomdpx(dataclasses.replace(make(tiny_choices), prior=prior), tmp_path / "problem.pomdpx")
+    tables = Pomdpx(tmp_path / "problem.pomdpx").tables
+    written = [[tables["beta_0"][f"b{b}",] * tables["theta_0"][f"b{b}", f"t{t}"] for t in range(3)] for b in range(2)]
+    np.testing.assert_allclose(written, prior, rtol=1e-14)
+
+
+class Flat:
+    """A reader of the parts of Cassandra's format that are written."""
+
+    def __init__(self, path: Path) -> None:
+        head: dict[str, str] = {}
+        entries: dict[str, dict[tuple[str, ...], float]] = {"T": {}, "O": {}, "R": {}}
+        for line in path.read_text().splitlines():
+            key, _, rest = line.partition(":")
+            if key in entries:
+                *instance, number = (word for word in rest.split() if word != ":")
+                entries[key][tuple(instance)] = float(number)
+            elif not line.startswith("#"):
+                head[key] = rest
+        self.gamma, size = float(head["discount"]), int(head["states"])
+        self.actions, self.start = head["actions"].split(), np.array(head["start"].split(), dtype=float)
+        self.transition = np.zeros((len(self.actions), size, size))
+        for (robot, before, after), chance in entries["T"].items():
+            self.transition[self.places(robot), int(before), int(after)] = chance
+        self.reward = np.zeros((len(self.actions), size))
+        for (robot, before, *_), reward in entries["R"].items():
+            self.reward[self.places(robot), int(before)] = reward
+        self.observation = np.array([int(o) for _, _, o in entries["O"]])
+
+    def places(self, robot: str) -> list[int]:
+        return list(range(len(self.actions))) if robot == "*" else [self.actions.index(robot)]
+
+
+def test_the_flat_format_is_the_factored_one_multiplied_out(tiny_choices: Choices, tmp_path: Path) -> None:
+    pomdp = make(tiny_choices, execute=True)
+    write_pomdpx(pomdp, tmp_path / "problem.pomdpx")
+    write_pomdp(pomdp, tmp_path / "problem.pomdp")
+    tables, flat = Pomdpx(tmp_path / "problem.pomdpx").tables, Flat(tmp_path / "problem.pomdp")
+    states = list(product(range(len(tiny_choices)), range(2), range(3)))
+    assert flat.actions == action_names(pomdp)
+    np.testing.assert_array_equal(flat.observation, [x for x, _, _ in states])
+    np.testing.assert_array_equal(flat.start.reshape(-1, 6)[tiny_choices.initial], pomdp.prior.ravel())
+    for (r, robot), (i, (x, b, t)) in product(enumerate(flat.actions), enumerate(states)):
+        row = [
+            tables["x_1"].get((robot, f"s{x}", f"b{b}", f"t{t}", f"s{y}"), 0.0)
+            * (b == c)
+            * tables["theta_1"][robot, f"s{x}", f"t{t}", f"t{u}"]
+            for y, c, u in states
+        ]
+        np.testing.assert_allclose(flat.transition[r, i], row, rtol=1e-14)
+        assert flat.reward[r, i] == tables["reward"][robot, f"s{x}", f"b{b}", f"t{t}"]
+
+
+@pytest.mark.parametrize("name", ["optimal", "execute", "lockers"])
+def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> None:
+    """The exported process, with everything seen, is worth what the problem is: forbidden actions change nothing."""
+    pomdp = problems(tiny_choices)[name]
+    write_pomdp(pomdp, tmp_path / "problem.pomdp")
+    flat, observed = Flat(tmp_path / "problem.pomdp"), Observed.of(pomdp)
+    np.testing.assert_allclose(flat.transition.sum(axis=2), 1, rtol=1e-12)
+    size = flat.transition.shape[1]
+    transition, value = csr_array(flat.transition.reshape(-1, size)), np.zeros(size)
+    for _ in range(10_000):
+        before, value = value, (flat.reward + flat.gamma * (transition @ value).reshape(-1, size)).max(axis=0)
+        if np.abs(value - before).max() * flat.gamma / (1 - flat.gamma) < 1e-8:
+            break
+    expected = qmdp(pomdp, tolerance=1e-8).value_mdp[observed.state]
+    np.testing.assert_allclose(value.reshape(expected.shape), expected, atol=1e-7)
+
+
+def test_what_cannot_be_written_is_refused(tiny_choices: Choices, tmp_path: Path) -> None:
+    pomdp = make(tiny_choices)
+    frontier = Frontier(np.array([0]), np.zeros((1, 3)), np.zeros(1))
+    for write in (write_pomdpx, write_pomdp):
+        with pytest.raises(ValueError, match="frontier"):
+            write(dataclasses.replace(pomdp, frontier=frontier), tmp_path / "problem")
+    large = kitassist("export", KITTING / "paper.pddl", "--format", "pomdp", "--out", tmp_path / "paper.pomdp")
+    assert large.returncode == 1
+    assert large.stderr.count("\n") == 1
+    assert "836 states of the task times 60 hidden ones" in large.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_sarsops_policy_is_read(tiny_choices: Choices) -> None:
+    pomdp = make(tiny_choices)
+    policy = read_policy(POLICY, pomdp)
+    at, prior = np.array([tiny_choices.initial]), pomdp.prior[None]
+    assert policy.value(at, prior)[0] == pytest.approx(LOWER, abs=1e-5)
+    assert qmdp(pomdp).value(at, prior)[0] >= UPPER
+    for robot in (np.zeros(len(tiny_choices), dtype=np.int64), pomdp.first_optimal):
+        assert (evaluate(pomdp, robot)[tiny_choices.initial] * pomdp.prior).sum() <= UPPER
+    # Every vector's plan is a real one: where the vector is best, one step of look-ahead does not find less. With
+    # states, beta and theta in any other order it would.
+    x = np.flatnonzero(~tiny_choices.goal).repeat(30)
+    belief = np.random.default_rng(1).dirichlet(np.full(6, 0.5), len(x)).reshape(-1, 2, 3)
+    q, value, robot = policy.q_values(x, belief), policy.value(x, belief), policy.choose(x, belief)
+    assert (q.max(axis=1) >= value - 1e-4).all()
+    assert (value <= qmdp(pomdp).value(x, belief) + 1e-4).all()
+    assert (q[np.arange(len(x)), robot] >= value - 1e-4).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "message"),
+    [
+        ("<Vector", "<Vektor", 4, "expected <Policy>"),
+        ('vectorLength="6"', 'vectorLength="60"', 3, "hidden pairs"),
+        ('numObsValue="21"', 'numObsValue="836"', 3, "the problem has 21 states"),
+        ('numVectors="101"', 'numVectors="102"', 105, "102 are announced"),
+        ('obsValue="0"', 'obsValue="21"', 4, "expected 0 to 20"),
+        ('action="0"', 'action="-1"', 4, "expected 0 to 2"),
+        ("-14.929 ", "-14.9.29 ", 4, "-14.9.29"),
+        ("-14.929 ", "", 4, "a vector of 5 numbers"),
+        ("-14.929 ", "nan ", 4, "finite"),
+        ("</Vector>", "</Sector>", 4, "XML"),
+        ('obsValue="0"', 'obsValue="1"', 105, "no alpha vector for state 0"),
+    ],
+)
+def test_a_policy_that_cannot_be_right_is_refused(
+    tiny_choices: Choices, tmp_path: Path, old: str, new: str, line: int, message: str
+) -> None:
+    file = tmp_path / "wrong.policy"
+    text = POLICY.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new) if "obsValue" in old and line > 4 else text.replace(old, new, 1))
+    with pytest.raises(PolicyFileError) as caught:
+        read_policy(file, make(tiny_choices))
+    found, number, *_ = str(caught.value).split(":")
+    assert found == str(file)
+    assert message in str(caught.value)
+    assert abs(int(number) - line) <= 1
+
+
+def test_pomdp_py_has_the_same_chances_and_rewards(tiny_choices: Choices) -> None:
+    pytest.importorskip("pomdp_py")
+    from pomdp_py.utils.templates import SimpleAction, SimpleObservation, SimpleState
+
+    pomdp = make(tiny_choices, execute=True)
+    problem = to_pomdp_py(pomdp, np.random.default_rng(0))
+    states = problem.transition.get_all_states()
+    assert len(states) == 21 * 6
+    for (r, name), state in product(enumerate(action_names(pomdp)), states):
+        (x, b, t), action = state.data, SimpleAction(name)
+        steps, reward = exact(pomdp, x, r, b, t)
+        assert problem.reward.sample(state, action, state) == pytest.approx(reward)
+        theta = theta_after(pomdp, x, r, t)
+        total = 0.0
+        for y, chance in steps:
+            for u in range(3):
+                p = problem.transition.probability(SimpleState((y, b, u)), state, action)
+                assert p == pytest.approx(chance * theta[u])
+                total += p
+        assert total == pytest.approx(1)
+        sampled = problem.transition.sample(state, action)
+        assert problem.transition.probability(sampled, state, action) > 0
+        assert problem.observation.sample(sampled, action) == SimpleObservation(sampled.data[0])
+    agent = problem.agent()
+    assert {s.data for s in agent.belief} == {
+        (tiny_choices.initial, b, t) for b, t in product(range(2), range(3)) if pomdp.prior[b, t] > 0
+    }
+    assert len(agent.policy_model.get_all_actions(states[0])) == pomdp.robots[0]
+
+
+def test_pomdp_pys_planner_runs(tiny_choices: Choices) -> None:
+    pomdp_py = pytest.importorskip("pomdp_py")
+    pomdp = make(tiny_choices)
+    agent = to_pomdp_py(pomdp, np.random.default_rng(0)).agent()
+    planner = pomdp_py.POUCT(
+        max_depth=60, discount_factor=pomdp.gamma, num_sims=200, exploration_const=5, rollout_policy=agent.policy_model
+    )
+    action = planner.plan(agent)
+    upper = qmdp(pomdp).value(np.array([tiny_choices.initial]), pomdp.prior[None])[0]
+    assert action.name in action_names(pomdp)
+    assert -25 < agent.tree[action].value < upper + 2
+
+
+def test_without_pomdp_py_the_extra_is_named(tiny_choices: Choices, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pomdp_py", None)  # as if it were not installed
+    with pytest.raises(MissingExtraError, match=r"kitassist\[pomdp-py\]"):
+        to_pomdp_py(make(tiny_choices), np.random.default_rng(0))
+
+
+def test_export_command(tmp_path: Path) -> None:
+    out = tmp_path / "tiny.pomdpx"
+    options = ("--gamma", 0.9, "--beta", 1, 2, "--sigma", 0.5, "--seed", 4, "--execute")
+    result = kitassist("export", KITTING / "tiny.pddl", "--out", out, "--json", *options, check=True)
+    assert json.loads(result.stdout) == {
+        "instance": str(KITTING / "tiny.pddl"), "domain": str(KITTING / "domain.pddl"), "format": "pomdpx",
+        "out": str(out), "states": 21, "hidden": 60, "robot_actions": 5, "bytes": out.stat().st_size,
+    }  # fmt: skip
+    assert Pomdpx(out).gamma == 0.9
+    first = out.read_bytes()
+    kitassist("export", KITTING / "tiny.pddl", "--out", out, *options, check=True)
+    assert out.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("--out", "tiny.pomdp"), 2, "ends in .pomdpx"),
+        (("--out", "tiny.pomdpx", "--gamma", "1"), 2, "expected 0 < gamma < 1"),
+        (("--out", "tiny.pomdpx", "--sigma", "-1"), 2, "expected 0 or more"),
+        (("--out", "tiny.pomdpx", "--theta", "0.9", "0.2"), 2, "theta range"),
+        ((), 2, "--out"),
+        (("--out", "file/tiny.pomdpx"), 1, "file"),
+    ],
+)
+def test_export_says_what_is_wrong(tmp_path: Path, arguments: tuple[str, ...], code: int, message: str) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    result = kitassist("export", KITTING / "tiny.pddl", *arguments, cwd=tmp_path)
+    assert result.returncode == code
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["file"]

@@ -1,0 +1,122 @@
+"""Alpha vectors: the compiled look-ahead against one that is written out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import DOMAINS, table_of
+from test_mdp import GRID, make
+
+from assist.belief import Grid
+from assist.choices import Choices
+from assist.human import HumanModel
+from assist.mdp import evaluate, qmdp
+from assist.pomdp import AssistPOMDP
+from assist.vectors import VectorPolicy
+from planner import Instance
+
+
+def random_vectors(pomdp: AssistPOMDP, seed: int = 3) -> VectorPolicy:
+    """One to four vectors for every state that is no goal."""
+    rng = np.random.default_rng(seed)
+    counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robots)))
+    first = np.concatenate([[0], np.cumsum(counts)])
+    robot = rng.integers(0, np.repeat(pomdp.robots, counts))
+    return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.grid.shape)), robot, first)
+
+
+def worth(policy: VectorPolicy, x: int, belief: np.ndarray) -> float:
+    rows = policy.vectors[policy.first[x] : policy.first[x + 1]]
+    return max((float((row * belief).sum()) for row in rows), default=0.0)
+
+
+def look_ahead(policy: VectorPolicy, x: int, r: int, belief: np.ndarray) -> float:
+    """What robot action r gives: the person's actions one by one, by the filter that `AssistPOMDP` has."""
+    pomdp, choices = policy.pomdp, policy.pomdp.model.choices
+    place, value = pomdp.place[x, r], -pomdp.charge[x, r]
+    if choices.goal[place]:
+        return value
+    for a in np.flatnonzero(choices.applicable[place]):
+        at = np.array([x]), np.array([r]), np.array([a])
+        chance = float((pomdp.likelihood(*at)[0] * belief).sum())
+        if chance > 0:
+            after = pomdp.update(belief[None], *at)[0]
+            value += chance * (-choices.costs[place, a] + pomdp.gamma * worth(policy, choices.targets[place, a], after))
+    return value
+
+
+def lockers() -> Choices:
+    """A task with dead ends, in which two actions may lead to the same state."""
+    folder = DOMAINS / "lockers"
+    return Choices.of(table_of(Instance(folder / "two-lockers.pddl", folder / "domain.pddl")))
+
+
+def problems(tiny_choices: Choices) -> dict[str, AssistPOMDP]:
+    return {
+        "optimal": make(tiny_choices),
+        "all": make(tiny_choices, suggestions="all"),
+        "execute": make(tiny_choices, execute=True, c_execute=0.7),
+        "lockers": AssistPOMDP.of(HumanModel.exact(lockers()), grid=GRID),
+        # With theta 1 a person does nothing else than what is suggested; with beta 1000, nothing else than the best.
+        "no lapses": AssistPOMDP.of(
+            HumanModel.exact(tiny_choices, lapse=0.0), suggestions="all",
+            grid=Grid(np.array([0.0, 1000.0]), np.array([0.0, 1.0])),
+        ),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["optimal", "all", "execute", "lockers", "no lapses"])
+def test_action_values_equal_those_of_a_plain_look_ahead(tiny_choices: Choices, name: str) -> None:
+    pomdp = problems(tiny_choices)[name]
+    policy = random_vectors(pomdp)
+    rng = np.random.default_rng(5)
+    x = rng.permutation(np.flatnonzero(~pomdp.model.choices.goal))[:20]
+    belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), len(x)).reshape(-1, *pomdp.grid.shape)
+    q = policy.q_values(x, belief)
+    for i, state in enumerate(x):
+        expected = [look_ahead(policy, state, r, belief[i]) for r in range(pomdp.robots[state])]
+        np.testing.assert_allclose(q[i, : len(expected)], expected, rtol=1e-12)
+        assert (q[i, len(expected) :] == -np.inf).all()
+
+
+def test_the_best_vector_gives_value_and_action(tiny_choices: Choices) -> None:
+    policy = random_vectors(make(tiny_choices))
+    x = np.arange(len(tiny_choices))
+    belief = np.random.default_rng(0).dirichlet(np.ones(6), len(x)).reshape(-1, 2, 3)
+    value, robot = policy.value(x, belief), policy.choose(x, belief)
+    for i in x:
+        assert value[i] == pytest.approx(worth(policy, i, belief[i]), rel=1e-12)
+        if not tiny_choices.goal[i]:
+            rows = slice(policy.first[i], policy.first[i + 1])
+            products = (policy.vectors[rows] * belief[i]).sum(axis=(1, 2))
+            assert robot[i] == policy.robot[rows][products.argmax()]
+    assert (value[tiny_choices.goal] == 0).all()
+    assert (robot[tiny_choices.goal] == 0).all()
+
+
+def test_vectors_of_never_helping_are_its_exact_values(tiny_choices: Choices) -> None:
+    """The look-ahead of a policy's exact values is those values where it acts as the policy does, and better nowhere
+    than QMDP's bound."""
+    pomdp = make(tiny_choices)
+    never = np.zeros(len(tiny_choices), dtype=np.int64)
+    values = evaluate(pomdp, never)
+    policy = VectorPolicy(pomdp, values, never, np.arange(len(values) + 1))
+    x = np.flatnonzero(~tiny_choices.goal)
+    belief = np.broadcast_to(pomdp.prior, (len(x), *GRID.shape))
+    q = policy.q_values(x, belief)
+    np.testing.assert_allclose(q[:, 0], policy.value(x, belief), atol=1e-7)
+    assert (q.max(axis=1) <= qmdp(pomdp).value(x, belief) + 1e-9).all()
+
+
+def test_what_does_not_fit_is_refused(tiny_choices: Choices) -> None:
+    policy = random_vectors(make(tiny_choices))
+    for wrong in (
+        {"vectors": policy.vectors[:-1]},
+        {"first": policy.first[:-1]},
+        {"robot": np.full_like(policy.robot, 99)},
+        {"first": np.concatenate([[0, 0], policy.first[2:]])},  # takes the first state's vectors away
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            dataclasses.replace(policy, **wrong)  # type: ignore[arg-type]
