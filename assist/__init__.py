@@ -5,7 +5,9 @@ In the order in which they build on each other:
 choices        what a person can do in each state, as arrays
 human          perceived cost, choice, influence, trust; people and populations
 belief         belief over (beta, theta)
+archive        frozen dataclasses of arrays as files
 pomdp          one person's assistance problem
+region         the part of a large task that matters to it
 mdp            its values where beta and theta are seen; the QMDP policy
 vectors        policies made of alpha vectors
 hull           an upper bound on the value at every belief, from its values at some

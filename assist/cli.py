@@ -8,7 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -16,12 +16,23 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
+import planner
 from planner import (
     Cache,
+    CostToGo,
     Instance,
     InstanceError,
     LimitError,
@@ -39,7 +50,8 @@ from planner.fast_downward import FastDownwardError
 from planner.solving import Record, SolveOptions, versions
 
 if TYPE_CHECKING:
-    from .choices import Choices
+    from numpy.typing import NDArray
+
     from .pomdp import AssistPOMDP, Suggestions
 
 EXIT_FAILED = 1
@@ -190,19 +202,22 @@ def one_instance(instance: str, domain: str | None) -> Instance:
     return found[0]
 
 
-def choices_of(instance: Instance) -> Choices:
+def table_of(instance: Instance) -> planner.Table:
     """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
-    from .choices import Choices
-
     try:
         table = sweep(load(instance), max_states=SIMULATED_STATES)
     except LimitError as error:
         fail(f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states", EXIT_FAILED)
-    if not math.isfinite(table[table.initial]):
+    require_goal(instance, table[table.initial])
+    return table
+
+
+def require_goal(instance: Instance, cost: float) -> None:
+    """Refuse a task that cannot be solved."""
+    if not math.isfinite(cost):
         fail(
             f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist", EXIT_FAILED
         )
-    return Choices.of(table)
 
 
 @main.command()
@@ -281,6 +296,7 @@ def simulate(
 
     from . import figures
     from . import simulate as simulation
+    from .choices import Choices
     from .human import Mixture, Population
 
     with one_line_errors():
@@ -289,7 +305,7 @@ def simulate(
             figures.require()
             if figure.suffix not in figures.FORMATS:
                 raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
-        choices = choices_of(found)
+        choices = Choices.of(table_of(found))
         try:
             population: Population | Mixture = Population(beta, theta, sigma)
             if crowd_file:
@@ -425,6 +441,47 @@ def person_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+@dataclass(frozen=True)
+class Part:
+    """How a task is handled that is too large to keep all of.
+
+    Attributes
+    ----------
+    max_states : int
+        Beyond this many the cost-to-go is asked for on demand.
+    region_states : int
+        Beyond this many only the states that matter are looked at, and so many of them.
+    memory_limit : float or None
+        In megabytes.
+    time_limit : float or None
+        For collecting the states that matter, in seconds.
+    """
+
+    max_states: int
+    region_states: int
+    memory_limit: float | None
+    time_limit: float | None
+
+
+@dataclass(frozen=True)
+class Person:
+    """One person's problem and where it comes from.
+
+    Attributes
+    ----------
+    instance : Instance
+    known : CostToGo
+    pomdp : AssistPOMDP
+    states : int array, shape (n,)
+        The number of each of the problem's states in `known`.
+    """
+
+    instance: Instance
+    known: CostToGo
+    pomdp: AssistPOMDP
+    states: NDArray[np.int64]
+
+
 def person_problem(
     instance: str,
     *,
@@ -441,25 +498,167 @@ def person_problem(
     theta: Range,
     sigma: float,
     seed: int,
-) -> tuple[Instance, AssistPOMDP]:
-    """Set up one person's problem from `person_options`; errors are those of a command."""
+    part: Part | None = None,
+) -> Person:
+    """Set up one person's problem from `person_options`; errors are those of a command.
+
+    With `part` a task that is too large is cut down to the states that matter.
+    """
+    from .choices import Choices
     from .human import HumanModel, Population, perceived_cost, perceived_cost_to_go
     from .pomdp import AssistPOMDP
+    from .region import Region
 
     found = one_instance(instance, domain)
     if not 0 <= sigma < math.inf:
         raise click.UsageError(f"--sigma {sigma:g}: expected 0 or more")
-    choices = choices_of(found)
-    h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
     try:
-        pomdp = AssistPOMDP.of(
-            HumanModel(choices, perceived_cost(choices, h), eta, lapse, utility_scale),
-            population=Population(beta, theta), gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-            execute=execute, c_execute=c_execute,
-        )  # fmt: skip
+        population = Population(beta, theta)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
-    return found, pomdp
+    known: CostToGo
+    if part is None:
+        known = table_of(found)
+    else:
+        task = load(found)
+        known = cost_to_go(task, max_states=part.max_states, memory_limit_mb=part.memory_limit, cache=Cache(task))
+        require_goal(found, float(known.lookup([known.initial])[0]))
+    options = {"population": population, "gamma": gamma, "c_suggest": c_suggest, "suggestions": suggestions}
+    human = {"eta": eta, "lapse": lapse, "utility_scale": utility_scale}
+    whole = isinstance(known, planner.Table) and (part is None or len(known) <= part.region_states)
+    if part is not None and not whole:
+        for name, given in (("--sigma", sigma > 0), ("--execute", execute)):
+            if given:
+                raise click.UsageError(
+                    f"{name}: expected a task of at most {part.region_states:,} states (--region-states)"
+                )
+    try:
+        if isinstance(known, planner.Table) and whole:
+            choices = Choices.of(known)
+            h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
+            model = HumanModel(choices, perceived_cost(choices, h), **human)
+            pomdp = AssistPOMDP.of(model, execute=execute, c_execute=c_execute, **options)  # type: ignore[arg-type]
+            return Person(found, known, pomdp, np.arange(len(known)))
+        assert part is not None
+        with progress_bar("collecting states", part.region_states) as advance:
+            region = Region.of(
+                known, states=part.region_states, population=population, time_limit=part.time_limit, progress=advance
+            )
+        return Person(found, known, region.problem(**options, **human), region.states)  # type: ignore[arg-type]
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+
+
+@main.command()
+@click.argument("instance", metavar="INSTANCE")
+@click.option(
+    "--gap", type=click.FloatRange(min=0), default=1e-3, show_default=True,
+    help="Stop when (upper - lower) / |lower| is at most this.",
+)  # fmt: skip
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True, metavar="S",
+    help="Seconds for the search.",
+)  # fmt: skip
+@click.option(
+    "--memory-limit", type=click.FloatRange(min=0, min_open=True), default=2000.0, show_default=True, metavar="MB",
+    help="Memory for the task's table, and for the search.",
+)  # fmt: skip
+@click.option(
+    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+    help="Ask for the cost-to-go of a larger task on demand.",
+)  # fmt: skip
+@click.option(
+    "--region-states", type=click.IntRange(min=1), default=20_000, show_default=True,
+    help="Of a larger task look at so many states, those that are met most likely.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Save policy and bounds (.npz).")
+@person_options
+@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+def policy(
+    instance: str,
+    gap: float,
+    time_limit: float,
+    memory_limit: float,
+    max_states: int,
+    region_states: int,
+    out: Path | None,
+    as_json: bool,
+    **person: Any,
+) -> None:
+    """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
+    from .solver import solve as solve_person
+
+    if out is not None and out.suffix != ".npz":
+        raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
+    part = Part(max_states, region_states, memory_limit, time_limit)
+    with one_line_errors():
+        problem = person_problem(instance, part=part, **person)
+        with bounds_line() as show:
+            solution = solve_person(
+                problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, progress=show
+            )
+        if out is not None:
+            solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)
+    frontier = problem.pomdp.frontier
+    record = {
+        "instance": str(problem.instance.problem),
+        "domain": str(problem.instance.domain),
+        "states": len(problem.pomdp.robots),
+        "hidden": problem.pomdp.prior.size,
+        "lower": solution.lower,
+        "upper": solution.upper,
+        "gap": solution.gap,
+        "value_qmdp": solution.value_qmdp,
+        "value_never": solution.value_never,
+        "value_always": solution.value_always,
+        "seconds": solution.seconds,
+        "alpha_vectors": len(solution.policy.robot),
+        "stopped": solution.stopped,
+        "method": problem.known.method,
+        "frontier": 0 if frontier is None else len(frontier.states),
+        "versions": versions(),
+    }
+    if as_json:
+        click.echo(json.dumps(record, indent=2))
+    else:
+        _show_policy(record)
+
+
+@contextmanager
+def bounds_line() -> Iterator[Callable[[float, float, float], None]]:
+    """Show time, bounds and gap on stderr while they improve, where that is a terminal."""
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as line:
+        task = line.add_task("first bounds")
+
+        def show(seconds: float, lower: float, upper: float) -> None:
+            gap = (upper - lower) / abs(lower) if lower else 0.0
+            line.update(task, description=f"{seconds:.1f} s  lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}")
+
+        yield show
+
+
+def _show_policy(record: dict[str, Any]) -> None:
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    what = f"{record['states']:,} states, {record['hidden']} hidden pairs"
+    if record["frontier"]:
+        what += f"; {record['frontier']:,} of the states are a frontier"
+    click.echo(what)
+    for name, label in (
+        ("value_never", "nothing, ever"), ("value_always", "always a suggestion"), ("lower", "policy, at least"),
+        ("upper", "any policy, at most"), ("value_qmdp", "beta and theta seen"),
+    ):  # fmt: skip
+        table.add_row(label, f"{record[name]:.4f}")
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    ended = {"gap": "", "time": "; the time is up", "memory": "; the memory is full"}
+    ended["stalled"] = "; the bounds where the states break off allow no more" if record["frontier"] else "; rounding"
+    click.echo(
+        f"gap {100 * record['gap']:.3g} %, {record['alpha_vectors']:,} alpha vectors, {record['seconds']:.1f} s"
+        + ended[record["stopped"]]
+    )
 
 
 @main.command()
@@ -478,7 +677,8 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
     if out.suffix != f".{form}":  # solvers choose the parser by it
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
     with one_line_errors():
-        found, pomdp = person_problem(instance, **person)
+        problem = person_problem(instance, **person)
+        found, pomdp = problem.instance, problem.pomdp
         try:
             {"pomdpx": exchange.write_pomdpx, "pomdp": exchange.write_pomdp}[form](pomdp, out)
         except ValueError as error:

@@ -157,6 +157,8 @@ class AssistPOMDP:
         slots = np.arange(choices.applicable.shape[1])
         rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
         value = perceived_value(choices, model.q)
+        if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
+            value[frontier.states] = -choices.h[frontier.states]
         # Without a suggestion the person expects to stay where they are, so that theta does not move.
         after = np.where(
             suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)
