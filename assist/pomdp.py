@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from . import belief as beliefs
 from .belief import Grid
-from .human import NOTHING, Floats, HumanModel, Population, choice, perceived_value, trust
+from .human import NOTHING, Floats, HumanModel, Mixture, Population, choice, perceived_value, trust
 
 Suggestions = Literal["optimal", "all"]
 
@@ -107,7 +107,7 @@ class AssistPOMDP:
         model: HumanModel,
         *,
         grid: Grid | None = None,
-        population: Population | None = None,
+        population: Population | Mixture | None = None,
         gamma: float = 0.99,
         c_suggest: float = 0.5,
         suggestions: Suggestions = "optimal",
