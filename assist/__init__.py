@@ -2,17 +2,26 @@
 
 In the order in which they build on each other:
 
-choices     what a person can do in each state, as arrays
-human       perceived cost, choice, influence, trust; people and populations
-belief      belief over (beta, theta)
-pomdp       one person's assistance problem
-mdp         its values where beta and theta are seen; the QMDP policy
-vectors     policies made of alpha vectors
-hull        an upper bound on the value at every belief, from its values at some
-solver      its policy, with proven bounds
-exchange    problems and policies in other programs' formats
-attention   team policies: no assistance, reactive, attention switching
-simulate    episodes of a team
-figures     pictures (extra `plots`)
-cli         the command `kitassist`
+choices        what a person can do in each state, as arrays
+human          perceived cost, choice, influence, trust; people and populations
+belief         belief over (beta, theta)
+archive        frozen dataclasses of arrays as files
+pomdp          one person's assistance problem
+region         the part of a large task that matters to it
+mdp            its values where beta and theta are seen; the QMDP policy
+vectors        policies made of alpha vectors
+hull           an upper bound on the value at every belief, from its values at some
+solver         its policy, with proven bounds
+exchange       problems and policies in other programs' formats
+attention      team policies: no assistance, reactive, attention switching
+simulate       episodes of a team
+log            recorded actions, as a log has them and as the task has them
+fit            beta, theta and eta of a person, from recorded actions
+misconception  sigma, and what a person takes for the cost-to-go
+crowd          the distribution of beta and theta over people
+diagnostics    whether the model fits
+profile        all that a log says of each person
+figures        pictures (extra `plots`)
+fit_figures    pictures of what was learned from people (extra `plots`)
+cli            the command `kitassist`
 """

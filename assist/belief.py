@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .human import Floats, Population
+from .human import Floats, Mixture, Population
 
 
 class ImpossibleObservationError(ValueError):
@@ -45,7 +45,7 @@ class Grid:
         self.theta.flags.writeable = False
 
     @classmethod
-    def regular(cls, population: Population, betas: int = 6, thetas: int = 10) -> Grid:
+    def regular(cls, population: Population | Mixture, betas: int = 6, thetas: int = 10) -> Grid:
         """Divide the population's range of beta into equal cells (their middles), and [0, 1] for theta."""
         low, high = population.beta
         edges = np.linspace(low, high, betas + 1)
@@ -72,13 +72,18 @@ class Grid:
         weight = (theta - self.theta[low]) / (self.theta[low + 1] - self.theta[low])
         return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
-    def prior(self, population: Population) -> Floats:
+    def prior(self, population: Population | Mixture) -> Floats:
         """Give the belief, shape (B, T), in a person drawn from a population.
+
+        That in a mixture is the mixture of those in its parts.
 
         Beta is uniform over the grid's values in the population's range (over the nearest one, where
         none is). The uniform density of theta is shared between grid points like single values are,
         so that its mean is exact.
         """
+        if isinstance(population, Mixture):
+            parts = zip(population.shares, population.parts, strict=True)
+            return np.sum([share * self.prior(part) for share, part in parts], axis=0) / sum(population.shares)
         low, high = population.beta
         inside = (self.beta >= low) & (self.beta <= high)
         if not inside.any():

@@ -179,6 +179,50 @@ class Population:
 
 
 @dataclass(frozen=True)
+class Mixture:
+    """A population of several parts, of which each makes up a share: any distribution, piece by piece uniform.
+
+    Attributes
+    ----------
+    parts : tuple of Population
+    shares : tuple of float
+        They add up to 1.
+    """
+
+    parts: tuple[Population, ...]
+    shares: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.parts or len(self.parts) != len(self.shares):
+            raise ValueError(f"{len(self.parts)} parts, {len(self.shares)} shares: expected one share for each part")
+        if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
+            raise ValueError(
+                f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
+            )
+
+    @property
+    def beta(self) -> Range:
+        """The range that holds all parts."""
+        return min(part.beta[0] for part in self.parts), max(part.beta[1] for part in self.parts)
+
+    @property
+    def theta(self) -> Range:
+        """The range that holds all parts."""
+        return min(part.theta[0] for part in self.parts), max(part.theta[1] for part in self.parts)
+
+    @property
+    def sigma(self) -> Range:
+        """The range that holds all parts."""
+        return min(part.sigma[0] for part in self.parts), max(part.sigma[1] for part in self.parts)
+
+    def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
+        """Draw people for a task."""
+        shares = np.asarray(self.shares) / sum(self.shares)
+        drawn = rng.choice(len(self.parts), size=count, p=shares)
+        return [person for part in drawn for person in self.parts[part].sample(choices, 1, rng)]
+
+
+@dataclass(frozen=True)
 class HumanModel:
     """What the robot takes for granted about a person whose beta and theta it does not know.
 

@@ -95,6 +95,8 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
     if dead.any():
         value[dead] = -choices.costs[dead][choices.applicable[dead]].min() / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
+        beyond = np.isinf(choices.h[pomdp.frontier.states])
+        value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
     arrays, order = Arrays.of(pomdp), _order(pomdp)
     if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
@@ -128,10 +130,11 @@ def evaluate(
     if silent:  # then theta does not matter, and one value of it stands for all
         arrays = arrays._replace(theta=arrays.theta[:1])
     # Nothing costs more per step than the dearest choice after the dearest robot action: each sweep raises this.
-    worst = pomdp.charge.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)
-    value = np.where(active, -worst / (1 - pomdp.gamma), 0.0)[:, None, None] * np.ones(
-        (len(pomdp.grid.beta), len(arrays.theta))
-    )
+    worst = -(pomdp.charge.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
+    if pomdp.frontier is not None:
+        worst = min(worst, pomdp.frontier.lower.min(initial=0.0))
+    value = np.zeros((len(active), len(pomdp.grid.beta), len(arrays.theta)))
+    value[active] = worst
     if pomdp.frontier is not None:
         value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
     _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)

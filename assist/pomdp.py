@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from . import belief as beliefs
 from .belief import Grid
-from .human import NOTHING, Floats, HumanModel, Population, choice, perceived_value, trust
+from .human import NOTHING, Floats, HumanModel, Mixture, Population, choice, perceived_value, trust
 
 Suggestions = Literal["optimal", "all"]
 
@@ -110,7 +110,7 @@ class AssistPOMDP:
         model: HumanModel,
         *,
         grid: Grid | None = None,
-        population: Population | None = None,
+        population: Population | Mixture | None = None,
         gamma: float = 0.99,
         c_suggest: float = 0.5,
         suggestions: Suggestions = "optimal",
@@ -161,6 +161,8 @@ class AssistPOMDP:
         slots = np.arange(choices.applicable.shape[1])
         rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
         value = perceived_value(choices, model.q)
+        if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
+            value[frontier.states] = -choices.h[frontier.states]
         # Without a suggestion the person expects to stay where they are, so that theta does not move.
         after = np.where(
             suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)

@@ -33,6 +33,7 @@ from .human import (
     Floats,
     Human,
     HumanModel,
+    Mixture,
     Population,
     choice,
     influence,
@@ -115,7 +116,7 @@ class Pool:
         seed: int,
         *,
         setting: Setting | None = None,
-        population: Population | None = None,
+        population: Population | Mixture | None = None,
         progress: Callable[[int, int], None] | None = None,
     ) -> Pool:
         """Draw people from a population and solve the POMDP of each.

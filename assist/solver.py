@@ -23,12 +23,14 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from . import archive
 from . import hull as hulls
 from .human import Floats
 from .mdp import QMDP, ROUNDING, Arrays, evaluate, qmdp
@@ -39,8 +41,8 @@ DEPTH = 2000
 TARGET = 0.5  # a trial ends where the gap, discounted, is below this share of the gap at the root
 BACKUPS = 1000  # between two looks at the clock
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
+FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 FEW = 32  # vectors of a state that are all looked at, whether or not they are of use
-FINEST = 1e-15  # a trial that gains less than this share of the gap gains nothing, and all after it would be alike
 NONE = -1
 
 
@@ -100,8 +102,8 @@ class Solution:
     seconds : float
     backups : int
     stopped : str
-        "gap", "time", "memory", or "rounding" (the bounds are as close as floating point lets them be): what ended
-        the search.
+        What ended the search: "gap", "time", "memory", or "stalled" where no trial can improve a bound any more,
+        because what is left is the width of a frontier's bounds, or rounding.
     """
 
     policy: VectorPolicy
@@ -121,6 +123,21 @@ class Solution:
     def __post_init__(self) -> None:
         for array in (self.corner, self.point, self.drop, self.first):
             array.flags.writeable = False
+
+    def save(self, file: Path, **more: Any) -> None:
+        """Save the solution and its problem, with further arrays by name; `docs/policies.md` describes the file."""
+        archive.save(file, self, **more)
+
+    @classmethod
+    def load(cls, file: Path) -> Solution:
+        """Load a solution.
+
+        Raises
+        ------
+        ArchiveError
+            Another kind of file.
+        """
+        return archive.load(file, cls)
 
     @property
     def pomdp(self) -> AssistPOMDP:
@@ -235,10 +252,12 @@ def solve(
         if not search.make_room(memory_limit_mb):
             stopped = "memory"
             break
-        if search.fineness[0] < FINEST or upper - lower <= smallest:
-            stopped = "rounding"
+        going_on = search.fineness[0] >= FINEST and upper - lower > smallest
+        done = search.trials(x0, prior, gap * abs(lower)) if going_on else 0
+        if not done:
+            stopped = "stalled"
             break
-        backups += search.trials(x0, prior, gap * abs(lower))
+        backups += done
     return search.solution(
         lower=lower, upper=upper, value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=value_never,
         value_always=value_always, seconds=time.perf_counter() - start, backups=backups, stopped=stopped,

@@ -275,7 +275,7 @@ def test_bounds_stay_ordered_and_finite(name: str) -> None:
     given = {"gamma": 0.9, "c_suggest": 0.05, "population": Population(beta, (0.0, 1.0)), **options}
     pomdp = AssistPOMDP.of(model, grid=Grid(np.array(beta), np.array([0.0, 0.5, 1.0])), **given)
     solution = solve(pomdp, gap=1e-3, time_limit=10)
-    assert solution.stopped in {"gap", "rounding"}
+    assert solution.stopped in {"gap", "stalled"}
     x = np.repeat(np.arange(4), 50)
     belief = np.random.default_rng(0).dirichlet(np.full(6, 0.2), len(x)).reshape(-1, 2, 3)
     belief[::50] = pomdp.prior
@@ -300,7 +300,7 @@ def test_nothing_is_left_to_do_at_the_goal() -> None:
 
 def test_search_ends_where_rounding_stops_it(tiny_choices: Choices) -> None:
     solution = solve(make(tiny_choices, gamma=0.7), gap=0, time_limit=20)
-    assert solution.stopped == "rounding"
+    assert solution.stopped == "stalled"
     assert 0 < solution.gap < 1e-9
 
 

@@ -101,7 +101,7 @@ def test_vectors_of_never_helping_are_its_exact_values(tiny_choices: Choices) ->
     than QMDP's bound."""
     pomdp = make(tiny_choices)
     never = np.zeros(len(tiny_choices), dtype=np.int64)
-    values = evaluate(pomdp, never)
+    values = evaluate(pomdp, never, tolerance=1e-9)
     policy = VectorPolicy(pomdp, values, never, np.arange(len(values) + 1))
     x = np.flatnonzero(~tiny_choices.goal)
     belief = np.broadcast_to(pomdp.prior, (len(x), *GRID.shape))

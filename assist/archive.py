@@ -1,0 +1,79 @@
+"""Frozen dataclasses of arrays as files.
+
+A file is numpy's `.npz` with one array per field. Fields of a dataclass within another are named by both, with
+a dot between; a field that is None is left out.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from planner import storage
+
+T = TypeVar("T")
+
+
+class ArchiveError(ValueError):
+    """A file that does not hold what is wanted."""
+
+
+def save(file: Path, value: Any, **more: Any) -> None:
+    """Save a dataclass, and further arrays, at once or not at all."""
+    with storage.atomic(file) as path:
+        np.savez_compressed(path, **_pack(value, ""), **more)
+
+
+def load(file: Path, cls: type[T]) -> T:
+    """Load a dataclass; further arrays are left aside.
+
+    Raises
+    ------
+    ArchiveError
+        Another kind of file, or one that lacks a field.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+        return _unpack(cls, found, "")
+    except KeyError as error:
+        raise ArchiveError(f"{file}: no array {error}; expected a saved {cls.__name__}") from None
+    except (ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise ArchiveError(f"{file}: {error}; expected a saved {cls.__name__}") from None
+
+
+def _pack(value: Any, prefix: str) -> dict[str, Any]:
+    packed: dict[str, Any] = {}
+    for field in fields(value):
+        part = getattr(value, field.name)
+        if is_dataclass(part):
+            packed |= _pack(part, f"{prefix}{field.name}.")
+        elif part is not None:
+            packed[prefix + field.name] = np.asarray(part)
+    return packed
+
+
+def _unpack(cls: Any, arrays: Mapping[str, Any], prefix: str) -> Any:
+    parts: dict[str, Any] = {}
+    for name, hint in get_type_hints(cls).items():
+        key = prefix + name
+        if get_origin(hint) is UnionType:
+            hint = next(kind for kind in get_args(hint) if kind is not type(None))
+            if not any(found == key or found.startswith(f"{key}.") for found in arrays):
+                parts[name] = None
+                continue
+        if is_dataclass(hint):
+            parts[name] = _unpack(hint, arrays, f"{key}.")
+        elif hint in (int, float, str):
+            parts[name] = arrays[key].item()
+        elif get_origin(hint) is tuple:
+            parts[name] = tuple(arrays[key].tolist())
+        else:
+            parts[name] = arrays[key]
+    return cls(**parts)

@@ -1,0 +1,585 @@
+"""What is learned from recorded actions: by hand, against brute force, and through the command."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from math import exp, log
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING, kitassist
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.belief import Grid
+from assist.choices import Choices
+from assist.cli import main
+from assist.crowd import fit_crowd, mixture
+from assist.diagnostics import calibrate, check
+from assist.fit import Method, Observations, fit, log_likelihood, observe
+from assist.human import HumanModel, Mixture, Population, choice, influence, perceived_cost, perceived_value, trust
+from assist.log import Entry, read, replay
+from assist.misconception import MarginalLikelihood, fit_misconception
+from assist.pomdp import AssistPOMDP
+from planner import Cache, Table, load, sweep
+
+RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
+FETCH = "(fetch box-a)"
+
+
+def lines(*actions: str, person: str = "ann", episode: str = "1", told: dict[int, str] | None = None) -> list[dict]:
+    return [
+        {"person": person, "episode": episode, "step": step, "action": action, "suggestion": (told or {}).get(step)}
+        for step, action in enumerate(actions)
+    ]
+
+
+def entries_of(rows: list[dict]) -> list[Entry]:
+    return [
+        Entry(n, r["person"], r["episode"], r["step"], r["action"], r["suggestion"])
+        for n, r in enumerate(rows, start=1)
+    ]
+
+
+def observed(table: Table, rows: list[dict]) -> list[Observations]:
+    recording, faults = replay(entries_of(rows), table)
+    assert faults == []
+    states = np.arange(len(table))
+    return observe(recording, table.h, table.is_goal(states))
+
+
+def people_at_work(
+    choices: Choices,
+    beta: list[float],
+    rng: np.random.Generator,
+    *,
+    theta: float = 0.6,
+    eta: float = 0.2,
+    suggest: float = 0.0,
+    episodes: int = 3,
+    noise: np.ndarray | None = None,
+) -> list[dict]:
+    """Simulate people with the functions of the model, and write down what they do."""
+    rows = []
+    h = choices.h if noise is None else np.where(choices.goal, 0.0, choices.h + noise)
+    q = perceived_cost(choices, h)
+    v = perceived_value(choices, q)
+    for k, own in enumerate(beta):
+        for episode in range(episodes):
+            x, trusts = choices.initial, theta
+            for step in range(2000):
+                slots = np.flatnonzero(choices.applicable[x])
+                told = int(rng.choice(slots)) if rng.random() < suggest else -1
+                p = influence(choice(q[x], choices.applicable[x], own), told, trusts)
+                slot = int(rng.choice(len(p), p=p))
+                name = None if told < 0 else choices.name(x, told)
+                rows.append(
+                    {
+                        "person": f"p{k}",
+                        "episode": str(episode),
+                        "step": step,
+                        "action": choices.name(x, slot),
+                        "suggestion": name,
+                    }
+                )
+                if told >= 0:
+                    trusts = float(trust(trusts, v[x], v[choices.targets[x, told]], eta))
+                x = int(choices.targets[x, slot])
+                if choices.goal[x]:
+                    break
+    return rows
+
+
+@pytest.fixture(scope="module")
+def paper() -> Table:
+    return sweep(load(KITTING / "paper.pddl"))
+
+
+@pytest.fixture(scope="module")
+def paper_choices(paper: Table) -> Choices:
+    return Choices.of(paper)
+
+
+@pytest.fixture(scope="module")
+def team(paper: Table, paper_choices: Choices) -> list[Observations]:
+    rows = people_at_work(paper_choices, [0.1, 0.4, 0.8, 1.5, 4.0], np.random.default_rng(4), suggest=0.5)
+    return observed(paper, rows)
+
+
+def test_the_likelihood_by_hand(tiny: Table) -> None:
+    """On the tiny kit, after fetching box-a, Q is 5 for the right slot, 7 for the wrong one and for going back.
+
+    At the start both boxes are alike. With the hammer in slot-2 the only good action is to take it out again.
+    """
+    rows = lines(FETCH, WRONG, "(remove hammer slot-2 box-a)", RIGHT, told={1: RIGHT, 3: RIGHT})
+    (o,) = observed(tiny, rows)
+    assert o.regret.tolist() == [0, 2, 0, 0]
+    assert o.suboptimal == 1
+    assert o.cost_to_go.tolist() == [6, 5, 6, 5]
+    assert o.gain.tolist() == [0, 1, 0, 1]  # both suggestions lead one action nearer
+    beta, theta, eta, lapse = 0.7, 0.3, 0.2, 1e-3
+    e = exp(-2 * beta)
+    good, bad = 1 / (1 + 2 * e), e / (1 + 2 * e)
+    undone = 1 / (1 + e)  # of taking the hammer out and returning box-a
+    refused = (1 - theta) * bad / (theta * good + (1 - theta) * 2 * bad)
+    later = theta + eta  # trust grows by the first suggestion, though it was refused
+    taken = later * good / (later * good + (1 - later) * 2 * bad)
+    expected = sum(log((1 - lapse) * p + lapse / n) for p, n in ((0.5, 2), (refused, 3), (undone, 2), (taken, 3)))
+    found = log_likelihood(o, np.array([beta]), np.array([theta]), np.array([eta]), Method(lapse=lapse))
+    assert found.shape == (1, 1, 1)
+    assert found[0, 0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[Observations]) -> None:
+    """Step by step with `assist.human`, for people of many actions."""
+    c = paper_choices
+    v = perceived_value(c, perceived_cost(c, c.h))
+    for o in team[:2]:
+        total, theta = 0.0, 0.0
+        for i in range(len(o)):
+            theta = 0.4 if o.begins[i] else theta
+            p = influence(choice(o.excess[i], o.applicable[i], 0.8), o.suggested[i], theta)
+            total += log(0.999 * p[o.chosen[i]] + 0.001 / o.applicable[i].sum())
+            if o.suggested[i] >= 0:
+                theta = float(trust(theta, v[o.state[i]], v[o.targets[i, o.suggested[i]]], 0.3, 2.0))
+        found = log_likelihood(o, np.array([0.8]), np.array([0.4]), np.array([0.3]), Method(utility_scale=2.0))
+        assert found.item() == pytest.approx(total, rel=1e-12)
+
+
+def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations]) -> None:
+    beta, theta, eta = np.linspace(0, 5, 126), np.linspace(0, 1, 41), np.linspace(0, 1, 41)
+    team = team[1::2]
+    for o, found in zip(team, fit(team), strict=True):
+        assert found.theta is not None
+        assert found.eta is not None
+        values = log_likelihood(o, beta, theta, eta)
+        best = values.max()
+        assert found.log_likelihood >= best - 1e-9
+        own = log_likelihood(o, *(np.array([e.value]) for e in (found.beta, found.theta, found.eta))).item()
+        assert found.log_likelihood == pytest.approx(own, abs=2e-6)
+        for axis, grid, estimate in ((0, beta, found.beta), (1, theta, found.theta), (2, eta, found.eta)):
+            profile = values.max(axis=tuple({0, 1, 2} - {axis}))
+            inside = grid[profile >= found.log_likelihood - 1.9207]
+            width = grid[1]
+            assert estimate.interval[0] == pytest.approx(inside.min(), abs=1.6 * width)
+            assert estimate.interval[1] == pytest.approx(inside.max(), abs=1.6 * width)
+            assert estimate.interval[0] <= estimate.value <= estimate.interval[1]
+
+
+@given(st.integers(0, 10_000), st.floats(0.1, 3.0))
+@settings(max_examples=15, deadline=None)
+def test_laws_of_estimates(seed: int, beta: float) -> None:
+    table = TINY
+    rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
+    (found,) = fit(observed(table, rows), Method(eta=0.2))
+    (wide,) = fit(observed(table, rows), Method(eta=0.2, level=0.99))
+    for estimate, wider in ((found.beta, wide.beta), (found.theta, wide.theta)):
+        if estimate is None or wider is None:
+            assert all(row["suggestion"] is None for row in rows)
+            continue
+        low, high = estimate.interval
+        assert 0 <= low <= estimate.value <= high <= 5
+        assert wider.interval[0] <= low + 2e-3
+        assert wider.interval[1] >= high - 2e-3
+    shuffled = [rows[i] for i in np.random.default_rng(seed).permutation(len(rows))]
+    (again,) = fit(observed(table, shuffled), Method(eta=0.2))
+    assert (again.beta, again.theta, again.log_likelihood) == (found.beta, found.theta, found.log_likelihood)
+    p = found.probabilities()
+    np.testing.assert_allclose(p.sum(axis=1), 1.0)
+
+
+TINY = sweep(load(KITTING / "tiny.pddl"))
+TINY_CHOICES = Choices.of(TINY)
+PLAN = TINY.optimal_plan() or []
+
+
+def test_who_never_errs_gets_a_stated_bound(tiny: Table) -> None:
+    """Six actions without a mistake: beta's lower bound is where they have the probability exp(-1.92)."""
+    (o,) = observed(tiny, lines(*PLAN))
+    (found,) = fit([o])
+    assert o.suboptimal == 0
+    assert found.beta.value == found.beta.interval[1] == pytest.approx(5.0)  # 10 for mistakes that cost 2
+    assert found.beta.open_above
+    low = found.beta.interval[0]
+    values = log_likelihood(o, np.array([low, 5.0]), np.array([0.5]), np.array([0.0])).ravel()
+    assert values[1] - values[0] == pytest.approx(1.9207, abs=1e-3)
+    (other,) = fit([o], Method(largest_beta=3.0))
+    assert other.beta.interval[1] == other.beta.value == pytest.approx(3.0)
+
+
+def test_random_actions_and_no_choices(tiny: Table) -> None:
+    (back_and_forth,) = fit(observed(tiny, lines(*[FETCH, BACK] * 10)))
+    assert back_and_forth.beta.value == 0
+    assert back_and_forth.beta.open_below
+    assert back_and_forth.beta.interval[0] == 0
+    assert back_and_forth.beta.interval[1] < 1
+    (silent,) = fit(observed(tiny, lines(FETCH)))
+    assert not silent.beta.identified
+    assert silent.theta is None
+    assert silent.eta is None
+
+
+def test_dead_ends_do_no_harm(sealed: Table) -> None:
+    choices = Choices.of(sealed)
+    rng = np.random.default_rng(0)
+    x, rows = choices.initial, []
+    for step in range(40):
+        slots = np.flatnonzero(choices.applicable[x])
+        slot, told = (int(rng.choice(slots)) for _ in range(2))
+        rows.append(
+            {"person": "a", "episode": "1", "step": step, "action": choices.name(x, slot),
+             "suggestion": choices.name(x, told)}
+        )  # fmt: skip
+        x = int(choices.targets[x, slot])
+    (o,) = observed(sealed, rows)
+    assert np.isinf(o.cost_to_go).any()
+    (found,) = fit([o])
+    assert np.isfinite(found.log_likelihood)
+    assert check(found, rng).p is not None or o.suboptimal < 1
+    assert np.isfinite(fit_misconception(found).log_likelihood)
+
+
+def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
+    """Forty people: intervals cover nine in ten at least, and the order of beta is kept."""
+    rng = np.random.default_rng(7)
+    beta = np.geomspace(0.1, 3.0, 40)
+    found = fit(observed(paper, people_at_work(paper_choices, beta.tolist(), rng, suggest=0.4)), Method(eta=0.2))
+    found = sorted(found, key=lambda f: int(f.observations.person[1:]))
+    covered = [f.beta.interval[0] <= b <= f.beta.interval[1] for f, b in zip(found, beta, strict=True)]
+    assert sum(covered) >= 36
+    ranks = np.argsort(np.argsort([f.beta.value for f in found]))
+    assert np.corrcoef(ranks, np.arange(40))[0, 1] > 0.9
+    told = [f for f in found if f.theta is not None]
+    assert sum(f.theta.interval[0] <= 0.6 <= f.theta.interval[1] for f in told if f.theta) >= 0.88 * len(told)
+
+    crowd = fit_crowd([f.observations for f in found], Method(eta=0.2))
+    assert crowd.beta.mean == pytest.approx(beta.mean(), rel=0.25)
+    assert crowd.theta is not None
+    assert crowd.theta.mean == pytest.approx(0.6, abs=0.06)
+    population = crowd.population()
+    assert mixture(json.loads(json.dumps(crowd.record()))) == population
+    drawn = population.sample(TINY_CHOICES, 3000, rng)
+    assert np.mean([human.beta for human in drawn]) == pytest.approx(crowd.beta.mean, rel=0.08)
+    assert np.mean([human.theta for human in drawn]) == pytest.approx(crowd.theta.mean, rel=0.03)
+    free = fit_crowd([f.observations for f in found], Method(eta=0.2), family="histogram")
+    assert free.log_likelihood >= crowd.log_likelihood - 0.5
+    assert sum(free.population().shares) == pytest.approx(1)
+    with pytest.raises(ValueError, match="unknown family"):
+        fit_crowd([f.observations for f in found], family="cauchy")
+
+
+def test_a_mixture_is_the_sum_of_its_parts() -> None:
+    low, high = Population((0.1, 0.5), (0.5, 0.55)), Population((2.0, 2.5), (0.8, 0.9))
+    both = Mixture((low, high), (0.25, 0.75))
+    assert (both.beta, both.theta) == ((0.1, 2.5), (0.5, 0.9))
+    grid = Grid.regular(both)
+    np.testing.assert_allclose(grid.prior(both), 0.25 * grid.prior(low) + 0.75 * grid.prior(high))
+    people = both.sample(TINY_CHOICES, 400, np.random.default_rng(0))
+    assert np.mean([human.beta > 1 for human in people]) == pytest.approx(0.75, abs=0.07)
+    with pytest.raises(ValueError, match="add up to"):
+        Mixture((low, high), (0.5, 0.6))
+
+
+def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: Choices) -> None:
+    """Who repeats the same mistakes has sigma, who makes others each time a smaller beta."""
+    rng = np.random.default_rng(2)
+    noise = rng.standard_normal(len(paper))
+    mistaken = observed(paper, people_at_work(paper_choices, [2.0], rng, episodes=12, noise=noise))
+    careless = observed(paper, people_at_work(paper_choices, [0.7], rng, episodes=12))
+    first, second = (fit(o)[0] for o in (mistaken, careless))
+    assert first.beta.value < 1.2  # the plain model takes misconceptions for a lack of expertise
+    found = fit_misconception(first)
+    assert found.interval[0] > 0.3
+    assert found.interval[0] <= 1.0 <= found.interval[1]
+    assert found.beta > first.beta.value
+    assert found.log_likelihood > found.without + 5
+    assert np.corrcoef(found.perceived - found.cost_to_go, noise[found.states])[0, 1] > 0.35
+    none = fit_misconception(second)
+    assert none.interval[0] < 0.05
+    assert none.log_likelihood < none.without + 1.92
+    p = check(first, rng).p
+    assert p is not None
+    assert p < 0.01
+    assert check(first, rng).striking == "repetition"
+    p = check(second, rng).p
+    assert p is not None
+    assert p > 0.01
+
+
+def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -> None:
+    """Two alternatives with one uncertain cost each: a normal integral of a logistic function."""
+    rows = lines(FETCH, WRONG, "(remove hammer slot-2 box-a)")
+    (found,) = fit(observed(tiny, rows[:3]))
+    model = MarginalLikelihood(found)
+    beta, sigma = 0.8, 0.5
+    value, z = model.marginal(beta, sigma)
+    rng = np.random.default_rng(0)
+    draws = beta * sigma * rng.standard_normal((200_000, len(z)))
+    chance = np.mean([np.exp(model._terms(beta, np.append(row, 0.0))[0]) for row in draws[:20_000]])
+    assert value == pytest.approx(np.log(chance), abs=0.03)
+
+
+def test_calibration_counts_every_choice(team: list[Observations]) -> None:
+    c = calibrate(fit(team))
+    assert c.count.sum() == sum(o.applicable.sum() for o in team)
+    assert (c.observed * c.count).sum() == pytest.approx(sum(map(len, team)))
+    assert ((c.low <= c.observed + 1e-12) & (c.observed <= c.high + 1e-12)).all()
+    assert np.abs(c.predicted - c.observed).max() < 0.25
+
+
+def test_the_check_is_fair(paper: Table, paper_choices: Choices) -> None:
+    """People for whom the model holds rarely look odd."""
+    rng = np.random.default_rng(3)
+    found = fit(observed(paper, people_at_work(paper_choices, np.linspace(0.3, 1.2, 40).tolist(), rng, episodes=2)))
+    p = np.array([c.p for c in (check(f, rng, 199) for f in found) if c.p is not None])
+    assert len(p) >= 35
+    assert (p < 0.05).sum() <= 6
+    assert 0.3 < p.mean() < 0.7
+
+
+def test_the_online_belief_is_the_offline_likelihood(tiny: Table, tiny_choices: Choices) -> None:
+    """Without suggestions the belief over beta is the normalised likelihood, and closes in on the estimate."""
+    grid = Grid(np.linspace(0.05, 3.0, 60), np.array([0.0, 0.5, 1.0]))
+    pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid)
+    rows = people_at_work(tiny_choices, [1.2], np.random.default_rng(5), episodes=60)
+    (o,) = observed(tiny, rows)
+    belief = pomdp.prior[None]
+    for x, slot in zip(o.state, o.chosen, strict=True):
+        belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([slot]))
+    online = belief[0].sum(axis=1)
+    likelihood = log_likelihood(o, grid.beta, np.array([0.5]), np.array([0.0])).ravel()
+    offline = pomdp.prior.sum(axis=1) * np.exp(likelihood - likelihood.max())
+    np.testing.assert_allclose(online, offline / offline.sum(), rtol=1e-6, atol=1e-12)
+    (found,) = fit([o])
+    assert grid.beta[online.argmax()] == pytest.approx(found.beta.value, abs=0.05)
+    assert found.beta.interval[0] < grid.beta @ online < found.beta.interval[1]
+
+
+def test_the_online_belief_with_suggestions(tiny: Table, tiny_choices: Choices) -> None:
+    """Within an episode, on a fine grid, the belief is the likelihood averaged over theta's prior."""
+    grid = Grid(np.linspace(0.05, 3.0, 30), np.linspace(0.0, 1.0, 201))
+    pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices, eta=0.1), grid=grid, suggestions="all")
+    rows = people_at_work(tiny_choices, [0.4], np.random.default_rng(11), suggest=0.7, eta=0.1, episodes=1)
+    (o,) = observed(tiny, rows)
+    assert (o.suggested >= 0).sum() >= 4
+    belief = pomdp.prior[None]
+    for x, told, slot in zip(o.state, o.suggested, o.chosen, strict=True):
+        robot = 0 if told < 0 else int(np.flatnonzero(pomdp.suggested[x] == told)[-1])
+        belief = pomdp.update(belief, np.array([x]), np.array([robot]), np.array([slot]))
+    likelihood = np.exp(log_likelihood(o, grid.beta, grid.theta, np.array([0.1]))[:, :, 0])
+    offline = (pomdp.prior * likelihood).sum(axis=1)
+    np.testing.assert_allclose(belief[0].sum(axis=1), offline / offline.sum(), rtol=0.02)
+
+
+def test_actions_as_people_write_them(tiny: Table) -> None:
+    rows = lines(
+        "(FETCH Box-A)", "place hammer slot-1", "( return )", "(open box-b)", told={1: "(place HAMMER slot-2)"}
+    )
+    rows.insert(1, {"person": "ann", "episode": "1", "step": 0.5, "action": "(Wait-a-little)", "suggestion": None})
+    recording, faults = replay(entries_of(rows), tiny, drop=["wait-a-little"], rename={"open": "fetch"})
+    assert faults == []
+    assert recording.state.tolist()[0] == tiny.initial
+    assert [int(n) for n in recording.suggested >= 0] == [0, 1, 0, 0]
+    plain, _ = replay(entries_of(lines(FETCH, RIGHT, BACK, "(fetch box-b)", told={1: WRONG})), tiny)
+    np.testing.assert_array_equal(recording.state, plain.state)
+    np.testing.assert_array_equal(recording.chosen, plain.chosen)
+    np.testing.assert_array_equal(recording.suggested, plain.suggested)
+
+
+def write_log(file: Path, rows: list[dict], tail: str = "") -> Path:
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows) + tail)
+    return file
+
+
+GOOD = lines(*PLAN, person="bob")
+MALFORMED = [
+    (
+        lines(FETCH, "(plce hammer slot-1 box-a)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (plce hammer slot-1 box-a): no action of the task is "
+        f"called 'plce'; nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+    ),
+    (
+        lines(FETCH, "(fetch box-b)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; nearest of the 3 "
+        f"applicable: {BACK}",
+    ),
+    (
+        lines(FETCH, "(place hamer slot-1 box-a)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (place hamer slot-1 box-a) is no action of the task; "
+        f"nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+    ),
+    (
+        lines(FETCH, "(place hammer)"),
+        8,
+        f"person 'ann', episode '1', which is left out: step 1: (place hammer) may be any of {RIGHT}, {WRONG}",
+    ),
+    (
+        [*lines(FETCH), *lines(FETCH)],
+        8,
+        "person 'ann', episode '1', which is left out: step 0 is on line 7 already; are these two episodes, or two "
+        "people?",
+    ),
+    (
+        [*lines(FETCH, WRONG), *(dict(row, step=10) for row in lines(FETCH))],  # two people under one name
+        9,
+        "person 'ann', episode '1', which is left out: step 10: (fetch box-a) is not applicable here; nearest of the 2 "
+        "applicable: (return box-a)",
+    ),
+    (lines(*PLAN, FETCH), 13, "person 'ann', episode '1', which is left out: the goal was reached before this step"),
+    (
+        [{"person": "ann", "episode": "1", "step": "one", "action": FETCH}],
+        7,
+        "person 'ann', episode '1', which is left out: 'step' is \"one\"; expected a whole number",
+    ),
+    (
+        [{"person": "ann", "episode": "1", "step": 0}],
+        7,
+        "person 'ann', episode '1', which is left out: there is no 'action'; expected an action as text, "
+        '"(name argument ...)"',
+    ),
+]
+
+
+@pytest.mark.parametrize(("bad", "line", "message"), MALFORMED, ids=[str(n) for n in range(len(MALFORMED))])
+def test_faults_are_named_and_good_episodes_used(
+    tmp_path: Path, tiny: Table, bad: list[dict], line: int, message: str
+) -> None:
+    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad])
+    entries, faults = read(file)
+    recording, more = replay(entries, tiny)
+    (fault,) = faults + more
+    whose = f"person '{fault.person}', episode '{fault.episode}', which is left out: {fault.message}"
+    assert (fault.line, whose) == (line, message)
+    assert recording.people == ("bob",)
+    assert len(recording) == 6
+
+
+def test_every_line_that_fits_no_action_is_reported(tiny: Table) -> None:
+    rows = lines(FETCH, "(fetch box-b)", "(hammer)", WRONG, "(place hammer box-a)", told={1: BACK})
+    _, faults = replay(entries_of(rows), tiny)
+    assert [(f.line, f.message.partition(";")[0]) for f in faults] == [
+        (2, "step 1: (fetch box-b) is not applicable here"),
+        (3, "step 2: (hammer): no action of the task is called 'hammer'"),
+        (5, "step 4: (place hammer box-a) is no action of the task"),
+    ]
+
+
+def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
+    bad, line, message = MALFORMED[0]
+    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad], tail='{"person": "bob", "epi')
+    result = kitassist("fit", KITTING / "tiny.pddl", file, "--json")
+    assert result.returncode == 1
+    cut = f"{file}:9: the last line is cut off; the lines before it are used"
+    assert result.stderr.splitlines() == [f"{file}:{line}: {message}", cut]
+    ann, bob = json.loads(result.stdout)
+    assert (ann["person"], ann["beta"], ann["error"]) == ("ann", None, "no episode can be used")
+    assert list(ann)[:5] == ["person", "beta", "beta_interval", "beta_open", "theta"]
+    assert (bob["person"], bob["actions"], bob["suboptimal_actions"], bob["error"]) == ("bob", 6, 0, None)
+    assert bob["beta_open"] == ["above"]
+    assert "made no mistake: beta is at least" in bob["notes"][0]
+    strict = kitassist("fit", KITTING / "tiny.pddl", file, "--json", "--strict")
+    assert (strict.returncode, strict.stdout) == (1, "")
+    assert strict.stderr.splitlines()[-1] == f"{file}: nothing is fitted, because of --strict"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text", "code", "words"),
+    [
+        ((), "", 1, "log.jsonl: no recorded actions"),
+        ((), '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}\n', 1, "log of another instance?"),
+        ((), "no json\n", 1, "log.jsonl:1: no JSON"),
+        ((), "[1]\n", 1, "log.jsonl:1: expected an object"),
+        (("--rename", "a"), "", 2, "expected OLD=NEW"),
+        (("--level", "2"), "", 2, "0 < level < 1"),
+        (("--eta", "-1"), "", 2, "eta -1"),
+        (("--largest-beta", "0"), "", 2, "largest beta 0"),
+    ],
+)
+def test_fit_refuses_what_makes_no_sense(
+    tmp_path: Path, arguments: tuple[str, ...], text: str, code: int, words: str
+) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text(text)
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *arguments])
+    assert result.exit_code == code
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.jsonl"
+    team = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
+    kitassist(*team, "--trace", trace, check=True)
+    files = {name: tmp_path / name for name in ("people.jsonl", "population.json", "figures")}
+    result = kitassist(
+        "fit", KITTING / "tiny.pddl", trace, "--out", files["people.jsonl"], "--population", files["population.json"],
+        "--figures", files["figures"], "--misconception",
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, "")
+    records = [json.loads(line) for line in files["people.jsonl"].read_text().splitlines()]
+    assert [r["person"] for r in records] == [f"human-{k}" for k in range(1, 5)]
+    rows = [json.loads(line) for line in trace.read_text().splitlines()]
+    for r in records:
+        own = [row for row in rows if row["person"] == r["person"]]
+        assert r["actions"] == len(own)
+        assert r["suggestions"] == sum(row["suggestion"] is not None for row in own)
+        assert r["suboptimal_actions"] == sum(row["cost_to_go_after"] >= row["cost_to_go"] for row in own)
+        assert r["misconception"]["sigma_interval"][0] <= r["misconception"]["sigma"]
+        assert "in-storage(box-a)" in " ".join(r["misconception"]["states"][0]["facts"])
+    assert sorted(f.name for f in files["figures"].iterdir()) == [
+        "calibration.png", "episodes.png", "errors.png", "expertise.png",
+    ]  # fmt: skip
+    assert "population of 4: beta is" in result.stdout
+    again = kitassist(*team, "--population", files["population.json"], "--json")
+    assert again.returncode == 0
+    assert json.loads(again.stdout)["population"]["parts"]
+    other = CliRunner().invoke(main, [*map(str, team), "--population", str(trace)])
+    assert other.exit_code == 2
+    assert "expected a population" in other.stderr or "Extra data" in other.stderr
+
+
+def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
+    """Only states that were visited, and their successors, are evaluated; a kill loses none of them."""
+    huge = KITTING / "ladder-4x10.pddl"
+    actions = [FETCH, "(place hammer slot-3 box-a)", "(place pliers slot-2)", "(remove hammer)", BACK, "(fetch box-d)"]
+    file = write_log(tmp_path / "log.jsonl", lines(*actions))
+    command = ["fit", huge, file, "--cache", tmp_path / "cache", "--json"]
+    program = [str(Path(sys.executable).with_name("kitassist")), *map(str, command)]
+    process = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    task = load(huge)
+    known = 0
+    while process.poll() is None and known < 20:
+        known = len(Cache(task, tmp_path / "cache").read())
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert known >= 20
+    result = kitassist(*command)
+    assert result.returncode == 0
+    assert "on demand" in result.stderr
+    (record,) = json.loads(result.stdout)
+    assert (record["actions"], record["suboptimal_actions"]) == (6, 2)
+    assert len(Cache(task, tmp_path / "cache").read()) > known
+
+
+def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:
+    file = write_log(tmp_path / "log.jsonl", GOOD)
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "unsolvable.pddl"), str(file)])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "unsolvable.pddl: the goal cannot be reached" in result.stderr
+
+
+@pytest.mark.parametrize("bad", [{}, {"parts": [1]}, {"parts": []}, {"parts": [{"share": 1, "beta": [1, 2]}]}, []])
+def test_what_is_no_population_is_refused(bad: object) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        mixture(bad)  # type: ignore[arg-type]

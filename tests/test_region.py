@@ -1,0 +1,184 @@
+"""Parts of tasks: what is proven of a part holds of the whole."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import KITTING, kitassist, table_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.archive import ArchiveError
+from assist.choices import Choices
+from assist.human import HumanModel
+from assist.mdp import qmdp
+from assist.pomdp import AssistPOMDP
+from assist.region import Region
+from assist.solver import Solution, solve
+from planner import Instance, OnDemand, Table, load
+
+SETTING = {"gamma": 0.97, "c_suggest": 0.3}
+INSTANCES = {name: Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl") for name in ("paper-fixed", "sealed")}
+WAYS = Instance(KITTING / "costs" / "ways.pddl", KITTING / "costs" / "domain.pddl")
+
+
+def whole(table: Table) -> AssistPOMDP:
+    return AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **SETTING)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
+def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
+    table = table_of(instance)
+    exact = solve(whole(table), gap=1e-3, time_limit=3)
+    widths = []
+    for states in (5, 40, 100, 10_000):
+        part = Region.of(table, states=states)
+        bounds = solve(part.problem(**SETTING), gap=1e-3, time_limit=3)  # type: ignore[arg-type]
+        assert bounds.lower <= exact.upper
+        assert exact.lower <= bounds.upper
+        assert bounds.value_never <= exact.upper
+        widths.append(bounds.upper - bounds.lower)
+    assert len(part.frontier) == 0
+    assert len(part.choices) == len(table)
+    assert widths[-1] < widths[0]
+    if exact.stopped == bounds.stopped == "gap":
+        assert abs(bounds.lower - exact.lower) <= 2e-3 * abs(exact.lower)
+
+
+@pytest.mark.parametrize("instance", [*INSTANCES.values(), WAYS], ids=["fixed", "dead ends", "costs"])
+def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -> None:
+    """Whatever beta and theta are: the upper one against the best where both are seen, the lower one against that and,
+    where the belief is certain, against what a solver proves of that state."""
+    table = table_of(instance)
+    problem = whole(table)
+    best = qmdp(problem)
+    for states in (5, 60):
+        part = Region.of(table, states=states)
+        frontier = part.problem(**SETTING).frontier  # type: ignore[arg-type]
+        assert frontier is not None
+        assert len(frontier.states) == len(part.frontier) > 0
+        value = best.value_mdp[part.states[part.frontier]]
+        assert (value <= frontier.upper[:, None, None] + 1e-9).all()
+        assert (value >= frontier.lower[:, None, :] - 1e-9).all()
+
+
+def test_a_part_has_the_choices_of_the_task() -> None:
+    table = table_of(INSTANCES["paper-fixed"])
+    part = Region.of(table, states=30)
+    full = Choices.of(table)
+    inside = np.setdiff1d(np.arange(len(part.choices)), part.frontier)
+    assert len(inside) == 30 + part.choices.goal[inside].sum()
+    for x in inside:
+        theirs, ours = int(part.states[x]), part.choices
+        count = full.applicable[theirs].sum()
+        assert ours.applicable[x].sum() == count
+        assert sorted(part.states[ours.targets[x, :count]]) == sorted(full.targets[theirs, :count])
+        assert set(ours.actions[x][ours.optimal[x]]) == set(full.actions[theirs][full.optimal[theirs]])
+    np.testing.assert_array_equal(part.choices.h, full.h[part.states])
+    np.testing.assert_array_equal(part.local(part.states), np.arange(len(part.states)))
+    outside = np.setdiff1d(np.arange(len(table)), part.states)
+    assert (part.local(outside) == -1).all()
+
+
+def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
+    """Only what is known of the rest differs: on demand nothing is, so that the lower bound is lower."""
+    table = table_of(INSTANCES["paper-fixed"])
+    asked = OnDemand(load(INSTANCES["paper-fixed"]))
+    ours, theirs = Region.of(table, states=20), Region.of(asked, states=20)
+    values = {tuple(row) for row in table.values(ours.states).tolist()}
+    assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
+    known, unknown = (solve(r.problem(**SETTING), time_limit=2) for r in (ours, theirs))  # type: ignore[arg-type]
+    assert unknown.lower <= known.lower + 1e-9
+    assert unknown.upper == pytest.approx(known.upper, rel=2e-2)
+    assert unknown.upper >= known.lower
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(1, 150), st.floats(0.5, 0.995), st.floats(0, 2))
+def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float) -> None:
+    part = Region.of(table_of(INSTANCES["sealed"]), states=states)
+    problem = part.problem(gamma=gamma, c_suggest=c_suggest)
+    bounds = solve(problem, time_limit=0.05)
+    assert bounds.lower <= bounds.upper <= bounds.value_qmdp + 1e-9 * abs(bounds.value_qmdp)
+    assert max(bounds.value_never, bounds.value_always) <= bounds.lower + 1e-6 * abs(bounds.lower)
+
+
+def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
+    part = Region.of(table_of(INSTANCES["paper-fixed"]), states=5)
+    frontier = part.problem().frontier
+    with pytest.raises(ValueError, match="execute: expected"):
+        AssistPOMDP.of(HumanModel.exact(part.choices), execute=True, frontier=frontier)
+
+
+def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
+    for problem in (whole(table_of(INSTANCES["sealed"])), Region.of(table_of(WAYS), states=20).problem()):
+        solution = solve(problem, gap=0.01, time_limit=1)
+        solution.save(tmp_path / "policy.npz", note=np.array("kept"))
+        again = Solution.load(tmp_path / "policy.npz")
+        x = np.flatnonzero(~problem.final)
+        belief = (
+            np.random.default_rng(0).dirichlet(np.ones(problem.prior.size), len(x)).reshape(-1, *problem.grid.shape)
+        )
+        for name in ("value", "upper_bound", "choose", "q_values"):
+            np.testing.assert_array_equal(getattr(solution, name)(x, belief), getattr(again, name)(x, belief))
+        facts = ("lower", "upper", "value_qmdp", "value_never", "value_always", "seconds", "backups", "stopped")
+        assert all(getattr(solution, name) == getattr(again, name) for name in facts)
+        assert again.pomdp.model.choices.names == problem.model.choices.names
+        assert (again.pomdp.frontier is None) == (problem.frontier is None)
+
+
+def test_another_file_is_no_solution(tmp_path: Path) -> None:
+    text, other = tmp_path / "text.npz", tmp_path / "other.npz"
+    text.write_text("nothing of the kind")
+    np.savez(other, lower=np.zeros(3))
+    for file in (text, other):
+        with pytest.raises(ArchiveError, match=f"{file.name}.*expected a saved Solution"):
+            Solution.load(file)
+
+
+def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
+    out = tmp_path / "policy.npz"
+    done = kitassist("policy", KITTING / "tiny.pddl", "--gap", "1e-3", "--sigma", "0.5", "--out", out, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    record = json.loads(done.stdout)
+    assert {"states", "hidden", "lower", "upper", "gap", "value_qmdp", "value_never", "value_always", "seconds",
+            "alpha_vectors"} <= set(record)  # fmt: skip
+    assert (record["states"], record["hidden"], record["stopped"]) == (21, 60, "gap")
+    assert record["value_never"] <= record["lower"] <= record["upper"] <= record["value_qmdp"]
+    assert record["gap"] == pytest.approx((record["upper"] - record["lower"]) / abs(record["lower"]))
+    assert record["gap"] <= 1e-3
+    again = Solution.load(out)
+    assert again.lower == record["lower"]
+    with np.load(out) as arrays:
+        assert len(arrays["values"]) == len(arrays["task_states"]) == 21
+
+
+def test_the_command_cuts_down_what_is_too_large() -> None:
+    done = kitassist("policy", KITTING / "paper.pddl", "--region-states", 50, "--time-limit", 1)
+    assert done.returncode == 0
+    assert "of the states are a frontier" in done.stdout
+    asked = kitassist("policy", KITTING / "tiny.pddl", "--max-states", 5, "--time-limit", 5, "--json")
+    record = json.loads(asked.stdout)
+    assert (record["method"], record["states"], record["frontier"]) == ("on-demand", 21, 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["unsolvable.pddl"], 1, "the goal cannot be reached"),
+        (["tiny.pddl", "--gamma", "1"], 2, "gamma 1: expected 0 < gamma < 1"),
+        (["tiny.pddl", "--gap", "-1"], 2, "-1.0 is not in the range"),
+        (["tiny.pddl", "--out", "policy.txt"], 2, "expected a name that ends in .npz"),
+        (["paper.pddl", "--region-states", "20", "--sigma", "1"], 2, "--sigma: expected a task of at most 20 states"),
+        (["paper.pddl", "--region-states", "20", "--execute"], 2, "--execute: expected a task of at most 20 states"),
+        (["absent.pddl"], 2, "absent.pddl"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(arguments: list[str], code: int, message: str) -> None:
+    done = kitassist("policy", KITTING / arguments[0], *arguments[1:])
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
