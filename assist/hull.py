@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from .human import Floats
 from .mdp import ROUNDING
 
-PIVOTS = 10
+PIVOTS = 5
 CANDIDATES = 256  # the latest beliefs of a state that a bound may rest on
-RELEVANT = 0.03  # beliefs that could lower the bound by less than this share of what one can are left aside
+RELEVANT = 0.1  # beliefs that could lower the bound by less than this share of what one can are left aside
 NONE = -1
 TINY, HUGE = 1e-290, 1e300  # TINY * HUGE is large, so that an empty entry of both beliefs never binds
 FAST = {"reassoc", "contract", "nsz", "nnan"}
@@ -72,6 +72,8 @@ class Room(NamedTuple):
     dual: Floats
     direction: Floats
     matrix: Floats
+    left: Floats
+    change: Floats
 
 
 def empty(corner: Floats, capacity: int) -> Hull:
@@ -85,12 +87,12 @@ def empty(corner: Floats, capacity: int) -> Hull:
 
 
 @numba.njit(cache=True)
-def room():
-    """Make room for `upper`."""
+def room(size):
+    """Make room for `upper` at beliefs of so many numbers."""
     k = PIVOTS + 1
     return Room(
         np.empty(CANDIDATES, np.int32), np.empty(CANDIDATES), np.empty(k, np.int32), np.empty(k, np.int64),
-        np.empty(k), np.empty(k), np.empty(k), np.empty((k, k)),
+        np.empty(k), np.empty(k), np.empty(k), np.empty((k, k)), np.empty(size), np.empty(size),
     )  # fmt: skip
 
 
@@ -146,6 +148,7 @@ def _pivot(belief, first, best, count, hull, room):
     basis, row, weight, dual, direction, matrix = (
         room.basis, room.row, room.weight, room.dual, room.direction, room.matrix,
     )  # fmt: skip
+    left, change = room.left, room.change
     k = 1
     basis[0], row[0], weight[0] = first, 0, best / hull.drop[first]
     smallest = HUGE
@@ -176,13 +179,19 @@ def _pivot(belief, first, best, count, hull, room):
             if direction[j] > 1e-12 and weight[j] < step * direction[j]:
                 step, leave = weight[j] / direction[j], j
         bound = NONE
+        left[:] = belief
+        if enter >= 0:
+            change[:] = hull.belief[enter]
+        else:
+            change[:] = 0.0
+        for j in range(k):
+            _subtract(left, weight[j], hull.belief[basis[j]])
+            _subtract(change, direction[j], hull.belief[basis[j]])
+        for r in range(k):  # the slacks of these are not in the basis
+            change[row[r]] = 0.0
         for h in range(len(belief)):
-            left, change = belief[h], hull.belief[enter, h] if enter >= 0 else 0.0
-            for j in range(k):
-                left -= weight[j] * hull.belief[basis[j], h]
-                change -= direction[j] * hull.belief[basis[j], h]
-            if change > 1e-12 and left < step * change and not (row[:k] == h).any():
-                step, bound = max(left, 0.0) / change, h
+            if change[h] > 1e-12 and left[h] < step * change[h]:
+                step, bound = max(left[h], 0.0) / change[h], h
         if step >= HUGE:
             break
         for j in range(k):
@@ -200,16 +209,22 @@ def _pivot(belief, first, best, count, hull, room):
             k -= 1
             basis[leave], weight[leave], row[slack] = basis[k], weight[k], row[k]
     worth, scale = 0.0, 1.0
+    left[:] = 0.0
     for j in range(k):
         weight[j] = max(weight[j], 0.0)
         worth += weight[j] * hull.drop[basis[j]]
+        _subtract(left, -weight[j], hull.belief[basis[j]])
     for h in range(len(belief)):
-        taken = 0.0
-        for j in range(k):
-            taken += weight[j] * hull.belief[basis[j], h]
-        if taken > belief[h]:
-            scale = min(scale, belief[h] / taken)
+        if left[h] > belief[h]:
+            scale = min(scale, belief[h] / left[h])
     return worth * scale
+
+
+@numba.njit(cache=True, fastmath=FAST)
+def _subtract(a, factor, b):
+    """Take factor * b from a."""
+    for i in range(len(a)):
+        a[i] -= factor * b[i]
 
 
 @numba.njit(cache=True)
@@ -293,7 +308,7 @@ def add(x, belief, value, hull):
 @numba.njit(cache=True)
 def uppers(value, x, beliefs, hull):
     """Fill in the upper bounds, shape (N,), of states at beliefs, shape (N, H)."""
-    space = room()
+    space = room(beliefs.shape[1])
     for i in range(len(x)):
         v = upper(x[i], beliefs[i], hull, space)
         value[i] = v + ROUNDING * abs(v)

@@ -38,7 +38,7 @@ from .pomdp import AssistPOMDP
 from .vectors import VectorPolicy
 
 DEPTH = 2000
-TARGET = 0.5  # a trial ends where the gap, discounted, is below this share of the gap at the root
+TARGET = 0.6  # a trial ends where the gap, discounted, is below this share of the gap at the root
 BACKUPS = 1000  # between two looks at the clock
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
@@ -69,8 +69,9 @@ class _Path(NamedTuple):
 
     state: NDArray[np.int64]
     belief: Floats
+    bound: Floats  # upper bound there
     robot: NDArray[np.int64]
-    action: NDArray[np.int64]
+    chance: Floats  # of the child that is gone on to
     q: Floats  # upper bound on the return of each robot action
     known: NDArray[np.bool_]  # whether that was worked out from the children
     child: Floats  # upper bound of each child, times its probability
@@ -297,8 +298,8 @@ class _Search:
         )  # fmt: skip
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
         self.path = _Path(
-            np.empty(DEPTH, dtype=np.int64), np.empty((DEPTH, size)), np.empty(DEPTH, dtype=np.int64),
-            np.empty(DEPTH, dtype=np.int64), np.empty((DEPTH, robots)), np.empty((DEPTH, robots), dtype=bool),
+            np.empty(DEPTH, dtype=np.int64), np.empty((DEPTH, size)), np.empty(DEPTH),
+            np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty((DEPTH, robots)), np.empty((DEPTH, robots), dtype=bool),
             np.empty((DEPTH, robots, slots)),
         )  # fmt: skip
         self.fineness = np.array([0.1])  # what a bound must gain to be stored, as a share of the gap aimed at
@@ -313,7 +314,7 @@ class _Search:
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
         """Give both bounds at a belief."""
         lower, _ = _lower(x, belief, self.plans)
-        upper = hulls.upper(x, belief, self.hull, hulls.room())
+        upper = hulls.upper(x, belief, self.hull, hulls.room(len(belief)))
         return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
 
     def make_room(self, memory_limit_mb: float | None) -> bool:
@@ -593,12 +594,13 @@ def _plan(x, r, picked, vector, plans, m):
 @numba.njit(cache=True)
 def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number."""
-    work, room = np.empty((4, len(prior))), hulls.room()
+    work, room = np.empty((4, len(prior))), hulls.room(len(prior))
     slots = m.targets.shape[1]
     picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
     done = 0
     while done < backups:
-        gap = hulls.upper(x0, prior, hull, room) - _lower(x0, prior, plans)[0]
+        path.bound[0] = hulls.upper(x0, prior, hull, room)
+        gap = path.bound[0] - _lower(x0, prior, plans)[0]
         short = min(len(plans.robot) - plans.space[0], len(hull.drop) - hull.space[0]) < len(path.state)
         if gap <= enough or short:
             break
@@ -609,7 +611,7 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             for r in range(m.robots[x]):
                 path.q[depth, r], path.known[depth, r] = hulls.dot(q[x, r], belief), False
             r = _promising(depth, work, room, path, hull, m)
-            path.robot[depth], path.action[depth] = r, NONE
+            path.robot[depth] = r
             place, slot = _split(x, r, belief, work[0], work[1], work[2], m)
             if m.goal[place] or depth + 1 == len(path.state):
                 break
@@ -625,30 +627,29 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                     most, chosen, chance = excess, a, mass
             if chosen == NONE:
                 break
-            path.action[depth] = chosen
             _child(place, chosen, slot, work[0], work[1], work[2], work[3], m)
+            path.chance[depth] = chance
             depth += 1
             path.state[depth] = m.targets[place, chosen]
+            path.bound[depth] = path.child[depth - 1, r, chosen] / chance
             for h in range(len(prior)):
                 path.belief[depth, h] = work[3, h] / chance
-        improved = False
+        improved, lowered = False, 0.0
         for d in range(depth, -1, -1):
             x, belief = path.state[d], path.belief[d]
-            r, a = path.robot[d], path.action[d]
-            if a != NONE:  # this child's bound has been improved since
-                place, slot = _split(x, r, belief, work[0], work[1], work[2], m)
-                _child(place, a, slot, work[0], work[1], work[2], work[3], m)
-                bound = hulls.upper(m.targets[place, a], work[3], hull, room)
-                if bound < path.child[d, r, a]:
-                    path.q[d, r] += m.gamma * (bound - path.child[d, r, a])
-                    path.child[d, r, a] = bound
+            path.q[d, path.robot[d]] -= m.gamma * path.chance[d] * lowered if d < depth else 0.0
+            value = path.q[d, _promising(d, work, room, path, hull, m)]
+            value += ROUNDING * abs(value)
             step = fineness[0] * target
             target *= m.gamma
-            value = path.q[d, _promising(d, work, room, path, hull, m)]
-            step += 4 * ROUNDING * abs(value)  # what is stored is moved outwards, and would seem to gain that each time
-            if value < hulls.upper(x, belief, hull, room) - step:
-                hulls.add(x, belief, value, hull)
-                improved = True
+            lowered = 0.0
+            if value < path.bound[d] - step - 4 * ROUNDING * abs(value):
+                # Pivots that stop early may find a little less or more where a belief has another mass.
+                now = hulls.upper(x, belief, hull, room)
+                if value < now - step - 4 * ROUNDING * abs(value):
+                    hulls.add(x, belief, value, hull)
+                    improved = True
+                lowered = path.bound[d] - min(value, now)
             best, at = -np.inf, NONE
             for k in range(m.robots[x]):
                 if path.q[d, k] > best:
@@ -656,7 +657,7 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                     if v > best:
                         best, at = v, k
                         kept[:] = picked
-            if best > _lower(x, belief, plans)[0] + step:
+            if best > _lower(x, belief, plans)[0] + step + 4 * ROUNDING * abs(best):
                 _plan(x, at, kept, vector, plans, m)
                 _add(x, at, vector, belief, plans)
                 improved = True
