@@ -299,8 +299,8 @@ class _Search:
         robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
         self.path = _Path(
             np.empty(DEPTH, dtype=np.int64), np.empty((DEPTH, size)), np.empty(DEPTH),
-            np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty((DEPTH, robots)), np.empty((DEPTH, robots), dtype=bool),
-            np.empty((DEPTH, robots, slots)),
+            np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty((DEPTH, robots)),
+            np.empty((DEPTH, robots), dtype=bool), np.empty((DEPTH, robots, slots)),
         )  # fmt: skip
         self.fineness = np.array([0.1])  # what a bound must gain to be stored, as a share of the gap aimed at
 
