@@ -14,6 +14,8 @@ below 1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -150,15 +152,20 @@ def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
 def _converge(
     value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], arrays: Arrays, tolerance: float, sweeps: int
 ) -> bool:
-    """Sweep until no value's error exceeds the tolerance; each beta by itself, since some take much longer."""
-    converged = True
-    for b in range(value.shape[1]):
+    """Sweep until no value's error exceeds the tolerance, and tell whether that was reached.
+
+    Each beta by itself, since some take much longer, and several at a time.
+    """
+
+    def one(b: int) -> bool:
         residual, left = np.inf, sweeps
         while residual * arrays.gamma / (1 - arrays.gamma) > tolerance and left:
             residual = _sweep(value, order, robot, b, arrays)
             left -= 1
-        converged &= residual * arrays.gamma / (1 - arrays.gamma) <= tolerance
-    return converged
+        return bool(residual * arrays.gamma / (1 - arrays.gamma) <= tolerance)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return all(pool.map(one, range(value.shape[1])))
 
 
 class Arrays(NamedTuple):
@@ -251,7 +258,7 @@ def _row(
                 q[r, t] = (1.0 - m.lapse) * q[r, t] + m.lapse * other[t] - m.charge[x, r]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: Arrays) -> float:
     """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
     thetas = len(m.theta)

@@ -37,7 +37,7 @@ from .mdp import QMDP, ROUNDING, Arrays, evaluate, qmdp
 from .pomdp import AssistPOMDP
 from .vectors import VectorPolicy
 
-DEPTH = 2000
+DEPTH = 500
 TARGET = 0.6  # a trial ends where the gap, discounted, is below this share of the gap at the root
 BACKUPS = 1000  # between two looks at the clock
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
@@ -75,6 +75,8 @@ class _Path(NamedTuple):
     q: Floats  # upper bound on the return of each robot action
     known: NDArray[np.bool_]  # whether that was worked out from the children
     child: Floats  # upper bound of each child, times its probability
+    after: Floats  # unnormalised belief of each child
+    mass: Floats  # its probability
 
 
 @dataclass(frozen=True)
@@ -301,6 +303,7 @@ class _Search:
             np.empty(DEPTH, dtype=np.int64), np.empty((DEPTH, size)), np.empty(DEPTH),
             np.empty(DEPTH, dtype=np.int64), np.empty(DEPTH), np.empty((DEPTH, robots)),
             np.empty((DEPTH, robots), dtype=bool), np.empty((DEPTH, robots, slots)),
+            np.empty((DEPTH, robots, slots, size)), np.empty((DEPTH, robots, slots)),
         )  # fmt: skip
         self.fineness = np.array([0.1])  # what a bound must gain to be stored, as a share of the gap aimed at
 
@@ -499,7 +502,7 @@ def _answer(theta, p, rest):
     return 1.0, 1.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=hulls.FAST)
 def _child(place, a, slot, told, other, lapsed, child, m):
     """Fill in the unnormalised belief after slot `a`; return its mass."""
     thetas = len(m.theta)
@@ -514,16 +517,26 @@ def _child(place, a, slot, told, other, lapsed, child, m):
 
 
 @numba.njit(cache=True)
+def _follow(d, r, work, path, m):
+    """Fill in the beliefs after a robot action and each slot; return the state in which the person acts."""
+    x = path.state[d]
+    place, slot = _split(x, r, path.belief[d], work[0], work[1], work[2], m)
+    if not m.goal[place]:
+        for a in range(m.counts[place]):
+            path.mass[d, r, a] = _child(place, a, slot, work[0], work[1], work[2], path.after[d, r, a], m)
+    return place
+
+
+@numba.njit(cache=True)
 def _look_up(d, r, work, room, path, hull, m):
     """Bound the return of a robot action from above by its children's bounds."""
     x = path.state[d]
     value = -m.charge[x, r]
-    place, slot = _split(x, r, path.belief[d], work[0], work[1], work[2], m)
+    place = _follow(d, r, work, path, m)
     if not m.goal[place]:
         for a in range(m.counts[place]):
-            mass = _child(place, a, slot, work[0], work[1], work[2], work[3], m)
-            path.child[d, r, a] = hulls.upper(m.targets[place, a], work[3], hull, room)
-            value += m.gamma * path.child[d, r, a] - m.costs[place, a] * mass
+            path.child[d, r, a] = hulls.upper(m.targets[place, a], path.after[d, r, a], hull, room)
+            value += m.gamma * path.child[d, r, a] - m.costs[place, a] * path.mass[d, r, a]
     path.q[d, r] = min(path.q[d, r], value)
     path.known[d, r] = True
 
@@ -543,15 +556,15 @@ def _promising(d, work, room, path, hull, m):
 
 
 @numba.njit(cache=True)
-def _look_down(x, r, belief, work, picked, plans, m):
+def _look_down(d, r, work, path, picked, plans, m):
     """Bound the return of a robot action from below, and fill in the vector picked after each slot."""
+    x = path.state[d]
     value = -m.charge[x, r]
-    place, slot = _split(x, r, belief, work[0], work[1], work[2], m)
+    place = m.place[x, r] if path.known[d, r] else _follow(d, r, work, path, m)
     if not m.goal[place]:
         for a in range(m.counts[place]):
-            mass = _child(place, a, slot, work[0], work[1], work[2], work[3], m)
-            v, picked[a] = _lower(m.targets[place, a], work[3], plans)
-            value += m.gamma * v - m.costs[place, a] * mass
+            v, picked[a] = _lower(m.targets[place, a], path.after[d, r, a], plans)
+            value += m.gamma * v - m.costs[place, a] * path.mass[d, r, a]
     return value
 
 
@@ -594,7 +607,7 @@ def _plan(x, r, picked, vector, plans, m):
 @numba.njit(cache=True)
 def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number."""
-    work, room = np.empty((4, len(prior))), hulls.room(len(prior))
+    work, room = np.empty((3, len(prior))), hulls.room(len(prior))
     slots = m.targets.shape[1]
     picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
     done = 0
@@ -612,28 +625,28 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 path.q[depth, r], path.known[depth, r] = hulls.dot(q[x, r], belief), False
             r = _promising(depth, work, room, path, hull, m)
             path.robot[depth] = r
-            place, slot = _split(x, r, belief, work[0], work[1], work[2], m)
+            place = m.place[x, r]
             if m.goal[place] or depth + 1 == len(path.state):
                 break
-            most, chosen, chance = 0.0, NONE, 0.0
+            most, chosen = 0.0, NONE
             target /= m.gamma
             for a in range(m.counts[place]):
                 y = m.targets[place, a]
                 if m.final[y]:
                     continue
-                mass = _child(place, a, slot, work[0], work[1], work[2], work[3], m)
-                excess = path.child[depth, r, a] - _lower(y, work[3], plans)[0] - target * mass
+                excess = path.child[depth, r, a] - _lower(y, path.after[depth, r, a], plans)[0]
+                excess -= target * path.mass[depth, r, a]
                 if excess > most:
-                    most, chosen, chance = excess, a, mass
+                    most, chosen = excess, a
             if chosen == NONE:
                 break
-            _child(place, chosen, slot, work[0], work[1], work[2], work[3], m)
+            chance = path.mass[depth, r, chosen]
             path.chance[depth] = chance
             depth += 1
             path.state[depth] = m.targets[place, chosen]
             path.bound[depth] = path.child[depth - 1, r, chosen] / chance
             for h in range(len(prior)):
-                path.belief[depth, h] = work[3, h] / chance
+                path.belief[depth, h] = path.after[depth - 1, r, chosen, h] / chance
         improved, lowered = False, 0.0
         for d in range(depth, -1, -1):
             x, belief = path.state[d], path.belief[d]
@@ -653,7 +666,7 @@ def _trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             best, at = -np.inf, NONE
             for k in range(m.robots[x]):
                 if path.q[d, k] > best:
-                    v = _look_down(x, k, belief, work, picked, plans, m)
+                    v = _look_down(d, k, work, path, picked, plans, m)
                     if v > best:
                         best, at = v, k
                         kept[:] = picked
