@@ -165,7 +165,7 @@ def _converge(
         return bool(residual * arrays.gamma / (1 - arrays.gamma) <= tolerance)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return all(pool.map(one, range(value.shape[1])))
+        return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none
 
 
 class Arrays(NamedTuple):
