@@ -10,7 +10,7 @@ pomdp          one person's assistance problem
 region         the part of a large task that matters to it
 mdp            its values where beta and theta are seen; the QMDP policy
 vectors        policies made of alpha vectors
-hull           an upper bound on the value at every belief, from its values at some
+search         bounds on the value at every belief, and how they are improved
 solver         its policy, with proven bounds
 exchange       problems and policies in other programs' formats
 attention      team policies: no assistance, reactive, attention switching
