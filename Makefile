@@ -16,7 +16,7 @@ demo: $(VENV)/.demo
 	@echo "One episode as a picture: demo/episode.png; every action of all of them: demo/trace.jsonl"
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

@@ -203,8 +203,11 @@ def solve(
     # A value of 0 is approached from below for ever, and the gap remains 1.
     smallest = ROUNDING * (pomdp.charge.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
     stopped, backups = "gap", 0
+    lower, upper = -np.inf, np.inf
     while True:
-        lower, upper = work.bounds(x0, prior)
+        # A bound that has been proven remains proven, should the search lose sight of it.
+        below, above = work.bounds(x0, prior)
+        lower, upper = max(lower, below), min(upper, above)
         seconds = time.perf_counter() - start
         if progress is not None:
             progress(seconds, lower, upper)
