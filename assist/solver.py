@@ -179,7 +179,8 @@ def solve(
     gap : float
         Stop when (upper - lower) / |lower| at the initial state and the prior is at most this.
     time_limit : float, optional
-        Stop the search after so many seconds. The first bounds are worked out in any case.
+        Stop the search after so many seconds. The first bounds are worked out in any case. Compiling, which takes
+        place once after an installation, does not count.
     memory_limit_mb : float, optional
         Stop before vectors and beliefs take more. The first bounds are worked out in any case.
     progress : callable, optional
@@ -204,6 +205,9 @@ def solve(
     smallest = ROUNDING * (pomdp.charge.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
     stopped, backups = "gap", 0
     lower, upper = -np.inf, np.inf
+    begun = time.perf_counter()
+    work.trials(x0, prior, np.inf)  # no trial, but compiled code
+    start += time.perf_counter() - begun
     while True:
         # A bound that has been proven remains proven, should the search lose sight of it.
         below, above = work.bounds(x0, prior)
