@@ -211,11 +211,15 @@ class AssistPOMDP:
         return beliefs.update(belief, self.likelihood(x, robot, action), self.low[x, robot], self.weight[x, robot])
 
     @cached_property
+    def suggests_optimal(self) -> NDArray[np.bool_]:
+        """Which robot actions suggest an optimal action, shape (n, R)."""
+        slot = np.maximum(self.suggested, 0)
+        return (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
+
+    @cached_property
     def first_optimal(self) -> NDArray[np.int64]:
         """The first robot action of each state that suggests an optimal action, shape (n,); 0: there is none."""
-        slot = np.maximum(self.suggested, 0)
-        good = (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
-        return good.argmax(axis=1)
+        return self.suggests_optimal.argmax(axis=1)
 
     def suggestion(self, x: int, robot: int) -> str | None:
         """Name in PDDL what a robot action suggests; None for nothing."""

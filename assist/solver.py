@@ -195,7 +195,7 @@ def solve(
     work = _Search(pomdp, best)
     never = np.zeros(len(pomdp.robots), dtype=np.int64)
     value_never = work.begin(never)
-    value_always = work.begin(_informed(best, pomdp.prior, _optimal(pomdp)), SWEEPS)
+    value_always = work.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), SWEEPS)
     trusting = np.zeros_like(pomdp.prior)
     trusting[:, -1] = pomdp.prior.sum(axis=1)
     for belief in (pomdp.prior, trusting):
@@ -241,12 +241,6 @@ def _informed(best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None
     if among is not None:
         q = np.where(among, q, -np.inf)
     return q.argmax(axis=1)
-
-
-def _optimal(pomdp: AssistPOMDP) -> NDArray[np.bool_]:
-    """Tell which robot actions suggest an optimal action, shape (n, R)."""
-    slot = np.maximum(pomdp.suggested, 0)
-    return (pomdp.suggested >= 0) & np.take_along_axis(pomdp.model.choices.optimal, slot, axis=1)
 
 
 class _Search:
