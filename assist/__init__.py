@@ -23,5 +23,5 @@ diagnostics    whether the model fits
 profile        all that a log says of each person
 figures        pictures (extra `plots`)
 fit_figures    pictures of what was learned from people (extra `plots`)
-cli            the command `kitassist`
+cli            the command `kitassist`, a file for each of its commands
 """

@@ -1,0 +1,52 @@
+"""The command `export`: one person's problem, as a file for other solvers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .console import EXIT_FAILED, fail, one_line_errors, print_json
+from .person import person_options, person_problem
+
+
+@click.command()
+@click.argument("instance", metavar="INSTANCE")
+@click.option(
+    "--format", "form", type=click.Choice(["pomdpx", "pomdp"]), default="pomdpx", show_default=True,
+    help="POMDPX with mixed observability, or the flat format, for small tasks.",
+)  # fmt: skip
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The file to write.")
+@person_options
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
+def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
+    """Write the problem of assisting one person, for other solvers."""
+    from .. import exchange
+
+    if out.suffix != f".{form}":  # solvers choose the parser by it
+        raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
+    with one_line_errors():
+        problem = person_problem(instance, **person)
+        found, pomdp = problem.instance, problem.pomdp
+        try:
+            {"pomdpx": exchange.write_pomdpx, "pomdp": exchange.write_pomdp}[form](pomdp, out)
+        except ValueError as error:
+            fail(f"{found}: {error}", EXIT_FAILED)
+        record = {
+            "instance": str(found.problem),
+            "domain": str(found.domain),
+            "format": form,
+            "out": str(out),
+            "states": len(pomdp.model.choices),
+            "hidden": pomdp.prior.size,
+            "robot_actions": len(exchange.action_names(pomdp)),
+            "bytes": out.stat().st_size,
+        }
+    if as_json:
+        print_json(record)
+    else:
+        click.echo(
+            f"{out}: {record['states']:,} states, {record['hidden']} hidden pairs, "
+            f"{record['robot_actions']} robot actions, {record['bytes']:,} bytes"
+        )

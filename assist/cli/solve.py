@@ -1,0 +1,95 @@
+"""The command `solve`: many instances, a record of each."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from planner import find_instances
+from planner.batch import DONE, solve_batch
+from planner.solving import Record, SolveOptions
+
+from .console import EXIT_FAILED, one_line_errors, print_json, print_table, progress_bar
+
+
+@click.command()
+@click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
+@click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside each problem unless given.")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for results.jsonl, tables and plans."
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+@click.option(
+    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each instance."
+)
+@click.option(
+    "--memory-limit", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="Memory for each instance."
+)
+@click.option(
+    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+    help="Solve only the initial state of a larger task.",
+)  # fmt: skip
+@click.option(
+    "--verify", type=click.IntRange(min=1), default=SolveOptions.verify, show_default=True,
+    help="States to compare with Fast Downward's A*.",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
+@click.option("--resume", is_flag=True, help="Keep what --out holds as solved or unsolvable.")
+@click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
+def solve(
+    instances: tuple[str, ...],
+    domain: str | None,
+    out: Path | None,
+    jobs: int,
+    time_limit: float | None,
+    memory_limit: float | None,
+    max_states: int,
+    verify: int,
+    scheduler: str | None,
+    resume: bool,
+    as_json: bool,
+) -> None:
+    """Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.
+
+    INSTANCE is a problem file, a folder (all its problems), or a glob.
+    """
+    if resume and out is None:
+        raise click.UsageError("--resume needs --out")
+    with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
+        found = find_instances(instances, domain)
+        options = SolveOptions(time_limit, memory_limit, max_states, verify)
+        with progress_bar("solving", len(found)) as advance:
+            records = solve_batch(
+                found, options, out=out, jobs=jobs, resume=resume, scheduler=scheduler, progress=lambda _: advance(1)
+            )
+    for record in records:
+        if record["error"]:
+            place = ":".join(str(record["error"][key]) for key in ("file", "line") if record["error"][key] is not None)
+            click.echo(f"{place}: {record['error']['message']}", err=True)
+        elif record["note"]:
+            click.echo(f"{record['instance']}: {record['note']}", err=True)
+    if as_json:
+        print_json(records)
+    elif len(records) > 1 or not records[0]["error"]:
+        _show_solutions(records)
+    if any(record["status"] not in DONE for record in records):
+        sys.exit(EXIT_FAILED)
+
+
+def _show_solutions(records: list[Record]) -> None:
+    if len(records) == 1 and records[0]["plan"] is not None:
+        click.echo("\n".join(records[0]["plan"]))
+    table = Table(box=None, pad_edge=False)
+    table.add_column("instance", overflow="fold")
+    table.add_column("status")
+    for name in ("cost", "states", "dead ends", "largest h*", "verified", "seconds"):
+        table.add_column(name, justify="right")
+    for r in records:
+        numbers = (r["cost"], r["states"], r["dead_ends"], r["max_cost_to_go"], r["verified"])
+        cells = ("-" if number is None else f"{number:,}" for number in numbers)
+        seconds = r["seconds"].get("total")
+        table.add_row(r["instance"], r["status"], *cells, "-" if seconds is None else f"{seconds:.2f}")
+    print_table(table)
