@@ -13,7 +13,10 @@ vectors        policies made of alpha vectors
 search         bounds on the value at every belief, and how they are improved
 solver         its policy, with proven bounds
 exchange       problems and policies in other programs' formats
+team           what a team is to its robot, and what a policy for it looks like
 attention      team policies: no assistance, reactive, attention switching
+pool           the people from whom teams are drawn
+acting         one step of many people, compiled
 simulate       episodes of a team
 log            recorded actions, as a log has them and as the task has them
 fit            beta, theta and eta of a person, from recorded actions

@@ -17,6 +17,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numba
@@ -59,10 +60,15 @@ class QMDP:
         x : int array, shape (N,)
         belief : float array, shape (N, B, T)
         """
-        q = self.q_mdp[x]
-        # Padding is infinite, and 0 * infinity undefined: it is summed as 0 and put back.
-        used = np.isfinite(q[:, :, 0, 0])
-        return np.where(used, np.einsum("nsbt,nbt->ns", np.where(used[:, :, None, None], q, 0.0), belief), -np.inf)
+        q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
+        # Contiguous, so that one compiled form serves everybody.
+        x, belief = np.ascontiguousarray(x, dtype=np.int64), np.ascontiguousarray(belief, dtype=float)
+        _expected(q, x, belief.reshape(len(x), self.q_mdp[0, 0].size), self._flat, self.pomdp.robots)
+        return q
+
+    @cached_property
+    def _flat(self) -> Floats:
+        return self.q_mdp.reshape(*self.q_mdp.shape[:2], self.q_mdp[0, 0].size)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give the QMDP value, shape (N,): an upper bound on the return of any policy."""
@@ -272,6 +278,19 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
             residual = max(residual, abs(best - value[x, b, t]))
             value[x, b, t] = best
     return residual
+
+
+@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, robots: NDArray[np.int64]) -> None:
+    """Fill `q`, shape (N, R), with the expected entries of a table of shape (n, R, B * T)."""
+    for i in range(len(x)):
+        b = belief[i]
+        for r in range(robots[x[i]]):
+            row = table[x[i], r]
+            total = 0.0
+            for cell in range(len(b)):
+                total += b[cell] * row[cell]
+            q[i, r] = total
 
 
 @numba.njit(cache=True)

@@ -1,165 +1,62 @@
 """Episodes of a team: several people at work, one robot.
 
-All episodes advance together, one step at a time. The random numbers of an episode depend on the seed and
-the episode's number alone, so that policies meet the same people with the same luck (common random
-numbers), and results do not depend on how episodes are divided.
+All episodes advance together, one step at a time. Episodes are numbered, and their random numbers are drawn
+for a block of them at a time from the seed and the block's number alone: policies meet the same people with
+the same luck (common random numbers), and results do not depend on how episodes are divided among processes.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from .attention import (
-    BASE,
-    NOBODY,
-    AttentionSwitching,
-    NoAssistance,
-    Reactive,
-    TeamAction,
-    TeamPolicy,
-    TeamState,
-    distances,
-)
-from .belief import Grid
-from .choices import Choices
-from .human import (
-    NOTHING,
-    Floats,
-    Human,
-    HumanModel,
-    Mixture,
-    Population,
-    choice,
-    influence,
-    perceived_cost,
-    perceived_value,
-    trust,
-)
-from .mdp import qmdp
-from .pomdp import AssistPOMDP, Policy, Suggestions
+from .acting import Minds, People, act
+from .human import NOTHING, Floats, perceived_cost, perceived_value
+from .mdp import Arrays
+from .pool import Pool
+from .team import BASE, NOBODY, TeamAction, TeamPolicy, TeamState, Travel
 
-Knowledge = Literal["own", "exact"]
-POLICIES = ("none", "reactive", "attention")
-CHUNK = 4_000_000  # random numbers that are held at a time
+World = Literal["people", "model"]
+
+BLOCK = 64
+"""Episodes whose random numbers are drawn together."""
+
+TOGETHER = 16_384
+"""People who are simulated at a time: what is known of them should stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What a simulation takes for granted.
+class Presence:
+    """When people are there.
 
     Attributes
     ----------
-    gamma : float
-        Discount factor per step.
-    c_suggest, c_move : float
-        Cost of a suggestion, and of moving by a distance of 1, in cost units.
-    eta : float
-        Rate of the trust update.
-    utility_scale : float
-        The unit of value in the trust update, in cost units.
-    lapse : float
-        Weight of a uniform choice in the robot's model of people.
-    knowledge : "own" or "exact"
-        Whether the robot knows each person's perceived costs (as in the paper) or only h*.
-    suggestions : "optimal" or "all"
-    max_steps : int
-        An episode is cut off after this many steps.
+    joins : int array, shape (K,)
+        The step in which the person at each place begins.
+    leaves : int array, shape (K,)
+        The step in which they are gone, finished or not.
     """
 
-    gamma: float = 0.99
-    c_suggest: float = 0.5
-    c_move: float = 0.5
-    eta: float = 0.2
-    utility_scale: float = 1.0
-    lapse: float = 1e-3
-    knowledge: Knowledge = "own"
-    suggestions: Suggestions = "optimal"
-    max_steps: int = 500
-
-    def __post_init__(self) -> None:
-        if self.c_move < 0 or not math.isfinite(self.c_move):
-            raise ValueError(f"c_move {self.c_move:g}: expected 0 or more")
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps {self.max_steps}: expected 1 or more")
-
-
-@dataclass(frozen=True)
-class Pool:
-    """The people from whom teams are drawn, and what the robot has worked out about them.
-
-    Attributes
-    ----------
-    choices : Choices
-        The task that each of them works on.
-    setting : Setting
-    people : tuple of Human
-    policies : tuple of Policy
-        One for each person, or a single one that all share.
-    """
-
-    choices: Choices
-    setting: Setting
-    people: tuple[Human, ...]
-    policies: tuple[Policy, ...]
+    joins: NDArray[np.int64]
+    leaves: NDArray[np.int64]
 
     @classmethod
-    def sample(
-        cls,
-        choices: Choices,
-        size: int,
-        seed: int,
-        *,
-        setting: Setting | None = None,
-        population: Population | Mixture | None = None,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> Pool:
-        """Draw people from a population and solve the POMDP of each.
+    def of(cls, humans: int, joins: ArrayLike = 0, leaves: ArrayLike | None = None) -> Presence:
+        """Describe so many people: all from the beginning until they have finished, unless given."""
+        never = np.iinfo(np.int64).max
+        return cls(
+            np.broadcast_to(np.asarray(joins, dtype=np.int64), (humans,)),
+            np.broadcast_to(np.asarray(never if leaves is None else leaves, dtype=np.int64), (humans,)),
+        )
 
-        Parameters
-        ----------
-        progress : callable, optional
-            Called with how many POMDPs have been solved, and of how many.
-        """
-        setting = setting or Setting()
-        population = population or Population()
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-        people = population.sample(choices, size, rng)
-        known = {"eta": setting.eta, "lapse": setting.lapse, "utility_scale": setting.utility_scale}
-        if setting.knowledge == "own":
-            models = [HumanModel.own(choices, human, **known) for human in people]
-        else:
-            models = [HumanModel.exact(choices, **known)]
-        grid = Grid.regular(population)
-        policies = []
-        for done, model in enumerate(models, start=1):
-            pomdp = AssistPOMDP.of(
-                model, grid=grid, population=population, gamma=setting.gamma,
-                c_suggest=setting.c_suggest, suggestions=setting.suggestions,
-            )  # fmt: skip
-            policies.append(qmdp(pomdp))
-            if progress is not None:
-                progress(done, len(models))
-        return cls(choices, setting, tuple(people), tuple(policies))
-
-    def model(self, people: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Give the number of the policy that models each person."""
-        return people if len(self.policies) > 1 else np.zeros_like(people)
-
-    def policy(self, name: str, humans: int) -> TeamPolicy:
-        """Make one of the paper's three team policies for teams of `humans` people."""
-        if name == "none":
-            return NoAssistance()
-        if name == "reactive":
-            return Reactive(self.policies)
-        if name == "attention":
-            return AttentionSwitching(self.policies, self.setting.c_move, distances(humans))
-        raise ValueError(f"unknown policy '{name}'; expected one of {', '.join(POLICIES)}")
+    def __post_init__(self) -> None:
+        if (self.joins < 0).any() or (self.leaves <= self.joins).any():
+            raise ValueError("presence: expected people to join at step 0 or later and to leave after that")
 
 
 @dataclass(frozen=True)
@@ -179,6 +76,8 @@ class Episode:
     costs : tuple of float
         What these cost, in cost units.
     finished : tuple of bool
+    helped : tuple of int
+        Suggestions made to each (and actions executed for them).
     interventions, moves, steps : int
         Suggestions made, changes of place, and steps until all had finished.
     discounted_return : float
@@ -194,6 +93,7 @@ class Episode:
     actions: tuple[int, ...]
     costs: tuple[float, ...]
     finished: tuple[bool, ...]
+    helped: tuple[int, ...]
     interventions: int
     moves: int
     steps: int
@@ -204,6 +104,69 @@ class Episode:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class Episodes:
+    """What became of N episodes of K people, one array for each field of `Episode`; a sequence of those.
+
+    Attributes
+    ----------
+    policy : str
+    episode : int array, shape (N,)
+    people : int array, shape (N, K)
+        Numbers in the pool.
+    beta, theta, sigma, costs : float arrays, shape (N, K)
+    actions, helped : int arrays, shape (N, K)
+    finished : bool array, shape (N, K)
+    interventions, moves, steps : int arrays, shape (N,)
+    discounted_return : float array, shape (N,)
+    """
+
+    policy: str
+    episode: NDArray[np.int64]
+    people: NDArray[np.int64]
+    beta: Floats
+    theta: Floats
+    sigma: Floats
+    actions: NDArray[np.int64]
+    costs: Floats
+    finished: NDArray[np.bool_]
+    helped: NDArray[np.int64]
+    interventions: NDArray[np.int64]
+    moves: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    discounted_return: Floats
+
+    @classmethod
+    def joined(cls, parts: Sequence[Episodes]) -> Episodes:
+        """Put the episodes of one policy together."""
+        names = [field.name for field in fields(cls) if field.name != "policy"]
+        return cls(parts[0].policy, *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __len__(self) -> int:
+        return len(self.episode)
+
+    def __getitem__(self, row: int) -> Episode:
+        return Episode(
+            policy=self.policy,
+            episode=int(self.episode[row]),
+            people=tuple(f"human-{number + 1}" for number in self.people[row]),
+            beta=tuple(self.beta[row].tolist()),
+            theta=tuple(self.theta[row].tolist()),
+            sigma=tuple(self.sigma[row].tolist()),
+            actions=tuple(self.actions[row].tolist()),
+            costs=tuple(self.costs[row].tolist()),
+            finished=tuple(self.finished[row].tolist()),
+            helped=tuple(self.helped[row].tolist()),
+            interventions=int(self.interventions[row]),
+            moves=int(self.moves[row]),
+            steps=int(self.steps[row]),
+            discounted_return=float(self.discounted_return[row]),
+        )
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[row] for row in range(len(self)))
+
+
 Trace = list[dict[str, Any]]
 """One dictionary for each action of each person."""
 
@@ -212,13 +175,16 @@ def simulate(
     pool: Pool,
     policy: TeamPolicy,
     *,
-    humans: int,
+    humans: int | Sequence[int],
     episodes: Sequence[int] | int,
     seed: int,
     name: str = "policy",
+    travel: Travel | None = None,
+    presence: Presence | None = None,
+    world: World = "people",
     trace: Trace | None = None,
     progress: Callable[[int], None] | None = None,
-) -> list[Episode]:
+) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
 
     Parameters
@@ -226,26 +192,69 @@ def simulate(
     pool : Pool
     policy : callable
         A team policy.
-    humans : int
-        People per team, drawn from the pool without replacement.
+    humans : int or sequence of int
+        People per team, drawn from the pool without replacement; or who is in the team, at which place.
     episodes : int or sequence of int
         How many episodes, or their numbers.
     seed : int
     name : str
         What the policy is called in the records.
+    travel : Travel, optional
+        The way between the places; that of the setting unless given.
+    presence : Presence, optional
+        When people are there; all from the beginning unless given.
+    world : "people" or "model"
+        Whether the pool's people act, or others as the robot's models have them: beta and theta drawn from
+        the prior, on its grid, with lapses. In the second world a model's bounds hold.
     trace : list, optional
         Every action of every person is appended to it, one dictionary each.
     progress : callable, optional
         Called with the number of episodes that have been finished since the last call.
     """
-    if not 1 <= humans <= len(pool.people):
-        raise ValueError(f"{humans} people per team: expected 1 to {len(pool.people)}, the size of the pool")
+    if isinstance(humans, int):
+        if not 1 <= humans <= len(pool.people):
+            raise ValueError(f"{humans} people per team: expected 1 to {len(pool.people)}, the size of the pool")
+        places = humans
+    else:
+        wrong = [number for number in humans if not 0 <= number < len(pool.people)]
+        if wrong or not humans:
+            raise ValueError(f"team {list(humans)}: expected numbers of the pool, from 0 to {len(pool.people) - 1}")
+        places = len(humans)
+    travel = travel or pool.setting.travel(places)
+    presence = presence or Presence.of(places)
+    if len(travel) != places or len(presence.joins) != places:
+        raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     numbers = np.arange(episodes) if isinstance(episodes, int) else np.asarray(episodes, dtype=np.int64)
-    result: list[Episode] = []
-    together = max(1, CHUNK // (pool.setting.max_steps * humans))
-    for start in range(0, len(numbers), together):
-        result += _Run(pool, policy, humans, numbers[start : start + together], seed, name, trace, progress).run()
-    return result
+    together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
+    parts = []
+    for start in range(0, max(1, len(numbers)), together):
+        chunk = numbers[start : start + together]
+        parts.append(_Run(pool, policy, humans, chunk, seed, name, travel, presence, world, trace, progress).run())
+    return Episodes.joined(parts)
+
+
+class _Luck:
+    """The random numbers of some episodes, whatever others are simulated beside them."""
+
+    def __init__(self, seed: int, numbers: NDArray[np.int64], places: int) -> None:
+        blocks, self.block = np.unique(numbers // BLOCK, return_inverse=True)
+        self.row, self.places = numbers % BLOCK, places
+        self.streams = [
+            [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, kind, int(b)))) for b in blocks]
+            for kind in range(4)
+        ]
+        self.drawn = np.empty((len(blocks), BLOCK, places))
+
+    def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
+        """Give uniform numbers for some episodes: 0 who they are in the model, 1 choices, 2 moves of theta."""
+        for block in np.unique(self.block[rows]):  # the streams of those that have ended are not missed
+            self.streams[kind][block].random(out=self.drawn[block])
+        return self.drawn[self.block[rows], self.row[rows]]
+
+    def team(self, pool: int) -> NDArray[np.int64]:
+        """Draw K different numbers of a pool, shape (N, K)."""
+        order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams[3]]
+        return np.stack(order)[self.block, self.row, : self.places]
 
 
 class _Run:
@@ -255,166 +264,228 @@ class _Run:
         self,
         pool: Pool,
         policy: TeamPolicy,
-        humans: int,
+        humans: int | Sequence[int],
         numbers: NDArray[np.int64],
         seed: int,
         name: str,
+        travel: Travel,
+        presence: Presence,
+        world: World,
         trace: Trace | None,
         progress: Callable[[int], None] | None,
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
-        self.trace, self.progress = trace, progress
-        choices, people, count = pool.choices, pool.people, len(numbers)
-        streams = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1, int(e)))) for e in numbers]
-        self.people = np.array([rng.choice(len(people), humans, replace=False) for rng in streams], dtype=np.int64)
-        self.luck = np.array([rng.random((pool.setting.max_steps, humans)) for rng in streams])
-        self.model = pool.model(self.people)
-        self.beta = np.array([human.beta for human in people])[self.people]
-        self.theta = np.array([human.theta for human in people])[self.people]
-        self.q = np.array([perceived_cost(choices, human.h) for human in people])
-        self.value = np.array([perceived_value(choices, q) for q in self.q])
-        self.distance = distances(humans)
+        self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
+        shape = (len(numbers), len(travel))
+        self.luck, self.on_grid = _Luck(seed, numbers, len(travel)), world == "model"
+        if isinstance(humans, int):
+            self.people = self.luck.team(len(pool.people))
+        else:
+            self.people = np.tile(np.array(humans, dtype=np.int64), (len(numbers), 1))
+        self.model = pool.model[self.people]
+        self.groups = [
+            _Group.of(pool, group, self.on_grid) if (self.model == group).any() else None
+            for group in range(len(pool.policies))
+        ]
+        self.beta = np.array([human.beta for human in pool.people])[self.people]
+        self.theta = np.array([human.theta for human in pool.people])[self.people]
+        if self.on_grid:
+            self._from_the_prior()
+        self.sigma = np.array([human.sigma for human in pool.people])[self.people]
+        self.first_theta = self.theta.copy()
 
-        self.x = np.full((count, humans), choices.initial, dtype=np.int64)
-        self.active = ~choices.goal[self.x]
-        self.erred = np.zeros((count, humans), dtype=bool)
-        self.location = np.full(count, BASE, dtype=np.int64)
+        self.x = np.array([pool.choices(number).initial for number in range(len(pool.people))])[self.people]
+        at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
+        self.finished = at_goal[self.people]
+        self.erred = np.zeros(shape, dtype=bool)
+        self.location = np.full(len(numbers), BASE, dtype=np.int64)
+        self.busy_until = np.zeros(len(numbers), dtype=np.int64)
         self.belief: Floats | None = None
         if getattr(policy, "uses_belief", True):
             self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
-        self.actions = np.zeros((count, humans), dtype=np.int64)
-        self.costs = np.zeros((count, humans))
-        self.interventions = np.zeros(count, dtype=np.int64)
-        self.moves = np.zeros(count, dtype=np.int64)
-        self.steps = np.zeros(count, dtype=np.int64)
-        self.discounted = np.zeros(count)
+        self.actions = np.zeros(shape, dtype=np.int64)
+        self.costs = np.zeros(shape)
+        self.helped = np.zeros(shape, dtype=np.int64)
+        self.moves = np.zeros(len(numbers), dtype=np.int64)
+        self.steps = np.zeros(len(numbers), dtype=np.int64)
+        self.discounted = np.zeros(len(numbers))
 
-    def run(self) -> list[Episode]:
+    def _from_the_prior(self) -> None:
+        """Replace everybody's beta and theta by a draw from their model's prior."""
+        drawn = self.luck.draw(0, np.arange(len(self.numbers)))
+        for group, solved in enumerate(self.pool.policies):
+            rows, grid = self.model == group, solved.pomdp.grid
+            cell = np.searchsorted(np.cumsum(solved.pomdp.prior.ravel()), drawn[rows], side="right")
+            last = int(np.flatnonzero(solved.pomdp.prior.ravel())[-1])
+            b, t = np.divmod(np.minimum(cell, last), len(grid.theta))
+            self.beta[rows], self.theta[rows] = grid.beta[b], grid.theta[t]
+
+    def run(self) -> Episodes:
         """Step until all have finished or the limit is reached."""
+        ended = 0
         for step in range(self.pool.setting.max_steps):
-            running = np.flatnonzero(self.active.any(axis=1))
+            to_come = ~self.finished & (step < self.presence.leaves)
+            running = np.flatnonzero(to_come.any(axis=1))
+            if self.progress is not None and len(to_come) - len(running) > ended:
+                self.progress(len(to_come) - len(running) - ended)
+                ended = len(to_come) - len(running)
             if not len(running):
                 break
-            self._step(step, running)
-            if self.progress is not None:
-                self.progress(len(running) - int(self.active[running].any(axis=1).sum()))
-        if self.progress is not None:
-            self.progress(int(self.active.any(axis=1).sum()))
-        return [self._episode(row) for row in range(len(self.numbers))]
+            self._step(step, running, to_come & (step >= self.presence.joins))
+        if self.progress is not None and ended < len(self.numbers):
+            self.progress(len(self.numbers) - ended)
+        return Episodes(
+            self.name, self.numbers, self.people, self.beta, self.first_theta, self.sigma, self.actions, self.costs,
+            self.finished, self.helped, self.helped.sum(axis=1), self.moves, self.steps, self.discounted,
+        )  # fmt: skip
 
-    def _step(self, step: int, running: NDArray[np.int64]) -> None:
-        pool, choices, setting = self.pool, self.pool.choices, self.pool.setting
+    def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
+        robot, charged = self._robot(step, running, active)
+        flat = np.flatnonzero(active)
+        before = self.x.copy() if self.trace is not None else self.x
+        theta_before = self.theta.copy() if self.trace is not None else self.theta
+        slot, spent = np.full(self.x.size, NOTHING), np.zeros(self.x.size)
+        luck = np.empty((*self.x.shape, 2))
+        for kind in (1, 2) if self.on_grid else (1,):
+            luck[running, :, kind - 1] = self.luck.draw(kind, running)
+        # Views: people are changed in place.
+        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
+        for group in self.groups:
+            if group is not None:
+                rows = flat if len(self.groups) == 1 else flat[self.model.ravel()[flat] == group.number]
+                people = People(
+                    self.x.reshape(-1), robot.ravel(), group.row[self.people.ravel()], self.beta.reshape(-1),
+                    self.theta.reshape(-1), luck.reshape(-1, 2), belief, slot, spent, self.erred.reshape(-1),
+                )  # fmt: skip
+                act(rows, people, group.minds, group.arrays)
+                self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
+        cost = spent.reshape(self.x.shape)
+        reward = -charged - cost
+        self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
+        self.actions += slot.reshape(self.x.shape) >= 0
+        self.costs += cost
+        self.steps[running] += 1
+        if self.trace is not None:
+            self._record(self.trace, step, flat, before, robot, slot, theta_before, reward)
+
+    def _robot(
+        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Ask the policy, and give what the robot does to each person and what that costs, both of shape (N, K)."""
+        robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
+        free = running[(self.busy_until[running] <= step) & active[running].any(axis=1)]
+        if not len(free):
+            return robot, charged
+        every = slice(None) if len(free) == len(self.x) else free  # a slice saves copying
         action = self.policy(
             TeamState(
-                self.x[running], self.active[running], self.erred[running], self.location[running],
-                self.model[running], None if self.belief is None else self.belief[running],
+                step, self.x[every], active[every], self.erred[every], self.location[every], self.model[every],
+                None if self.belief is None else self.belief[every], self.pool.policies, self.travel,
             )
         )  # fmt: skip
-        self._check(action, running, step)
+        self._check(action, free, active, step)
         goes = action.person != NOBODY
-        teams, to = running[goes], action.person[goes]
-        before = self.location[teams]
-        travel = setting.c_move * self.distance[before, to]
+        teams, to, does = free[goes], action.person[goes], action.robot[goes]
+        origin = self.location[teams]
+        charged[teams, to] = self.travel.c_move * self.travel.distance[origin, to]
+        self.busy_until[teams] = step + self.travel.steps[origin, to]
+        self.moves[teams] += origin != to
         self.location[teams] = to
-        self.moves[teams] += before != to
-        robot = np.zeros_like(self.x)
-        robot[teams, to] = action.robot[goes]
-        charged = np.zeros(self.x.shape)
-        charged[teams, to] = travel + setting.c_suggest * (action.robot[goes] > 0)
-        self.interventions[teams] += action.robot[goes] > 0
+        robot[teams, to] = does
+        for group in self.groups:
+            if group is not None:
+                rows = np.flatnonzero((does > 0) & (self.model[teams, to] == group.number))
+                at = (teams[rows], to[rows])
+                charged[at] += group.arrays.charge[self.x[at], does[rows]]
+        self.helped[teams, to] += does > 0
+        return robot, charged
 
-        e, k = np.nonzero(self.active)
-        person, x = self.people[e, k], self.x[e, k]
-        suggestion = np.full(len(e), NOTHING, dtype=np.int64)
-        for group, solved in enumerate(pool.policies):
-            rows = (self.model[e, k] == group) & (robot[e, k] > 0)
-            suggestion[rows] = solved.pomdp.suggested[x[rows], robot[e, k][rows]]
-        p = choice(self.q[person, x], choices.applicable[x], self.beta[e, k])
-        p = influence(p, suggestion, self.theta[e, k])
-        # The first slot whose cumulated probability exceeds the episode's random number.
-        slot = (np.cumsum(p, axis=1) <= self.luck[e, step, k, None]).sum(axis=1)
-        slot = np.minimum(slot, p.shape[1] - 1 - (p[:, ::-1] > 0).argmax(axis=1))
-        y, cost = choices.targets[x, slot], choices.costs[x, slot]
-
-        told = suggestion != NOTHING
-        expected = choices.targets[x[told], suggestion[told]]
-        values = self.value[person[told]]
-        rows = np.arange(len(values))
-        theta_before = self.theta[e, k]
-        self.theta[e[told], k[told]] = trust(
-            theta_before[told], values[rows, x[told]], values[rows, expected], setting.eta, setting.utility_scale
-        )
-        if self.belief is not None:
-            for group, solved in enumerate(pool.policies):
-                rows = np.flatnonzero(self.model[e, k] == group)
-                if len(rows):
-                    at = (e[rows], k[rows])
-                    self.belief[at] = solved.pomdp.update(self.belief[at], x[rows], robot[at], slot[rows])
-
-        reward = -charged
-        reward[e, k] -= cost
-        self.discounted += setting.gamma**step * reward.sum(axis=1)
-        self.actions[e, k] += 1
-        self.costs[e, k] += cost
-        self.steps[running] += 1
-        self.erred[e, k] = ~(choices.h[y] < choices.h[x])
-        self.x[e, k] = y
-        self.active[e, k] = ~choices.goal[y]
-        if self.trace is not None:
-            for i in range(len(e)):
-                self.trace.append(
-                    {
-                        "person": f"human-{person[i] + 1}",
-                        "episode": f"{self.name}-{self.numbers[e[i]]}",
-                        "step": step,
-                        "action": choices.name(int(x[i]), int(slot[i])),
-                        "suggestion": choices.name(int(x[i]), int(suggestion[i])) if told[i] else None,
-                        "policy": self.name,
-                        "place": int(k[i]),
-                        "robot_place": None if self.location[e[i]] == BASE else int(self.location[e[i]]),
-                        "cost": float(cost[i]),
-                        "cost_to_go": _finite(choices.h[x[i]]),
-                        "cost_to_go_after": _finite(choices.h[y[i]]),
-                        "theta": float(theta_before[i]),
-                        "reward": float(reward[e[i], k[i]]),
-                    }
-                )
-
-    def _check(self, action: TeamAction, running: NDArray[np.int64], step: int) -> None:
+    def _check(self, action: TeamAction, free: NDArray[np.int64], active: NDArray[np.bool_], step: int) -> None:
         """Refuse what no policy may do, instead of letting it silently do nothing."""
-        humans = self.x.shape[1]
+        humans, shape = self.x.shape[1], (len(free),)
+        if np.shape(action.person) != shape or np.shape(action.robot) != shape:
+            raise ValueError(
+                f"step {step}: the policy returned arrays of shapes {np.shape(action.person)} and "
+                f"{np.shape(action.robot)}; expected {shape}, one entry for each team"
+            )
         wrong = (action.person < NOBODY) | (action.person >= humans)
         if wrong.any():
             raise ValueError(f"step {step}: the policy goes to person {action.person[wrong][0]} in a team of {humans}")
-        goes = np.flatnonzero(action.person != NOBODY)
-        teams, to, robot = running[goes], action.person[goes], action.robot[goes]
-        if not self.active[teams, to].all():
-            raise ValueError(f"step {step}: the policy goes to a person who has finished")
-        for group, solved in enumerate(self.pool.policies):
-            rows = (self.model[teams, to] == group) & (robot != 0)
-            suggested = solved.pomdp.suggested
-            if ((robot[rows] < 0) | (robot[rows] >= suggested.shape[1])).any() or (
-                suggested[self.x[teams, to][rows], robot[rows]] == NOTHING
-            ).any():
-                raise ValueError(f"step {step}: the policy makes a suggestion that the person's state does not have")
+        goes = action.person != NOBODY
+        teams, to, robot = free[goes], action.person[goes], action.robot[goes]
+        if not active[teams, to].all():
+            raise ValueError(f"step {step}: the policy goes to a person who has finished or is not there")
+        if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
+            raise ValueError(f"step {step}: the policy speaks to a person before the robot has arrived")
+        for group in self.groups:
+            if group is not None:
+                rows = self.model[teams, to] == group.number
+                count = group.arrays.robots[self.x[teams, to][rows]]
+                if ((robot[rows] < 0) | (robot[rows] >= count)).any():
+                    raise ValueError(
+                        f"step {step}: the policy makes a suggestion that the person's state does not have"
+                    )
 
-    def _episode(self, row: int) -> Episode:
-        people = [self.pool.people[i] for i in self.people[row]]
-        return Episode(
-            policy=self.name,
-            episode=int(self.numbers[row]),
-            people=tuple(f"human-{i + 1}" for i in self.people[row]),
-            beta=tuple(human.beta for human in people),
-            theta=tuple(human.theta for human in people),
-            sigma=tuple(human.sigma for human in people),
-            actions=tuple(self.actions[row].tolist()),
-            costs=tuple(self.costs[row].tolist()),
-            finished=tuple((~self.active[row]).tolist()),
-            interventions=int(self.interventions[row]),
-            moves=int(self.moves[row]),
-            steps=int(self.steps[row]),
-            discounted_return=float(self.discounted[row]),
-        )
+    def _record(
+        self,
+        trace: Trace,
+        step: int,
+        flat: NDArray[np.int64],
+        before: NDArray[np.int64],
+        robot: NDArray[np.int64],
+        slot: NDArray[np.int64],
+        theta_before: Floats,
+        reward: Floats,
+    ) -> None:
+        for i in flat:
+            e, k = divmod(int(i), self.x.shape[1])
+            pomdp = self.pool.policies[self.model[e, k]].pomdp
+            choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
+            suggested = int(pomdp.suggested[x, r])
+            place = int(pomdp.place[x, r])
+            there = self.location[e] != BASE and self.busy_until[e] <= step
+            row = {
+                "person": f"human-{self.people[e, k] + 1}",
+                "episode": f"{self.name}-{self.numbers[e]}",
+                "step": step,
+                "action": choices.name(place, int(slot[i])) if slot[i] >= 0 else None,
+                "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
+                "policy": self.name,
+                "place": k,
+                "robot_place": int(self.location[e]) if there else None,
+                "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
+                "cost_to_go": _finite(choices.h[x]),
+                "cost_to_go_after": _finite(choices.h[self.x[e, k]]),
+                "theta": float(theta_before[e, k]),
+                "reward": float(reward[e, k]),
+            }
+            trace.append(row)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """The people of one model, as compiled code reads them."""
+
+    number: int
+    arrays: Arrays
+    minds: Minds
+    row: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, pool: Pool, number: int, on_grid: bool) -> _Group:
+        pomdp = pool.policies[number].pomdp
+        model, choices = pomdp.model, pomdp.model.choices
+        own = np.flatnonzero(pool.model == number)
+        row = np.zeros(len(pool.people), dtype=np.int64)
+        if on_grid:  # everybody takes the costs for what the model says
+            q = model.q[None]
+        else:
+            q = np.array([perceived_cost(choices, pool.people[i].h) for i in own])
+            row[own] = np.arange(len(own))
+        value = np.array([perceived_value(choices, one) for one in q])
+        lapse = model.lapse if on_grid else 0.0
+        minds = Minds(q, value, choices.h, model.eta / model.utility_scale, lapse, on_grid)
+        return cls(number, Arrays.of(pomdp), minds, row)
 
 
 def _finite(value: float) -> float | None:
@@ -444,33 +515,32 @@ class Summary:
     cut_off: int
 
 
-def summarise(episodes: Sequence[Episode]) -> Summary:
+def summarise(episodes: Episodes) -> Summary:
     """Summarise the episodes of one policy."""
 
-    def mean_and_error(values: Sequence[float]) -> tuple[float, float]:
-        array = np.asarray(values, dtype=float)
-        error = array.std(ddof=1) / math.sqrt(len(array)) if len(array) > 1 else math.nan
-        return float(array.mean()), float(error)
+    def mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
+        error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+        return float(values.mean()), float(error)
 
     return Summary(
-        policy=episodes[0].policy,
+        policy=episodes.policy,
         episodes=len(episodes),
-        actions=mean_and_error([float(np.mean(episode.actions)) for episode in episodes]),
-        interventions=mean_and_error([episode.interventions for episode in episodes]),
-        moves=mean_and_error([episode.moves for episode in episodes]),
-        discounted_return=mean_and_error([episode.discounted_return for episode in episodes]),
-        cut_off=sum(not all(episode.finished) for episode in episodes),
+        actions=mean_and_error(episodes.actions.mean(axis=1)),
+        interventions=mean_and_error(episodes.interventions),
+        moves=mean_and_error(episodes.moves),
+        discounted_return=mean_and_error(episodes.discounted_return),
+        cut_off=int((~episodes.finished).any(axis=1).sum()),
     )
 
 
-def illustrative(helped: Sequence[Episode], alone: Sequence[Episode]) -> Episode:
+def illustrative(helped: Episodes, alone: Episodes) -> Episode:
     """Choose an episode to look at: of those in which help saved actions, the one of median saving.
 
     Parameters
     ----------
-    helped, alone : sequences of Episode
+    helped, alone : Episodes
         The same episodes with and without a robot.
     """
-    saved = [sum(a.actions) - sum(h.actions) for h, a in zip(helped, alone, strict=True)]
+    saved = (alone.actions.sum(axis=1) - helped.actions.sum(axis=1)).tolist()
     better = sorted((number, i) for i, number in enumerate(saved) if number > 0)
     return helped[better[(len(better) - 1) // 2][1]] if better else helped[0]

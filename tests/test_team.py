@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.attention import BASE, NOBODY, AttentionSwitching, NoAssistance, Reactive, TeamAction, TeamState, distances
+from assist.acting import Minds, People, act
+from assist.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.choices import Choices
-from assist.human import Population, choice
-from assist.simulate import POLICIES, Pool, Setting, Trace, illustrative, simulate, summarise
+from assist.human import HumanModel, Population, choice, influence, lapse, perceived_value, trust
+from assist.mdp import Arrays, evaluate
+from assist.pomdp import AssistPOMDP
+from assist.pool import POLICIES, Pool, Setting
+from assist.simulate import BLOCK, Episodes, Presence, Trace, illustrative, simulate, summarise
+from assist.team import BASE, NOBODY, TeamAction, TeamState, Travel
 from planner import Table
 
 
@@ -21,49 +28,60 @@ def pool(tiny_choices: Choices) -> Pool:
     return Pool.sample(tiny_choices, 5, seed=3)
 
 
-def state(pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE) -> TeamState:
+def state(
+    pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
+) -> TeamState:
     """One team of the pool's first people."""
     people = np.arange(len(x))[None]
-    choices = pool.choices
+    choices, model = pool.choices(0), pool.model[people]
     at = np.array([x])
-    prior = np.array([policy.pomdp.prior for policy in pool.policies])[pool.model(people)]
+    prior = np.array([policy.pomdp.prior for policy in pool.policies])[model]
     return TeamState(
-        at, ~choices.goal[at], np.array([erred or [False] * len(x)]), np.array([location]), pool.model(people), prior
-    )
+        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]), np.array([location]), model, prior,
+        pool.policies, travel or pool.setting.travel(len(x)),
+    )  # fmt: skip
+
+
+def run(pool: Pool, name: str, humans: int, episodes: int, seed: int, **options: Any) -> Episodes:
+    return simulate(pool, pool.policy(name), humans=humans, episodes=episodes, seed=seed, name=name, **options)
+
+
+def equal(a: Episodes, b: Episodes) -> bool:
+    return list(a) == list(b)
 
 
 def test_no_assistance_does_nothing(pool: Pool) -> None:
-    action = NoAssistance()(state(pool, [pool.choices.initial] * 3, erred=[True] * 3))
+    action = NoAssistance()(state(pool, [pool.choices(0).initial] * 3, erred=[True] * 3))
     assert (action.person.tolist(), action.robot.tolist()) == ([NOBODY], [0])
 
 
 def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
-    reactive, start = Reactive(pool.policies), [pool.choices.initial] * 3
+    reactive, start = Reactive(), [pool.choices(0).initial] * 3
     assert reactive(state(pool, start)).person.tolist() == [NOBODY]
     assert reactive(state(pool, start, erred=[False, True, True])).person.tolist() == [1]
     assert reactive(state(pool, start, erred=[True, True, True], location=2)).person.tolist() == [2]
     action = reactive(state(pool, start, erred=[True, False, False], location=2))
     assert action.person.tolist() == [0]
     slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0]]
-    assert pool.choices.optimal[start[0], slot]
+    assert pool.choices(0).optimal[start[0], slot]
 
 
 def test_attention_follows_algorithm_1(pool: Pool) -> None:
     """Score each person by hand: Q(best) - Q(nothing) - c_move * distance, and act on the largest."""
     rng = np.random.default_rng(0)
     far = np.array([[0, 1, 5, 2], [1, 0, 3, 2], [5, 3, 0, 0.1], [2, 2, 0.1, 0]])
-    open_states = np.flatnonzero(~pool.choices.goal)
+    open_states = np.flatnonzero(~pool.choices(0).goal)
     helped = 0
     for c_move, location in [(0.0, 0), (0.3, 0), (0.3, 1), (0.3, BASE), (50.0, 2)] * 8:
         x = rng.choice(open_states, 3).tolist()
-        team = state(pool, x, location=location)
+        team = state(pool, x, location=location, travel=Travel.of(3, c_move=c_move, distance=far))
         scores = []
         for k in range(3):
             q = np.einsum(
                 "sbt,bt->s", np.nan_to_num(pool.policies[k].q_mdp[x[k]], neginf=-1e9), pool.policies[k].pomdp.prior
             )
             scores.append(q.max() - q[0] - c_move * far[location, k])
-        action = AttentionSwitching(pool.policies, c_move, far)(team)
+        action = AttentionSwitching()(team)
         if max(scores) <= 0:
             assert action.person.tolist() == [NOBODY]
         else:
@@ -73,15 +91,15 @@ def test_attention_follows_algorithm_1(pool: Pool) -> None:
 
 
 def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
-    goal = int(np.flatnonzero(pool.choices.goal)[0])
-    action = AttentionSwitching(pool.policies, 0.0, distances(3))(state(pool, [goal, goal, goal]))
+    goal = int(np.flatnonzero(pool.choices(0).goal)[0])
+    action = AttentionSwitching()(state(pool, [goal, goal, goal]))
     assert action.person.tolist() == [NOBODY]
 
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
     trace: Trace = []
-    episodes = simulate(pool, pool.policy(name, 3), humans=3, episodes=20, seed=1, name=name, trace=trace)
+    episodes = run(pool, name, 3, 20, 1, trace=trace)
     for episode in episodes:
         rows = [row for row in trace if row["episode"] == f"{name}-{episode.episode}"]
         discounted = sum(pool.setting.gamma ** row["step"] * row["reward"] for row in rows)
@@ -103,7 +121,7 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
 
 def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> None:
     trace: Trace = []
-    simulate(pool, pool.policy("attention", 2), humans=2, episodes=10, seed=2, trace=trace)
+    simulate(pool, pool.policy("attention"), humans=2, episodes=10, seed=2, trace=trace)
     for episode in range(10):
         for place in (0, 1):
             own = [row for row in trace if row["episode"] == f"policy-{episode}" and row["place"] == place]
@@ -116,18 +134,29 @@ def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> Non
 
 
 def test_episodes_do_not_depend_on_how_they_are_divided(pool: Pool) -> None:
-    attention = pool.policy("attention", 3)
-    together = simulate(pool, attention, humans=3, episodes=12, seed=7)
-    apart = [e for n in range(12) for e in simulate(pool, attention, humans=3, episodes=[n], seed=7)]
-    assert together == apart
-    assert together != simulate(pool, attention, humans=3, episodes=12, seed=8)
+    attention = pool.policy("attention")
+    numbers = [0, 3, BLOCK - 1, BLOCK, 5 * BLOCK + 2]
+    together = simulate(pool, attention, humans=3, episodes=6 * BLOCK, seed=7)
+    apart = [simulate(pool, attention, humans=3, episodes=[n], seed=7)[0] for n in numbers]
+    assert [together[n] for n in numbers] == apart
+    assert [together[n] for n in numbers] != [run(pool, "attention", 3, 6 * BLOCK, 8)[n] for n in numbers]
+
+
+def test_episodes_do_not_depend_on_the_number_of_processes(pool: Pool) -> None:
+    alone = run(pool, "attention", 3, 100, 7)
+    parts = [list(range(0, 30)), list(range(30, 100))]
+    with ProcessPoolExecutor(2) as workers:
+        runs = [
+            workers.submit(simulate, pool, pool.policy("attention"), humans=3, episodes=part, seed=7, name="attention")
+            for part in parts
+        ]
+        assert equal(alone, Episodes.joined([r.result() for r in runs]))
 
 
 def test_policies_meet_the_same_people(pool: Pool) -> None:
-    runs = [simulate(pool, pool.policy(name, 3), humans=3, episodes=10, seed=5, name=name) for name in POLICIES]
-    for none, reactive, attention in zip(*runs, strict=True):
-        assert none.people == reactive.people == attention.people
-        assert len(set(none.people)) == 3
+    for episodes in zip(*(run(pool, name, 3, 10, 5) for name in POLICIES), strict=True):
+        assert len({episode.people for episode in episodes}) == 1
+        assert len(set(episodes[0].people)) == 3
 
 
 def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
@@ -156,8 +185,8 @@ def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) 
 def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 6, seed=0, setting=Setting(knowledge="exact"))
     assert len(pool.policies) == 1
-    helped = simulate(pool, pool.policy("attention", 3), humans=3, episodes=200, seed=0)
-    alone = simulate(pool, pool.policy("none", 3), humans=3, episodes=200, seed=0)
+    helped = run(pool, "attention", 3, 200, 0)
+    alone = run(pool, "none", 3, 200, 0)
     assert summarise(helped).actions[0] < summarise(alone).actions[0]
 
 
@@ -169,13 +198,15 @@ def test_episodes_are_cut_off(tiny_choices: Choices) -> None:
 
 
 def test_summary_by_hand(pool: Pool) -> None:
-    episode = simulate(pool, NoAssistance(), humans=2, episodes=1, seed=0)[0]
-    made = [replace(episode, actions=a, interventions=i, moves=1) for a, i in (((6, 8), 0), ((6, 12), 4), ((8, 14), 2))]
+    three = run(pool, "none", 2, 3, 0)
+    made = replace(
+        three, actions=np.array([[6, 8], [6, 12], [8, 14]]), interventions=np.array([0, 4, 2]), moves=np.ones(3)
+    )
     summary = summarise(made)
     assert summary.actions == (9.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.interventions == (2.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.moves == (1.0, 0.0)
-    assert illustrative(made, [replace(e, actions=(20, 20)) for e in made]) == made[1]
+    assert illustrative(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
 
 
 def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool) -> None:
@@ -201,7 +232,7 @@ def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool)
 @given(st.integers(0, 10_000), st.integers(1, 5), st.sampled_from(POLICIES))
 def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) -> None:
     seen: list[TeamState] = []
-    inner = pool.policy(name, humans)
+    inner = pool.policy(name)
 
     def watched(team: TeamState) -> TeamAction:
         seen.append(team)
@@ -212,6 +243,7 @@ def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) ->
 
     watched.uses_belief = inner.uses_belief  # type: ignore[attr-defined]
     for episode in simulate(pool, watched, humans=humans, episodes=3, seed=seed):
+        assert sum(episode.helped) == episode.interventions
         assert all(actions >= 6 for actions in episode.actions)  # nobody beats the exact cost-to-go
         assert episode.discounted_return <= 0
         assert episode.moves <= episode.steps
@@ -225,9 +257,192 @@ def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
     """500 episodes of a team of 3 from the paper's population: each difference beyond two standard errors."""
     pool = Pool.sample(Choices.of(fixed), 12, seed=0)
     actions = {}
-    for name in POLICIES:
-        episodes = simulate(pool, pool.policy(name, 3), humans=3, episodes=500, seed=0, name=name)
-        actions[name] = np.array([np.mean(episode.actions) for episode in episodes])
+    for name in ("none", "reactive", "attention"):
+        actions[name] = run(pool, name, 3, 500, 0).actions.mean(axis=1)
     for worse, better in (("none", "reactive"), ("reactive", "attention")):
         gain = actions[worse] - actions[better]
         assert gain.mean() > 2 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
+    """Frequencies of what many equal people do, their trust, and the belief, against the functions of arrays."""
+    rng = np.random.default_rng(5)
+    human = Population().sample(tiny_choices, 1, rng)[0]
+    model = HumanModel.own(tiny_choices, human, lapse=0.05)
+    pomdp = AssistPOMDP.of(model, execute=True)
+    n, (betas, thetas) = 40_000, pomdp.grid.shape
+    value = perceived_value(tiny_choices, model.q)
+    open_states = np.flatnonzero(~tiny_choices.goal)
+    for x in rng.choice(open_states, 6):
+        for robot in range(pomdp.robots[x]):
+            beta, theta = rng.uniform(0.1, 3), rng.uniform(0, 1)
+            belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
+            people = People(
+                np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, beta), np.full(n, theta),
+                rng.random((n, 2)), np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=np.int64), np.zeros(n),
+                np.zeros(n, dtype=bool),
+            )  # fmt: skip
+            minds = Minds(model.q[None], value[None], tiny_choices.h, model.eta, model.lapse, False)
+            act(np.arange(n), people, minds, Arrays.of(pomdp))
+            place, told = pomdp.place[x, robot], pomdp.suggested[x, robot]
+            if tiny_choices.goal[place]:
+                assert (people.x == place).all()
+                assert (people.slot == -1).all()
+                continue
+            p = influence(choice(model.q[place], tiny_choices.applicable[place], beta), told, theta)
+            p = lapse(p, tiny_choices.applicable[place], model.lapse)
+            seen = np.bincount(people.slot, minlength=len(p)) / n
+            assert (np.abs(seen - p) < 5 * np.sqrt(p * (1 - p) / n) + 1e-12).all()
+            assert (people.x == tiny_choices.targets[place, people.slot]).all()
+            assert (people.cost == tiny_choices.costs[place, people.slot]).all()
+            assert (people.erred == ~(tiny_choices.h[people.x] < tiny_choices.h[place])).all()
+            after = theta
+            if told >= 0:
+                after = trust(theta, value[x], value[tiny_choices.targets[x, told]], model.eta)
+            np.testing.assert_allclose(people.theta, after, rtol=1e-12)
+            some = np.arange(50)
+            expected = pomdp.update(
+                np.repeat(belief[None], 50, axis=0), np.full(50, x), np.full(50, robot), people.slot[some]
+            )
+            np.testing.assert_allclose(people.belief[some], expected, rtol=1e-9, atol=1e-15)
+
+
+def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
+    """People drawn from the prior, on its grid: of those believed to be of a cell with chance p, a share p is."""
+    grid = pool.policies[0].pomdp.grid
+    mean: list[np.ndarray] = []
+
+    def watched(team: TeamState) -> TeamAction:
+        if team.step == 5:
+            assert team.belief is not None
+            mean.append(team.belief.sum(axis=3)[:, 0])
+        return AttentionSwitching()(team)
+
+    episodes = simulate(pool, watched, humans=[0], episodes=4000, seed=2, world="model")
+    assert set(episodes.beta.ravel()) <= set(grid.beta)
+    assert set(episodes.theta.ravel()) <= set(grid.theta)
+    truth = (episodes.beta == grid.beta).mean(axis=0)
+    np.testing.assert_allclose(truth, pool.policies[0].pomdp.prior.sum(axis=1), atol=0.03)
+    believed, alive = mean[0], len(mean[0])
+    here = (episodes.beta == grid.beta)[episodes.steps > 5]
+    assert len(here) == alive
+    sure = believed > 0.3  # calibration where the belief says something
+    assert abs(here[sure].mean() - believed[sure].mean()) < 4 * 0.5 / np.sqrt(sure.sum())
+
+
+def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 2, seed=3, setting=Setting(c_suggest=0.05))
+    switching = AttentionSwitching.against_never(pool.policies)
+    pomdp = pool.policies[0].pomdp
+    priors = np.repeat(pomdp.prior[None], len(pomdp.robots), axis=0)
+    x = int(pool.policies[0].choose(np.arange(len(priors)), priors).argmax())
+    robot, score = switching.scores(state(pool, [x, x]))
+    never = (evaluate(pomdp, np.zeros(len(pomdp.robots), dtype=np.int64))[x] * pomdp.prior).sum()
+    value = pool.policies[0].q_values(np.array([x]), pomdp.prior[None]).max()
+    assert robot[0, 0] > 0
+    assert score[0, 0] == pytest.approx(value - never - pool.setting.c_move, abs=1e-9)
+
+
+def test_travel_by_hand() -> None:
+    far = [[0, 2, 1], [2, 0, 0.5], [1, 0.5, 0]]
+    travel = Travel.of(2, c_move=0.4, travel_time=1.5, distance=far)
+    assert travel.steps.tolist() == [[0, 3, 2], [3, 0, 1], [2, 1, 0]]
+    assert travel.entry.tolist() == pytest.approx([0.4, 0.2])
+    assert travel.entry_steps.tolist() == [2, 1]
+    for wrong in ([[0, 1], [1, 0]], [[0, 2, 1], [2, 0, -1], [1, 1, 0]], [[1, 2, 1], [2, 0, 1], [1, 1, 0]]):
+        with pytest.raises(ValueError, match="distance"):
+            Travel.of(2, distance=wrong)
+
+
+def matrices(places: int) -> st.SearchStrategy[np.ndarray]:
+    def build(values: list[float]) -> np.ndarray:
+        matrix = np.array(values).reshape(places + 1, places + 1)
+        return matrix * (1 - np.eye(places + 1))
+
+    size = (places + 1) ** 2
+    return st.lists(st.sampled_from([0.0, 0.5, 1.0, 2.5]), min_size=size, max_size=size).map(build)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataObject) -> None:
+    """The robot acts on nobody who is not there, pays travel when it moves and then only, and rewards add up."""
+    humans = data.draw(st.integers(1, 4))
+    name = data.draw(st.sampled_from([*POLICIES, "restless"]))
+    travel = Travel.of(
+        humans,
+        c_move=data.draw(st.sampled_from([0.0, 0.3, 1.0])),
+        travel_time=data.draw(st.sampled_from([0.0, 1.0, 2.0])),
+        distance=data.draw(matrices(humans)),
+    )
+    joins = data.draw(st.lists(st.integers(0, 6), min_size=humans, max_size=humans))
+    stays = data.draw(st.lists(st.integers(1, 30), min_size=humans, max_size=humans))
+    presence = Presence.of(humans, joins, np.add(joins, stays))
+    rng = np.random.default_rng(0)
+
+    def restless(team: TeamState) -> TeamAction:
+        return team.act(np.array([rng.choice(np.flatnonzero(row)) for row in team.active]), team.first_optimal())
+
+    inner = restless if name == "restless" else pool.policy(name)
+    decided: list[tuple[int, int, int, int]] = []
+
+    def watched(team: TeamState) -> TeamAction:
+        action = inner(team)
+        decided.append((team.step, int(team.location[0]), int(action.person[0]), int(action.robot[0])))
+        return action
+
+    watched.uses_belief = getattr(inner, "uses_belief", True)  # type: ignore[attr-defined]
+    trace: Trace = []
+    episode = simulate(
+        pool, watched, humans=humans, episodes=[7], seed=data.draw(st.integers(0, 99)), travel=travel,
+        presence=presence, trace=trace,
+    )[0]  # fmt: skip
+    assert episode.discounted_return == pytest.approx(sum(0.99 ** r["step"] * r["reward"] for r in trace), abs=1e-9)
+    moves, busy_until = 0, 0
+    paid = {(row["step"], row["place"]): -row["reward"] - row["cost"] for row in trace}
+    for step, location, person, robot in decided:
+        assert step >= busy_until  # committed while under way
+        if person == NOBODY:
+            continue
+        assert joins[person] <= step < joins[person] + stays[person]
+        moved = location != person
+        moves += moved
+        busy_until = step + travel.steps[location, person]
+        assert robot == 0 or busy_until == step
+        expected = travel.c_move * travel.distance[location, person] + 0.5 * (robot > 0)
+        assert paid.pop((step, person)) == pytest.approx(expected, abs=1e-9)
+    assert episode.moves == moves
+    assert all(rest == pytest.approx(0, abs=1e-9) for rest in paid.values())
+    for k in range(humans):
+        own = [row["step"] for row in trace if row["place"] == k]
+        assert own == list(range(joins[k], joins[k] + episode.actions[k]))
+        assert episode.finished[k] or episode.actions[k] == min(stays[k], 500 - joins[k])
+
+
+def test_a_team_of_different_tasks_costs_and_models(tiny_choices: Choices, fixed: Table) -> None:
+    """Each person of a mixed team does what they do in a pool of their own kind."""
+    small = Pool.sample(tiny_choices, 2, seed=1, setting=Setting(c_suggest=0.05, c_move=0.1))
+    large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1))
+    mixed = Pool.joined([small, large])
+    assert [len(mixed.choices(i)) for i in range(4)] == [21, 21, 128, 128]
+    trace: Trace = []
+    episodes = simulate(mixed, mixed.policy("attention"), humans=[2, 1, 3], episodes=100, seed=0, trace=trace)
+    assert episodes.finished.all()
+    assert episodes.actions.min(axis=0).tolist() == [10, 6, 10]
+    assert episodes.helped.sum(axis=0).min() > 0
+    for row in trace:
+        charged = 0.05 if row["place"] == 1 else 0.1
+        paid = -row["reward"] - row["cost"] - charged * (row["suggestion"] is not None)
+        assert paid == pytest.approx(0, abs=1e-9) or paid == pytest.approx(0.1)
+
+
+def test_execution_by_the_robot(tiny_choices: Choices) -> None:
+    """Where executing costs nothing the robot does half of the work of one person alone."""
+    setting = Setting(execute=True, c_execute=0.0, c_move=0.0)
+    pool = Pool.sample(tiny_choices, 2, seed=0, setting=setting)
+    trace: Trace = []
+    episodes = simulate(pool, pool.policy("attention"), humans=1, episodes=50, seed=0, trace=trace)
+    assert episodes.finished.all()
+    assert episodes.actions.min() == 3
+    assert episodes.helped.sum() > 0
+    assert sum(row["reward"] for row in trace) == pytest.approx(-episodes.costs.sum())

@@ -28,7 +28,7 @@ SHOWN = {
 @click.argument("instance", metavar="INSTANCE")
 @click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team.")
 @click.option(
-    "--policy", "names", type=click.Choice(["none", "reactive", "attention"]), multiple=True, default=("attention",),
+    "--policy", "names", type=click.Choice(["none", "reactive", "attention", "attention-never"]), multiple=True, default=("attention",),
     show_default=True, help="Team policy; repeat it to compare several on the same people and luck.",
 )  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
@@ -102,6 +102,7 @@ def simulate(
     from .. import simulate as simulation
     from ..choices import Choices
     from ..human import Mixture, Population
+    from ..pool import Pool, Setting
 
     with one_line_errors():
         found = one_instance(instance, domain)
@@ -114,42 +115,30 @@ def simulate(
             population: Population | Mixture = Population(beta, theta, sigma)
             if crowd_file:
                 population = _population(crowd_file)
-            chosen = simulation.Setting(**setting)
+            chosen = Setting(**setting)
             size = size or max(12, humans)
             with progress_bar("solving people's POMDPs", size if chosen.knowledge == "own" else 1) as advance:
-                pool = simulation.Pool.sample(
+                pool = Pool.sample(
                     choices, size, seed, setting=chosen, population=population, progress=lambda *_: advance(1)
                 )
         except ValueError as error:
             raise click.UsageError(str(error)) from None
         if humans > size:
             raise click.UsageError(f"--humans {humans} is more than --pool {size}")
-        results: list[list[simulation.Episode]] = []
+        results: list[simulation.Episodes] = []
         steps: simulation.Trace = []
+        run = partial(simulation.simulate, pool, humans=humans, seed=seed)
         for name in dict.fromkeys(names):
-            policy = pool.policy(name, humans)
             traced: simulation.Trace | None = [] if trace else None
             with progress_bar(f"simulating {name}", episodes) as advance:
-                results.append(
-                    simulation.simulate(
-                        pool,
-                        policy,
-                        humans=humans,
-                        episodes=episodes,
-                        seed=seed,
-                        name=name,
-                        trace=traced,
-                        progress=advance,
-                    )
-                )
+                results.append(run(pool.policy(name), episodes=episodes, name=name, trace=traced, progress=advance))
             steps += traced or []
         if figure:
-            run = partial(simulation.simulate, pool, humans=humans, seed=seed)
-            alone = run(pool.policy("none", humans), episodes=episodes)
+            alone = run(pool.policy("none"), episodes=episodes)
             shown = simulation.illustrative(results[-1], alone)
             pictured: list[simulation.Trace] = [[], []]
             for name, trace_of in zip((names[-1], "none"), pictured, strict=True):
-                run(pool.policy(name, humans), episodes=[shown.episode], trace=trace_of)
+                run(pool.policy(name), episodes=[shown.episode], trace=trace_of)
             figures.save(
                 figures.episode_figure(shown, pictured[0], pictured[1] if names[-1] != "none" else None), figure
             )

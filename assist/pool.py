@@ -1,0 +1,187 @@
+"""The people from whom teams are drawn, and what the robot has worked out about each of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .attention import AttentionSwitching, NoAssistance, Reactive
+from .belief import Grid
+from .choices import Choices
+from .human import Human, HumanModel, Mixture, Population
+from .mdp import qmdp
+from .pomdp import AssistPOMDP, Policy, Suggestions
+from .team import TeamPolicy, Travel
+
+Knowledge = Literal["own", "exact"]
+POLICIES = ("none", "reactive", "attention", "attention-never")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a simulation takes for granted.
+
+    Attributes
+    ----------
+    gamma : float
+        Discount factor per step.
+    c_suggest, c_move : float
+        Cost of a suggestion, and of moving by a distance of 1, in cost units.
+    travel_time : float
+        Steps that moving by a distance of 1 takes.
+    eta : float
+        Rate of the trust update.
+    utility_scale : float
+        The unit of value in the trust update, in cost units.
+    lapse : float
+        Weight of a uniform choice in the robot's model of people.
+    knowledge : "own" or "exact"
+        Whether the robot knows each person's perceived costs (as in the paper) or only h*.
+    suggestions : "optimal" or "all"
+    execute : bool
+        Whether the robot can also execute an action itself, at the cost `c_execute`.
+    max_steps : int
+        An episode is cut off after this many steps.
+    """
+
+    gamma: float = 0.99
+    c_suggest: float = 0.5
+    c_move: float = 0.5
+    travel_time: float = 0.0
+    eta: float = 0.2
+    utility_scale: float = 1.0
+    lapse: float = 1e-3
+    knowledge: Knowledge = "own"
+    suggestions: Suggestions = "optimal"
+    execute: bool = False
+    c_execute: float = 1.0
+    max_steps: int = 500
+
+    def __post_init__(self) -> None:
+        for name in ("c_move", "travel_time"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} {getattr(self, name):g}: expected 0 or more")
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps {self.max_steps}: expected 1 or more")
+
+    def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
+        """Give the way between so many people; `distance` as in `Travel.of`."""
+        return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
+
+
+@dataclass(frozen=True)
+class Pool:
+    """The people from whom teams are drawn, and what the robot has worked out about them.
+
+    Attributes
+    ----------
+    setting : Setting
+    people : tuple of Human
+    policies : tuple of Policy
+        For a person by themselves. People whom the robot cannot tell apart beforehand share one. Each
+        works on the task of their policy.
+    model : int array, shape (people,)
+        Which policy is each person's.
+    """
+
+    setting: Setting
+    people: tuple[Human, ...]
+    policies: tuple[Policy, ...]
+    model: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        if not self.people or self.model.shape != (len(self.people),):
+            raise ValueError(f"{len(self.people)} people, model {self.model.shape}: expected one entry for each person")
+        if self.model.min() < 0 or self.model.max() >= len(self.policies):
+            raise ValueError(f"model: expected numbers from 0 to {len(self.policies) - 1}")
+        shapes = {policy.pomdp.grid.shape for policy in self.policies}
+        if len(shapes) > 1:
+            raise ValueError(f"grids of shapes {sorted(shapes)}: expected the same for everybody")
+        for policy in self.policies:
+            if policy.pomdp.gamma != self.setting.gamma:
+                raise ValueError(f"gamma {policy.pomdp.gamma:g}: expected that of the setting, {self.setting.gamma:g}")
+        for number, human in enumerate(self.people):
+            if len(human.h) != len(self.choices(number)):
+                raise ValueError(
+                    f"person {number}: perceived costs-to-go of {len(human.h)} states, and the task has "
+                    f"{len(self.choices(number))}"
+                )
+        self.model.flags.writeable = False
+
+    @classmethod
+    def sample(
+        cls,
+        choices: Choices,
+        size: int,
+        seed: int,
+        *,
+        setting: Setting | None = None,
+        population: Population | Mixture | None = None,
+        solver: Callable[[AssistPOMDP], Policy] = qmdp,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Pool:
+        """Draw people from a population and solve the POMDP of each.
+
+        Parameters
+        ----------
+        solver : callable
+            Gives the policy for one person's problem.
+        progress : callable, optional
+            Called with how many POMDPs have been solved, and of how many.
+        """
+        setting = setting or Setting()
+        population = population or Population()
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+        people = population.sample(choices, size, rng)
+        known = {"eta": setting.eta, "lapse": setting.lapse, "utility_scale": setting.utility_scale}
+        if setting.knowledge == "own":
+            models = [HumanModel.own(choices, human, **known) for human in people]
+        else:
+            models = [HumanModel.exact(choices, **known)]
+        grid = Grid.regular(population)
+        policies = []
+        for done, model in enumerate(models, start=1):
+            pomdp = AssistPOMDP.of(
+                model, grid=grid, population=population, gamma=setting.gamma,
+                c_suggest=setting.c_suggest, suggestions=setting.suggestions, execute=setting.execute,
+                c_execute=setting.c_execute,
+            )  # fmt: skip
+            policies.append(solver(pomdp))
+            if progress is not None:
+                progress(done, len(models))
+        number = np.arange(size) if len(models) > 1 else np.zeros(size, dtype=np.int64)
+        return cls(setting, tuple(people), tuple(policies), number)
+
+    @classmethod
+    def joined(cls, pools: Sequence[Pool]) -> Pool:
+        """Put pools of different tasks, costs or models together; the setting is that of the first."""
+        if not pools:
+            raise ValueError("joined: expected one pool or more")
+        offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
+        return cls(
+            pools[0].setting,
+            tuple(human for pool in pools for human in pool.people),
+            tuple(policy for pool in pools for policy in pool.policies),
+            np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
+        )
+
+    def choices(self, person: int) -> Choices:
+        """Give the task of a person."""
+        return self.policies[self.model[person]].pomdp.model.choices
+
+    def policy(self, name: str) -> TeamPolicy:
+        """Make one of the paper's team policies, "attention-never" being the other reading of its Algorithm 1."""
+        if name == "none":
+            return NoAssistance()
+        if name == "reactive":
+            return Reactive()
+        if name == "attention":
+            return AttentionSwitching()
+        if name == "attention-never":
+            return AttentionSwitching.against_never(self.policies)
+        raise ValueError(f"unknown policy '{name}'; expected one of {', '.join(POLICIES)}")
