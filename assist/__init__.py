@@ -15,9 +15,12 @@ solver         its policy, with proven bounds
 exchange       problems and policies in other programs' formats
 team           what a team is to its robot, and what a policy for it looks like
 attention      team policies: no assistance, reactive, attention switching
+visits         one person's problem with a robot that comes and goes, at a price
+priority       a team policy of our own
 pool           the people from whom teams are drawn
 acting         one step of many people, compiled
 simulate       episodes of a team
+bounds         what no team policy exceeds
 log            recorded actions, as a log has them and as the task has them
 fit            beta, theta and eta of a person, from recorded actions
 misconception  sigma, and what a person takes for the cost-to-go

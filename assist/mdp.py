@@ -79,12 +79,16 @@ class QMDP:
         return self.q_values(x, belief).argmax(axis=1)
 
 
-def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_000) -> QMDP:
+def qmdp(
+    pomdp: AssistPOMDP, *, above: Floats | None = None, tolerance: float = 1e-6, max_sweeps: int = 100_000
+) -> QMDP:
     """Compute the QMDP policy.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
+    above : float array, shape (n, B, T), optional
+        Upper bounds from which to start.
     tolerance : float
         Largest error of any value, in cost units.
     max_sweeps : int
@@ -106,6 +110,8 @@ def qmdp(pomdp: AssistPOMDP, *, tolerance: float = 1e-6, max_sweeps: int = 100_0
         beyond = np.isinf(choices.h[pomdp.frontier.states])
         value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
+    if above is not None:
+        value = np.minimum(value, above)
     arrays, order = Arrays.of(pomdp), _order(pomdp)
     if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
         raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
@@ -151,6 +157,8 @@ def evaluate(
 
 
 def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
+    if pomdp.order is not None:
+        return pomdp.order
     states = np.flatnonzero(~pomdp.final)
     return states[np.argsort(pomdp.model.choices.h[states], kind="stable")]
 
@@ -229,19 +237,26 @@ def _row(
     others are summed anew, because a difference would lose its digits. `expected`, `mean` and `other`, shape
     (T,), are room for the sums.
     """
-    _alone(expected, mean, value, x, b, m)
+    at_hand = -1
     for r in range(m.robots[x]):
         if only >= 0 and r != only:
             continue
         slot, place = m.suggested[x, r], m.place[x, r]
+        if m.goal[place]:
+            q[r] = -m.charge[x, r]
+            continue
+        if place != at_hand:
+            _alone(expected, mean, value, place, b, m)
+            at_hand = place
         if slot >= 0:
-            y, c, p, rest = m.targets[x, slot], m.costs[x, slot], m.chosen[x, slot, b], m.rest[x, r, b]
+            y, c, p, rest = m.targets[place, slot], m.costs[place, slot], m.chosen[place, slot, b], m.rest[x, r, b]
             if p > 0.9:
                 other[:] = 0.0
-                for a in range(m.counts[x]):
+                for a in range(m.counts[place]):
                     if a != slot:
                         for t in range(len(m.theta)):
-                            other[t] += m.chosen[x, a, b] * (m.gamma * value[m.targets[x, a], b, t] - m.costs[x, a])
+                            u = m.gamma * value[m.targets[place, a], b, t] - m.costs[place, a]
+                            other[t] += m.chosen[place, a, b] * u
             else:
                 for t in range(len(m.theta)):
                     other[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
@@ -253,15 +268,9 @@ def _row(
                 e = (theta * followed + (1.0 - theta) * others) / total if total > 0.0 else followed + others
                 lapsed = (1.0 - up) * mean[at] + up * mean[at + 1]
                 q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.charge[x, r]
-        elif place == x:
+        else:
             for t in range(len(m.theta)):
                 q[r, t] = (1.0 - m.lapse) * expected[t] + m.lapse * mean[t] - m.charge[x, r]
-        elif m.goal[place]:
-            q[r] = -m.charge[x, r]
-        else:
-            _alone(q[r], other, value, place, b, m)
-            for t in range(len(m.theta)):
-                q[r, t] = (1.0 - m.lapse) * q[r, t] + m.lapse * other[t] - m.charge[x, r]
 
 
 @numba.njit(cache=True, nogil=True)

@@ -79,6 +79,8 @@ class AssistPOMDP:
         Where a robot action moves theta to, as `Grid.shares` gives it.
     frontier : Frontier or None
         Where the problem breaks off, if it covers a part of a task only.
+    order : int array, or None
+        The states that are not final, in the order in which values are best worked out; by cost-to-go unless given.
     """
 
     model: HumanModel
@@ -96,6 +98,7 @@ class AssistPOMDP:
     low: NDArray[np.int64]
     weight: Floats
     frontier: Frontier | None = None
+    order: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         for array in (

@@ -16,10 +16,11 @@ from .choices import Choices
 from .human import Human, HumanModel, Mixture, Population
 from .mdp import qmdp
 from .pomdp import AssistPOMDP, Policy, Suggestions
+from .priority import Priority
 from .team import TeamPolicy, Travel
 
 Knowledge = Literal["own", "exact"]
-POLICIES = ("none", "reactive", "attention", "attention-never")
+POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
 
 
 @dataclass(frozen=True)
@@ -174,8 +175,17 @@ class Pool:
         """Give the task of a person."""
         return self.policies[self.model[person]].pomdp.model.choices
 
-    def policy(self, name: str) -> TeamPolicy:
-        """Make one of the paper's team policies, "attention-never" being the other reading of its Algorithm 1."""
+    def policy(self, name: str, travel: Travel | None = None) -> TeamPolicy:
+        """Make a team policy by its name.
+
+        Parameters
+        ----------
+        name : str
+            The paper's "none", "reactive" and "attention", "attention-never" for the other reading of its
+            Algorithm 1, and our own "priority".
+        travel : Travel, optional
+            The way between people, if it is not that of the setting.
+        """
         if name == "none":
             return NoAssistance()
         if name == "reactive":
@@ -184,4 +194,6 @@ class Pool:
             return AttentionSwitching()
         if name == "attention-never":
             return AttentionSwitching.against_never(self.policies)
+        if name == "priority":  # as all places are equally far, two stand for any number
+            return Priority.of(self.policies, travel or self.setting.travel(2))
         raise ValueError(f"unknown policy '{name}'; expected one of {', '.join(POLICIES)}")

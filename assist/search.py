@@ -581,7 +581,7 @@ def _plan(x, r, picked, vector, plans, m):
             vector[b * thetas + t] = v - ROUNDING * abs(v)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number."""
     work, room = np.empty((3, len(prior))), new_room(len(prior))

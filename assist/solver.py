@@ -169,6 +169,7 @@ def solve(
     gap: float = 1e-3,
     time_limit: float | None = None,
     memory_limit_mb: float | None = None,
+    best: QMDP | None = None,
     progress: Callable[[float, float, float], None] | None = None,
 ) -> Solution:
     """Solve one person's problem.
@@ -183,6 +184,8 @@ def solve(
         place once after an installation, does not count.
     memory_limit_mb : float, optional
         Stop before vectors and beliefs take more. The first bounds are worked out in any case.
+    best : QMDP, optional
+        The QMDP policy, if it is known already.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
     """
@@ -191,7 +194,7 @@ def solve(
     start = time.perf_counter()
     x0 = pomdp.model.choices.initial
     prior = pomdp.prior.reshape(-1)
-    best = qmdp(pomdp)
+    best = best or qmdp(pomdp)
     work = _Search(pomdp, best)
     never = np.zeros(len(pomdp.robots), dtype=np.int64)
     value_never = work.begin(never)

@@ -14,7 +14,7 @@ ORDER = [
     "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
     "assist.choices", "assist.human", "assist.belief", "assist.archive", "assist.pomdp", "assist.region",
     "assist.mdp", "assist.vectors", "assist.search", "assist.solver", "assist.exchange", "assist.team",
-    "assist.attention", "assist.pool", "assist.acting", "assist.simulate",
+    "assist.attention", "assist.visits", "assist.priority", "assist.pool", "assist.acting", "assist.simulate", "assist.bounds",
     "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
     "assist.profile", "assist.figures", "assist.fit_figures",
     "assist.cli.console", "assist.cli.task", "assist.cli.person", "assist.cli.solve", "assist.cli.simulate",
