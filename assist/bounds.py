@@ -1,15 +1,15 @@
 """A certified upper bound on what any team policy can reach, and with it how far a policy is from the best.
 
-At each step the robot is with one person, or on its way to one. Relaxing that with a price lambda_t >= 0 on every step of
-attention takes the team apart (`assist.visits`):
+At each step the robot is with one person, or on its way to one. Relaxing that with a price lambda_t >= 0 on every
+step of attention takes the team apart (`assist.visits`):
 
     J*  <=  sum_t gamma^t lambda_t  +  sum_k V_k(lambda)
 
 where V_k is the most that any policy gets in person k's own problem, in which attention is paid for, and coming costs
 what coming from the nearest other place does. That holds for all prices. They are looked for by simulating each
 person's problem and raising the price of the steps at which more than one robot would be busy. At the prices found,
-each V_k is bounded from above by solving the problem with beta and theta hidden (`assist.solver`), so that knowing people
-better than one can is no source of looseness.
+each V_k is bounded from above by solving the problem with beta and theta hidden (`assist.solver`), so that knowing
+people better than one can is no source of looseness.
 
 The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
 simulated as well.
@@ -26,7 +26,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .human import Floats
 from .mdp import QMDP, qmdp
@@ -157,7 +156,7 @@ class _Kind:
         return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
     def attention(self, price: Floats, seed: int) -> Floats:
-        """Give the share of people to whom the robot attends at each step, if it acts as if it saw beta and theta soon."""
+        """Give the share of people who are attended to at each step by QMDP's policy, simulated."""
         visits = self.visits.priced(price)
         policy = self.best(visits)
         number = np.zeros(len(price))

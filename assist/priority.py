@@ -21,7 +21,7 @@ from .team import NOBODY, TeamAction, TeamState, Travel
 from .visits import HERE, Visits
 
 PRICE = 0.15
-"""What a step of the robot's attention will be worth to others, unless given: this share of the cheapest action's cost."""
+"""What a step of the robot's attention will be worth to others: this share of the cheapest action's cost."""
 
 
 @dataclass(frozen=True)

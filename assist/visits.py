@@ -1,8 +1,8 @@
 """One person's problem as part of a team's: the robot comes, stays and leaves, and its attention has a price.
 
 A robot that serves K people is with one of them at a time. To give each of them a problem of their own, the price
-`price[t]` is put on every step t in which the robot is with them or on its way (Lagrangian relaxation of a weakly coupled
-problem: Hawkins, "A Lagrangian decomposition approach to weakly coupled dynamic optimization problems", 2003).
+`price[t]` is put on every step t in which the robot is with them or on its way (Lagrangian relaxation of a weakly
+coupled problem: Hawkins, "A Lagrangian decomposition approach to weakly coupled dynamic optimization problems", 2003).
 Coming costs what coming from the nearest other place does, and takes as long; leaving is free. From the end of
 the prices on attention is free.
 
@@ -117,7 +117,6 @@ class Visits:
         count = np.where(position == HERE, alone.robots[x] + 1, 1)
         count = np.where(position == AWAY, 2 if entry_steps else alone.robots[x], count)
         count = np.where(choices.goal[x], 1, count)
-        attended = (number > 0) | (position[:, None] > HERE)
         comes = (number > 0) & (position[:, None] == AWAY)
         used = number < count[:, None]
         then = np.where(number == 0, np.where(position > HERE, position, AWAY)[:, None], HERE)
@@ -153,7 +152,7 @@ class Visits:
         return attended & ~self.pomdp.final[:, None]
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
-        """Number the states, shape (n,), of a step (the last stands for all later ones) and a position; -1: not there."""
+        """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
         mine = np.flatnonzero((self.step == min(step, len(self.price))) & (self.position == position))
         number = np.full(len(self.alone.robots), -1)
         number[self.x[mine]] = mine

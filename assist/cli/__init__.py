@@ -5,9 +5,11 @@ In the order in which they build on each other:
 console        numbers in; JSON, tables, progress and errors out
 task           the task that people are assisted in, or were recorded in
 person         one person's problem, and the options that describe it
+team           a team, and the options that describe it
 solve          the command `solve`
 simulate       the command `simulate`
 policy         the command `policy`
+bound          the command `bound`
 export         the command `export`
 fit            the command `fit`
 """
@@ -16,11 +18,11 @@ from __future__ import annotations
 
 import click
 
-from . import export, fit, policy, simulate, solve
+from . import bound, export, fit, policy, simulate, solve
 
 
 @click.group(
-    commands=[solve.solve, simulate.simulate, policy.policy, export.export, fit.fit],
+    commands=[solve.solve, simulate.simulate, policy.policy, bound.bound, export.export, fit.fit],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="kitassist")

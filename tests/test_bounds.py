@@ -1,0 +1,171 @@
+"""Bounds on teams: one person's problem with a robot that comes and goes, and what no team policy exceeds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import KITTING, kitassist
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.bounds import upper_bound
+from assist.choices import Choices
+from assist.mdp import evaluate, qmdp
+from assist.pool import POLICIES, Pool, Setting
+from assist.simulate import simulate
+from assist.solver import solve
+from assist.team import NOBODY, TeamAction, TeamState
+from assist.visits import AWAY, HERE, Visits
+
+
+@pytest.fixture(scope="module")
+def pool(tiny_choices: Choices) -> Pool:
+    return Pool.sample(tiny_choices, 3, seed=3, setting=Setting(gamma=0.95, c_suggest=0.1, c_move=0.2))
+
+
+def root(visits: Visits) -> float:
+    best = qmdp(visits.pomdp, tolerance=1e-9)
+    return float((best.value_mdp[visits.pomdp.model.choices.initial] * visits.pomdp.prior).sum())
+
+
+def test_a_visitor_who_comes_for_nothing_is_as_good_as_one_who_is_there(pool: Pool) -> None:
+    for policy in pool.policies:
+        alone = policy.pomdp
+        there = float((qmdp(alone, tolerance=1e-9).value_mdp[alone.model.choices.initial] * alone.prior).sum())
+        assert root(Visits.of(alone, 0.0)) == pytest.approx(there, abs=1e-7)
+        assert root(Visits.of(alone, 0.0, 0, np.zeros(5))) == pytest.approx(there, abs=1e-7)
+
+
+def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
+    alone = pool.policies[0].pomdp
+    never = evaluate(alone, np.zeros(len(alone.robots), dtype=np.int64), tolerance=1e-9)
+    value = float((never[alone.model.choices.initial] * alone.prior).sum())
+    assert root(Visits.of(alone, 1000.0)) == pytest.approx(value, abs=1e-6)
+    assert root(Visits.of(alone, 0.0, 3, np.full(200, 1000.0))) == pytest.approx(value, abs=1e-2)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.data())
+def test_what_makes_visits_dearer_or_slower_makes_them_worth_less(pool: Pool, data: st.DataObject) -> None:
+    alone = pool.policies[data.draw(st.integers(0, 2))].pomdp
+    entry, steps = data.draw(st.floats(0, 2)), data.draw(st.integers(0, 3))
+    price = np.array(data.draw(st.lists(st.floats(0, 1), min_size=1, max_size=6)))
+    base = root(Visits.of(alone, entry, steps, price))
+    assert root(Visits.of(alone, entry + 0.1, steps, price)) <= base + 1e-7
+    assert root(Visits.of(alone, entry, steps + 1, price)) <= base + 1e-7
+    at = data.draw(st.integers(0, len(price) - 1))
+    dearer = price.copy()
+    dearer[at] += 0.5
+    less = root(Visits.of(alone, entry, steps, dearer))
+    # Whoever pays the price at one step pays no more than that.
+    assert base - 0.5 * alone.gamma**at - 1e-7 <= less <= base + 1e-7
+    assert root(Visits.of(alone, entry, steps, price).priced(dearer)) == pytest.approx(less, abs=1e-9)
+
+
+@pytest.mark.parametrize("steps", [0, 1, 2])
+def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
+    """A policy of the visits' problem, and the same acts in the simulation of a team: their returns agree."""
+    setting = replace(pool.setting, travel_time=float(steps))
+    one = Pool(setting, pool.people[:1], pool.policies[:1], pool.model[:1])
+    travel = setting.travel(1)
+    visits = Visits.of(one.policies[0].pomdp, travel.entry[0], int(travel.entry_steps[0]))
+    solution = solve(visits.pomdp, gap=1e-4)
+    states = [visits.states(0, position) for position in range(2 + steps)]
+
+    def act(team: TeamState) -> TeamAction:
+        assert team.belief is not None
+        position = np.where(team.location == 0, HERE, AWAY)
+        at = np.stack(states)[position, team.x[:, 0]]
+        robot = solution.choose(at, team.belief[:, 0])
+        person = np.where((robot > 0) | (position == HERE), 0, NOBODY)
+        said = np.where(position == HERE, np.maximum(robot - 1, 0), robot if steps == 0 else 0)
+        return TeamAction(person, said)
+
+    run = simulate(one, act, humans=[0], episodes=20_000, seed=0, travel=travel, world="model")
+    error = run.discounted_return.std() / np.sqrt(len(run))
+    assert run.moves.sum() > 0
+    assert solution.lower - 4 * error <= run.discounted_return.mean() <= solution.upper + 4 * error
+
+
+def test_no_policy_exceeds_the_bound(pool: Pool) -> None:
+    found = upper_bound(pool, gap=1e-3)
+    assert found.upper <= sum(root(Visits.of(p.pomdp, 0.2)) for p in pool.policies)  # what each gets alone
+    assert found.upper <= found.upper_seen
+    assert (found.price >= 0).all()
+    values = {}
+    for name in POLICIES:
+        certificate = found.certify(pool.policy(name), name, episodes=4000)
+        values[name] = certificate.value
+        assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
+        expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)
+        assert certificate.gap_percent == pytest.approx(expected)
+    assert found.certify(pool.policy("priority"), episodes=4000).gap_percent < 3
+    assert values["none"] < values["attention"]
+
+
+def test_prices_make_the_bound_tighter(pool: Pool) -> None:
+    """Three people, one robot: that it cannot be everywhere is worth something."""
+    apart = sum(upper_bound(pool, (person,)).upper for person in range(3))
+    together = upper_bound(pool, gap=1e-3)
+    assert together.price.max() > 0.05
+    assert together.upper < apart - 0.01
+
+
+def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
+    setting = Setting(knowledge="exact", c_suggest=0.1, c_move=0.2)
+    pool = Pool.sample(tiny_choices, 40, seed=0, setting=setting)
+    told: list[tuple[str, int, int]] = []
+    found = upper_bound(pool, progress=lambda *what: told.append(what))
+    assert max(total for what, _, total in told if what == "bounding people's problems") == 1
+    certificate = found.certify(pool.policy("priority"), episodes=200)
+    assert certificate.humans == 40
+    assert 0 < certificate.gap_percent < 5
+
+
+def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choices) -> None:
+    """With ways that take time it is well ahead of Algorithm 1, for people drawn from the prior, with the same luck."""
+    setting = Setting(c_suggest=0.1, c_move=0.5, travel_time=2.0)
+    pool = Pool.sample(tiny_choices, 4, seed=1, setting=setting)
+    runs = [
+        simulate(pool, pool.policy(name), humans=4, episodes=1000, seed=0, world="model").discounted_return
+        for name in ("priority", "attention")
+    ]
+    ahead = runs[0] - runs[1]
+    assert ahead.mean() > 3 * ahead.std() / np.sqrt(len(ahead))
+
+
+def test_bound_on_the_command_line() -> None:
+    result = kitassist(
+        "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
+        "--episodes", "500", "--policy", "attention", "--policy", "none", "--json",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert (document["humans"], document["policy"]) == (2, "attention")
+    assert [p["policy"] for p in document["policies"]] == ["attention", "none"]
+    assert document["value"] < document["upper"] + 4 * document["value_stderr"]
+    assert document["gap_percent"] == pytest.approx(
+        100 * (document["upper"] - document["value"]) / abs(document["value"])
+    )
+
+
+def test_teams_options_that_cannot_be(tmp_path: object) -> None:
+    from pathlib import Path
+
+    folder = Path(str(tmp_path))
+    (folder / "far.json").write_text("[[0, 1], [1, 0]]")
+    (folder / "no.json").write_text('{"a": 1}')
+    tiny = str(KITTING / "tiny.pddl")
+    for options, complaint in (
+        (["--distances", str(folder / "far.json")], "distance, shape (2, 2): expected (4, 4)"),
+        (["--distances", str(folder / "no.json")], "expected a list of lists of numbers"),
+        (["--travel-time", "-1"], "travel_time -1: expected 0 or more"),
+        (["--gamma", "1"], "gamma 1"),
+    ):
+        result = kitassist("bound", tiny, "--humans", "3", *options)
+        assert result.returncode == 2
+        assert complaint in result.stderr
+        assert result.stdout == ""
