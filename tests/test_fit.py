@@ -267,9 +267,17 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
     drawn = population.sample(TINY_CHOICES, 3000, rng)
     assert np.mean([human.beta for human in drawn]) == pytest.approx(crowd.beta.mean, rel=0.08)
     assert np.mean([human.theta for human in drawn]) == pytest.approx(crowd.theta.mean, rel=0.03)
+
+    # More of these people are novices than a uniform distribution has, and what they did says so.
+    even = fit_crowd([f.observations for f in found], Method(eta=0.2), family="uniform").beta
+    assert even.mean > 1.2 * beta.mean()
+    assert even.recorded[0] == pytest.approx(beta.mean(), rel=0.1)
+
     free = fit_crowd([f.observations for f in found], Method(eta=0.2), family="histogram")
     assert free.log_likelihood >= crowd.log_likelihood - 0.5
     assert sum(free.population().shares) == pytest.approx(1)
+    # The most likely shares are those that the people themselves have, on average, in the light of them.
+    assert free.beta.recorded == pytest.approx((free.beta.mean, free.beta.spread), rel=1e-3)
     with pytest.raises(ValueError, match="unknown family"):
         fit_crowd([f.observations for f in found], family="cauchy")
 
