@@ -8,6 +8,9 @@ people is a share of each cell, and the one is sought under which all that was r
 Within families: beta uniform or log-uniform on a range or log-normal, theta uniform on a range or normal, all cut
 off at the ends of the grid; or free of any family ("histogram", Laird 1978). The result is a `Mixture`, from which
 people can be drawn and simulated.
+
+The people who were recorded are a sample, and by chance differ from those whom they stand for. `Margin.mean` and
+`spread` are those of the distribution; `Margin.recorded` are those of the sample, from what each of them did.
 """
 
 from __future__ import annotations
@@ -43,7 +46,10 @@ class Margin:
     shares : tuple of float
         The probability of each cell.
     mean, spread : float
-        Mean and standard deviation.
+        Mean and standard deviation of the distribution.
+    recorded : (float, float)
+        Mean and standard deviation among the people who were recorded: each may be in any cell, by what they did and
+        how common that cell is.
     """
 
     family: str
@@ -52,18 +58,24 @@ class Margin:
     shares: tuple[float, ...]
     mean: float
     spread: float
+    recorded: tuple[float, float]
 
     @classmethod
-    def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats) -> Margin:
-        """Work out mean and spread; within a cell people are spread evenly."""
+    def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
+        """Work out means and spreads from the shares of the cells; within a cell people are spread evenly."""
         low, high = edges[:-1], edges[1:]
         if family.endswith("uniform"):  # the ends of the range lie within cells
             ends = np.exp(parameters) if family == "log-uniform" else parameters
             low, high = np.clip(low, *ends), np.clip(high, *ends)
-        mean = float(shares @ (low + high) / 2)
-        square = float(shares @ (low * low + low * high + high * high) / 3)
-        spread = float(np.sqrt(max(square - mean**2, 0.0)))
-        return cls(family, parameters, tuple(edges.tolist()), tuple(shares.tolist()), mean, spread)
+
+        def moments(weights: Floats) -> tuple[float, float]:
+            mean = float(weights @ (low + high) / 2)
+            square = float(weights @ (low * low + low * high + high * high) / 3)
+            return mean, float(np.sqrt(max(square - mean**2, 0.0)))
+
+        return cls(
+            family, parameters, tuple(edges.tolist()), tuple(shares.tolist()), *moments(shares), moments(recorded)
+        )
 
     def pieces(self) -> list[tuple[float, Range]]:
         """Give the cells that hold anybody, each with its share; rare ones (together a thousandth) are left out."""
@@ -215,10 +227,7 @@ def fit_crowd(
     table, top = likelihoods(eta)
     if family == "histogram":
         shares, score = _free(table, 2000)
-        margins = [
-            Margin.of("histogram", (), edges, shares.sum(axis=other))
-            for edges, other in ((edges_beta, 1), (edges_theta, 0))[: 1 + told]
-        ]
+        names, values = ("histogram", "histogram"), np.empty(0)
     else:
         families = BETA_FAMILIES if family is None else (family,)
         found = [
@@ -229,10 +238,16 @@ def fit_crowd(
         score, names, values = max(found, key=lambda result: result[0])
         parts = [_cells(names[0], values[:2], edges_beta), _cells(names[1], values[2:], edges_theta)]
         shares = np.outer(parts[0], parts[1] if told else [1.0])
-        margins = [
-            Margin.of(names[k], tuple(values[2 * k : 2 * k + 2].tolist()), (edges_beta, edges_theta)[k], parts[k])
-            for k in range(1 + told)
-        ]
+    own = table * shares  # of each person
+    own /= own.sum(axis=(1, 2), keepdims=True)
+    recorded = own.mean(axis=0)
+    margins = [
+        Margin.of(
+            names[k], tuple(values[2 * k : 2 * k + 2].tolist()), (edges_beta, edges_theta)[k],
+            shares.sum(axis=1 - k), recorded.sum(axis=1 - k),
+        )
+        for k in range(1 + told)
+    ]  # fmt: skip
     return Crowd(
         len(observations), margins[0], margins[1] if told else None, eta if told else None, score + top, shares
     )

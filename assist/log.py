@@ -15,7 +15,7 @@ import difflib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -188,6 +188,36 @@ class Recording:
     def wanted(self) -> NDArray[np.int64]:
         """Give the states whose cost-to-go the choices depend on, ascending: those that a choice leads to."""
         return np.unique(self.targets[self.applicable])
+
+    def evaluated(self, h: NDArray[np.float64]) -> tuple[Recording, dict[str, int]]:
+        """Leave out choices that depend on a cost-to-go that is not known; say how many of whom.
+
+        Where something was suggested in such a choice, nobody knows what that did to trust, so that the rest of the
+        episode is left out as well.
+
+        Parameters
+        ----------
+        h : float array, shape (states,)
+            The cost-to-go, NaN where it is not known.
+        """
+        rows = np.arange(len(self))
+        unknown = (self.applicable & np.isnan(h[self.targets])).any(axis=1)
+        begins = np.ones(len(self), dtype=bool)
+        begins[1:] = self.episode[1:] != self.episode[:-1]
+        lost = np.maximum.accumulate(np.where(unknown & (self.suggested != NOTHING), rows, -1))
+        kept = ~unknown & (lost < np.maximum.accumulate(np.where(begins, rows, 0)))
+        who, person = np.unique(self.person[kept], return_inverse=True)
+        counts = np.bincount(self.person[~kept], minlength=len(self.people))
+        left = replace(
+            self,
+            people=tuple(self.people[k] for k in who),
+            person=person,
+            **{
+                name: getattr(self, name)[kept]
+                for name in ("episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested")
+            },
+        )
+        return left, {self.people[k]: int(counts[k]) for k in np.flatnonzero(counts)}
 
 
 def replay(

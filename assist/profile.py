@@ -45,13 +45,15 @@ class Profile:
             notes.append(f"the model does not fit (p = {self.check.p:.3f}): {_words(self.check)}")
         return notes
 
-    def record(self, facts: Callable[[Ints], list[list[str]]] | None = None) -> dict[str, Any]:
+    def record(self, facts: Callable[[Ints], list[list[str]]] | None = None, *, left_out: int = 0) -> dict[str, Any]:
         """Give all of it as plain data.
 
         Parameters
         ----------
         facts : callable, optional
             Gives what holds in states, shape (M,), for the record of a misconception.
+        left_out : int
+            How many of the person's actions `Recording.evaluated` left out.
         """
         o = self.fit.observations
         told = o.suggested != NOTHING
@@ -82,7 +84,8 @@ class Profile:
                     for h, own, seen, held in zip(m.cost_to_go, m.perceived, m.seen, shown, strict=True)
                 ],
             }
-        return record | {"notes": self.notes, "error": None}
+        notes = [f"{left_out} actions are left out, since states were not evaluated in time"] if left_out else []
+        return record | {"left_out": left_out, "notes": notes + self.notes, "error": None}
 
 
 def _estimate(name: str, estimate: Estimate | None) -> dict[str, Any]:
@@ -108,14 +111,14 @@ def _words(found: Check) -> str:
     }.get(term or "", "choices are not those of one beta")
 
 
-def failed(person: str, error: str) -> dict[str, Any]:
+def failed(person: str, error: str, *, left_out: int = 0) -> dict[str, Any]:
     """Give the record of a person of whom nothing could be used."""
     record: dict[str, Any] = {"person": person}
     for name in ("beta", "theta", "eta"):
         record |= _estimate(name, None)
     return record | {
         "episodes": 0, "actions": 0, "suboptimal_actions": None, "suggestions": 0, "followed": 0,
-        "log_likelihood": None, "check": None, "notes": [], "error": error,
+        "log_likelihood": None, "check": None, "left_out": left_out, "notes": [], "error": error,
     }  # fmt: skip
 
 

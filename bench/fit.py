@@ -2,8 +2,9 @@
 
     python bench/fit.py COMMAND [--help]
 
-`record` writes a log, `recover` estimates people with known parameters and counts how many intervals cover
-them, `identify` draws what can and cannot be told apart, `time` runs the command on large tasks.
+`recover` estimates people with known parameters and counts how many intervals cover them, `information` says how
+well anybody could estimate them, `identify` draws what can and cannot be told apart, `time` runs the command on large
+tasks.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from assist.choices import Choices
 from assist.crowd import fit_crowd
 from assist.diagnostics import check
 from assist.figures import BLUE, ORANGE, save
-from assist.fit import Method, Observations, fit, log_likelihood, observe
+from assist.fit import Method, Observations, fit, largest_beta, log_likelihood, observe
 from assist.fit_figures import calibration_figure, expertise_figure
 from assist.human import NOTHING, HumanModel, choice, influence, trust
 from assist.log import Entry, replay
@@ -170,6 +171,50 @@ def uniform(rng: np.random.Generator, low: float, high: float, count: int, distr
     return rng.uniform(low, high, count)
 
 
+def moments(low: float, high: float, distribution: str) -> np.ndarray:
+    """Give mean and standard deviation of what `uniform` draws from."""
+    if distribution == "log-uniform":
+        width = np.log(high / low)
+        mean, square = (high - low) / width, (high**2 - low**2) / (2 * width)
+    else:
+        mean, square = (low + high) / 2, (low**2 + low * high + high**2) / 3
+    return np.array([mean, np.sqrt(square - mean**2)])
+
+
+def best_correlation(
+    observations: list[Observations], people: People, low: float, high: float, distribution: str
+) -> float:
+    """Give the rank correlation with beta that no estimator exceeds on average.
+
+    A rank is the share F(beta) of people below, up to chance. Of all that can be said of it from what was recorded,
+    its posterior mean correlates best with it. That mean is taken for granted here by somebody who knows the
+    distribution of beta, each person's theta, and eta.
+    """
+    rank = np.linspace(0.0, 1.0, 200)
+    if distribution == "log-uniform":
+        beta, true = low * (high / low) ** rank, np.log(people.beta / low) / np.log(high / low)
+    else:
+        beta, true = low + (high - low) * rank, (people.beta - low) / (high - low)
+    expected = []
+    for o, theta in zip(observations, people.theta, strict=True):
+        values = log_likelihood(o, beta, np.array([theta]), np.array([people.eta])).ravel()
+        weight = np.exp(values - values.max())
+        expected.append(weight @ rank / weight.sum())
+    return float(np.corrcoef(true, expected)[0, 1])
+
+
+def standard_error(observations: list[Observations], people: People) -> float:
+    """Give the Cramer-Rao bound on beta's standard error, of people who all have one beta; theta and eta are known."""
+    width = 0.01
+    beta = people.beta[0] + width * np.array([-1.0, 0.0, 1.0])
+    method = Method(lapse=1e-12)  # nobody lapses here
+    bend = [
+        log_likelihood(o, beta, np.array([theta]), np.array([people.eta]), method).ravel() @ [1.0, -2.0, 1.0]
+        for o, theta in zip(observations, people.theta, strict=True)
+    ]
+    return float(1 / np.sqrt(-np.mean(bend) / width**2))
+
+
 @click.group()
 def main() -> None:
     """Measure what is recovered of people from their recorded actions."""
@@ -187,22 +232,31 @@ def main() -> None:
 @click.option("--eta", type=float, help="Tell the fit the rate of the trust update (0.2).")
 @click.option("--largest-beta", type=float)
 @click.option("--seeds", type=int, default=1, show_default=True)
+@click.option("--first-seed", type=int, default=0, show_default=True)
 def recover(
     instance: str, count: int, episodes: int, distribution: str, beta: tuple[float, float],
     theta: tuple[float, float], sigma: float, suggest: float, eta: float | None, largest_beta: float | None, seeds: int,
+    first_seed: int,
 ) -> None:  # fmt: skip
-    """Estimate people whose parameters are known, and say how many intervals cover them."""
+    """Estimate people whose parameters are known, and say how many intervals cover them.
+
+    Means and spreads of beta are given for the population fitted, the people recorded as it sees them ("of these"), and
+    those people in truth ("true"). Below are their errors over all seeds.
+    """
     table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
     method = Method(eta=eta, largest_beta=largest_beta)
     shown = Grid(
         title=f"{instance}: {count} people, {episodes} episodes, beta {distribution} in {beta}, sigma {sigma:g}"
     )
     for name in (
-        "seed", "actions", "seconds", "beta covered", "rank corr.", "not bounded", "theta covered", "eta covered",
-        "family", "mean", "true", "spread", "true", "theta mean", "true", "spread", "true",
+        "seed", "actions", "seconds", "beta covered", "rank corr.", "at best", "not bounded", "theta covered",
+        "eta covered", "family", "mean", "of these", "true", "spread", "of these", "true", "theta mean", "true",
+        "spread", "true",
     ):  # fmt: skip
         shown.add_column(name, justify="right")
-    for seed in range(seeds):
+    drawn_from = moments(*beta, distribution)
+    found = []
+    for seed in range(first_seed, first_seed + seeds):
         rng = np.random.default_rng(seed)
         people = People(
             uniform(rng, *beta, count, distribution), rng.uniform(*theta, count),
@@ -214,6 +268,10 @@ def recover(
         seconds = time.perf_counter() - start
         crowd = fit_crowd(observations, method)
         theta_of = crowd.theta
+        true_moments = np.array([people.beta.mean(), people.beta.std()])
+        fitted = np.array([crowd.beta.mean, crowd.beta.spread])
+        found.append((fitted, np.array(crowd.beta.recorded), true_moments))
+        best = best_correlation(observations, people, *beta, distribution) if sigma == 0 else float("nan")
 
         def covered(true: np.ndarray, ends: list[tuple[float, float]]) -> str:
             low, high = np.array(ends).T
@@ -226,18 +284,77 @@ def recover(
             f"{seconds:.1f}",
             covered(people.beta, [f.beta.interval for f in fits]),
             f"{spearmanr(people.beta, [f.beta.value for f in fits])[0]:.3f}",
+            f"{best:.3f}",
             f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
             covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
             covered(np.full(count, people.eta), [f.eta.interval for f in fits]) if told and eta is None else "-",
             crowd.beta.family,
-            *(f"{x:.2f}" for x in (crowd.beta.mean, people.beta.mean(), crowd.beta.spread, people.beta.std())),
+            *(f"{x:.2f}" for x in np.array(found[-1]).T.ravel()),
             *(
                 ["-"] * 4
                 if theta_of is None
                 else (f"{x:.2f}" for x in (theta_of.mean, people.theta.mean(), theta_of.spread, people.theta.std()))
             ),
         )
-    Console(width=190).print(shown)
+    Console(width=220).print(shown)
+    fitted, of_these, true = np.array(found).swapaxes(0, 1)
+    for name, values, against in (
+        ("population against the distribution", fitted, drawn_from),
+        ("population against the people drawn", fitted, true),
+        ("these people against the people drawn", of_these, true),
+        ("the people drawn against the distribution", true, drawn_from),
+    ):
+        error = 100 * (values / against - 1)
+        rms, bias = np.sqrt((error**2).mean(axis=0)), error.mean(axis=0)
+        print(
+            f"{name}: mean {bias[0]:+.1f} % (rms {rms[0]:.1f}), spread {bias[1]:+.1f} % (rms {rms[1]:.1f}); "
+            f"both within 10 % in {(np.abs(error) <= 10).all(axis=1).sum()} of {seeds}"
+        )
+
+
+@main.command()
+@click.argument("instances", nargs=-1)
+@click.option("--people", "count", type=int, default=200, show_default=True)
+@click.option("--episodes", type=int, default=3, show_default=True)
+@click.option("--suggest", type=float, default=0.5, show_default=True)
+def information(instances: tuple[str, ...], count: int, episodes: int, suggest: float) -> None:
+    """Say how well anybody could estimate beta in [0.1, 5] on INSTANCES (kitting/paper), whatever the method.
+
+    The standard errors are the Cramer-Rao bounds for people of that beta. Rank correlations are those that no estimator
+    exceeds on average. People's own mistakes are those that nobody suggested to them, in all episodes.
+    """
+    shown = Grid(title=f"{count} people, {episodes} episodes")
+    betas = (1.0, 2.0, 3.0, 5.0)
+    for name in (
+        "instance", "smallest mistake", "actions, beta 5", *(f"error, beta {b:g}" for b in betas),
+        "own mistakes, beta 5", "uniform", "log-uniform",
+    ):  # fmt: skip
+        shown.add_column(name, justify="right")
+    for instance in instances or ("kitting/paper",):
+        table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
+
+        def simulated(beta: np.ndarray, table: Table = table) -> tuple[list[Observations], People]:
+            rng = np.random.default_rng(len(beta))
+            people = People(beta, rng.uniform(0.3, 0.95, len(beta)))
+            return observed(table, record(table, people, episodes=episodes, rng=rng, suggest=suggest)), people
+
+        errors = []
+        for beta in betas:
+            observations, people = simulated(np.full(count, beta))
+            errors.append(f"{standard_error(observations, people):.2f}")
+        ranks = []
+        for distribution in ("uniform", "log-uniform"):
+            drawn = uniform(np.random.default_rng(0), 0.1, 5.0, 5 * count, distribution)
+            ranks.append(f"{best_correlation(*simulated(drawn), 0.1, 5.0, distribution):.3f}")
+        shown.add_row(
+            instance,
+            f"{10 / largest_beta(observations, Method()):g}",
+            f"{np.mean([len(o) for o in observations]):.0f}",
+            *errors,
+            f"{np.mean([((o.regret > 0) & (o.chosen != o.suggested)).sum() for o in observations]):.2f}",
+            *ranks,
+        )
+    Console(width=150).print(shown)
 
 
 @main.command()

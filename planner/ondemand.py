@@ -186,6 +186,10 @@ class OnDemand:
             self._ask(missing, progress)
         return np.array([self._known[key] for key in keys], dtype=np.float64)
 
+    def known(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), as far as it is known without a search; NaN elsewhere."""
+        return np.array([self._known.get(row.tobytes(), np.nan) for row in self._rows(states)])
+
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Find an optimal plan from a state (the initial one unless given); None from a dead end."""
         values = self.values([self.initial if state is None else state])[0]

@@ -9,6 +9,7 @@ import sys
 import time
 from math import exp, log
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ from assist.human import HumanModel, Mixture, Population, choice, influence, per
 from assist.log import Entry, read, replay
 from assist.misconception import MarginalLikelihood, fit_misconception
 from assist.pomdp import AssistPOMDP
-from planner import Cache, Table, load, sweep
+from planner import Cache, LimitError, Table, Task, load, ondemand, sweep
 
 RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
 FETCH = "(fetch box-a)"
@@ -267,9 +268,17 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
     drawn = population.sample(TINY_CHOICES, 3000, rng)
     assert np.mean([human.beta for human in drawn]) == pytest.approx(crowd.beta.mean, rel=0.08)
     assert np.mean([human.theta for human in drawn]) == pytest.approx(crowd.theta.mean, rel=0.03)
+
+    # More of these people are novices than a uniform distribution has, and what they did says so.
+    even = fit_crowd([f.observations for f in found], Method(eta=0.2), family="uniform").beta
+    assert even.mean > 1.2 * beta.mean()
+    assert even.recorded[0] == pytest.approx(beta.mean(), rel=0.1)
+
     free = fit_crowd([f.observations for f in found], Method(eta=0.2), family="histogram")
     assert free.log_likelihood >= crowd.log_likelihood - 0.5
     assert sum(free.population().shares) == pytest.approx(1)
+    # The most likely shares are those that the people themselves have, on average, in the light of them.
+    assert free.beta.recorded == pytest.approx((free.beta.mean, free.beta.spread), rel=1e-3)
     with pytest.raises(ValueError, match="unknown family"):
         fit_crowd([f.observations for f in found], family="cauchy")
 
@@ -570,6 +579,52 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     (record,) = json.loads(result.stdout)
     assert (record["actions"], record["suboptimal_actions"]) == (6, 2)
     assert len(Cache(task, tmp_path / "cache").read()) > known
+
+
+def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
+    """Of ann the step in which something was suggested and all after it in that episode, of bob that step alone."""
+    rows = [
+        *lines(FETCH, RIGHT, BACK, told={1: WRONG}),
+        *lines(FETCH, episode="2"),
+        *lines(*PLAN, person="bob"),
+    ]
+    recording, _ = replay(entries_of(rows), tiny)
+    h = tiny.h.copy()
+    h[recording.targets[1, 1]] = np.nan
+    left, counts = recording.evaluated(h)
+    assert counts == {"ann": 2, "bob": 1}
+    assert left.people == ("ann", "bob")
+    assert (left.person == 0).sum() == 2
+    assert not np.isnan(h[left.wanted()]).any()
+    whole, none = recording.evaluated(tiny.h)
+    assert none == {}
+    np.testing.assert_array_equal(whole.targets, recording.targets)
+    left, counts = recording.evaluated(np.full(len(tiny), np.nan))
+    assert (len(left), left.people, counts) == (0, (), {"ann": 4, "bob": 6})
+
+
+def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = write_log(tmp_path / "log.jsonl", [*lines(*PLAN), *lines(FETCH, person="bob")])
+    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--max-states", "1", "--jobs", "1"]
+    astar = ondemand.astar
+
+    def slow(task: Task, values: tuple[int, ...], **rest: Any) -> Any:
+        if any("hammer" in fact and "slot-2" in fact for fact in task.facts(list(values))):
+            raise LimitError("out of time")
+        return astar(task, values, **rest)
+
+    monkeypatch.setattr(ondemand, "astar", slow)
+    result = CliRunner().invoke(main, [*command, "--cache", str(tmp_path / "first")])
+    assert result.exit_code == 1
+    assert "out of time; actions that depend on them are left out" in result.stderr
+    ann, bob = json.loads(result.stdout)
+    assert ann["left_out"] > 0
+    assert ann["actions"] + ann["left_out"] == len(PLAN)
+    assert ann["notes"][0] == f"{ann['left_out']} actions are left out, since states were not evaluated in time"
+    assert (bob["actions"], bob["left_out"]) == (1, 0)
+    strict = CliRunner().invoke(main, [*command, "--cache", str(tmp_path / "second"), "--strict"])
+    assert (strict.exit_code, strict.stdout) == (1, "")
+    assert "out of time" in strict.stderr
 
 
 def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import click
 import numpy as np
 from rich.table import Table
 
-from planner import Cache, Limits, OnDemand, cost_to_go, load
+from planner import Cache, LimitError, Limits, OnDemand, cost_to_go, load
 from planner.solving import SolveOptions
 
 from .console import EXIT_FAILED, fail, one_line_errors, print_json, print_table, progress_bar
@@ -53,7 +53,7 @@ FEWEST_FOR_CROWD = 3
 @click.option(
     "--rename", multiple=True, metavar="OLD=NEW", help="What the log calls OLD the task calls NEW; may be repeated."
 )
-@click.option("--strict", is_flag=True, help="Fit nothing if any line cannot be used.")
+@click.option("--strict", is_flag=True, help="Fit nothing if any line cannot be used, or if any state takes too long.")
 @click.option(
     "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
     help="On a larger task evaluate only states that were visited, and their successors.",
@@ -133,7 +133,10 @@ def fit(
             if not entries and not faults:
                 fail(f"{log}: no recorded actions", EXIT_FAILED)
             fail(f"{log}: no episode can be followed through {found}; is it the log of another instance?", EXIT_FAILED)
-        h, goal = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs)
+        h, goal = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
+        recording, left_out = recording.evaluated(h)
+        if not len(recording):
+            fail(f"{found}: the states after every action took more than --time-limit", EXIT_FAILED)
         if not math.isfinite(h[recording.wanted()].min()):
             fail(
                 f"{found}: no state that was visited has a way to the goal, so that all actions are alike",
@@ -148,10 +151,20 @@ def fit(
         people_of_faults = {fault.person for fault in faults if fault.person is not None} | {e.person for e in entries}
         left = sorted(people_of_faults - set(recording.people))
         records = [
-            profile.record(lambda states: [task.facts(values) for values in walked.values(states).tolist()])
+            profile.record(
+                lambda states: [task.facts(values) for values in walked.values(states).tolist()],
+                left_out=left_out.get(profile.fit.observations.person, 0),
+            )
             for profile in people
         ]
-        records += [failed(person, "no episode can be used") for person in left]
+        records += [
+            failed(
+                person,
+                "no action can be used" if left_out.get(person) else "no episode can be used",
+                left_out=left_out.get(person, 0),
+            )
+            for person in left
+        ]
         records.sort(key=lambda record: logs.in_order(record["person"]))
         general = None
         if crowd_file or (not as_json and len(people) >= FEWEST_FOR_CROWD):
@@ -172,14 +185,18 @@ def fit(
         _show_people(records)
         if general is not None:
             _show_crowd(general)
-    if faults or left:
+    if faults or left or left_out:
         sys.exit(EXIT_FAILED)
 
 
 def _evaluate(
-    walked: OnDemand, wanted: Any, max_states: int, time_limit: float | None, cache: Path | None, jobs: int
-) -> tuple[Any, Any]:
-    """Give h* of the wanted states of a task, and which are goal states: from a sweep, or one by one on demand."""
+    walked: OnDemand, wanted: Any, max_states: int, time_limit: float | None, cache: Path | None, jobs: int, *,
+    strict: bool,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Give h* of the wanted states of a task, and which are goal states: from a sweep, or one by one on demand.
+
+    States that took too long have NaN unless `strict`, where they are an error.
+    """
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     answers: Any = cost_to_go(walked.task, values, max_states=max_states, jobs=jobs, limits=limits)
     h, goal = np.full(len(walked), np.nan), np.zeros(len(walked), dtype=bool)
@@ -190,7 +207,14 @@ def _evaluate(
         click.echo(f"evaluating {len(wanted)} states on demand: {answers.reason}", err=True)
         asked = OnDemand(walked.task, cache=Cache(walked.task, cache), jobs=jobs, limits=limits)
         with progress_bar("evaluating states", len(wanted)) as advance:
-            h[wanted] = asked.lookup(asked.numbers(values), advance)
+            numbers = asked.numbers(values)
+            try:
+                h[wanted] = asked.lookup(numbers, advance)
+            except LimitError as error:
+                if strict:
+                    raise
+                h[wanted] = asked.known(numbers)
+                click.echo(f"{error}; actions that depend on them are left out", err=True)
     return h, goal
 
 
