@@ -583,7 +583,12 @@ def _plan(x, r, picked, vector, plans, m):
 
 @numba.njit(cache=True)
 def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
-    """Run trials until the gap is closed, room is short, or so many backups have been done; return their number."""
+    """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
+
+    `fineness` says what is too little to be of use: [0] of a bound's gain, as a share of the gap aimed at, and [1] of
+    what a child adds to the gap at the root, as a share of that. A trial that improves nothing makes one of them finer.
+    Without [1] a trial would follow people who err for hundreds of steps, to where hardly anybody ever gets.
+    """
     work, room = np.empty((3, len(prior))), new_room(len(prior))
     slots = m.targets.shape[1]
     picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
@@ -595,7 +600,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
         if gap <= enough or short:
             break
         path.state[0], path.belief[0] = x0, prior
-        depth, target = 0, TARGET * gap
+        depth, target, reach, cut = 0, TARGET * gap, 1.0, False
         while True:
             x, belief = path.state[depth], path.belief[depth]
             for r in range(m.robots[x]):
@@ -607,18 +612,22 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 break
             most, chosen = 0.0, NONE
             target /= m.gamma
+            reach *= m.gamma
             for a in range(m.counts[place]):
                 y = m.targets[place, a]
                 if m.final[y]:
                     continue
-                excess = path.child[depth, r, a] - lower(y, path.after[depth, r, a], plans)[0]
-                excess -= target * path.mass[depth, r, a]
-                if excess > most:
+                apart = path.child[depth, r, a] - lower(y, path.after[depth, r, a], plans)[0]
+                excess = apart - target * path.mass[depth, r, a]
+                if excess > 0.0 and reach * apart < fineness[1] * gap:
+                    cut = True
+                elif excess > most:
                     most, chosen = excess, a
             if chosen == NONE:
                 break
             chance = path.mass[depth, r, chosen]
             path.chance[depth] = chance
+            reach *= chance
             depth += 1
             path.state[depth] = m.targets[place, chosen]
             path.bound[depth] = path.child[depth - 1, r, chosen] / chance
@@ -652,6 +661,6 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 add_plan(x, at, vector, belief, plans)
                 improved = True
         if not improved:
-            fineness[0] *= 0.1
+            fineness[1 if cut else 0] *= 0.1
         done += depth + 1
     return done
