@@ -10,7 +10,8 @@ linear program. The sawtooth of Hauskrecht ("Value-function approximations for p
 decision processes", 2000) lets one belief at a time carry weight: that is the simplex method's first pivot. Here
 some more pivots follow, which is cheap, since a basis has few beliefs and the costs of all slacks are zero, and
 makes the bound much tighter between beliefs. Whatever pivots and rounding do, the weights are checked in
-the end: any that keep the two conditions give a bound.
+the end: any that keep the two conditions give a bound. So the bound that the search works with is not exactly convex;
+`envelope` answers with one that is.
 
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
@@ -344,15 +345,6 @@ def add_point(x, belief, value, hull):
             before = i
         i = following
     hull.after[new], hull.head[x] = hull.head[x], new
-
-
-@numba.njit(cache=True)
-def uppers(value, x, beliefs, hull):
-    """Fill in the upper bounds, shape (N,), of states at beliefs, shape (N, H)."""
-    space = new_room(beliefs.shape[1])
-    for i in range(len(x)):
-        v = upper(x[i], beliefs[i], hull, space)
-        value[i] = v + ROUNDING * abs(v)
 
 
 @numba.njit(cache=True)

@@ -13,9 +13,9 @@ ORDER = [
     "planner.successors", "planner.statespace", "planner.costtogo", "planner.moves", "planner.kernels",
     "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
     "assist.choices", "assist.human", "assist.belief", "assist.archive", "assist.pomdp", "assist.region",
-    "assist.mdp", "assist.vectors", "assist.search", "assist.solver", "assist.exchange", "assist.attention",
-    "assist.simulate", "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
-    "assist.profile", "assist.figures", "assist.fit_figures", "assist.cli",
+    "assist.mdp", "assist.vectors", "assist.search", "assist.envelope", "assist.solver", "assist.exchange",
+    "assist.attention", "assist.simulate", "assist.log", "assist.fit", "assist.misconception", "assist.crowd",
+    "assist.diagnostics", "assist.profile", "assist.figures", "assist.fit_figures", "assist.cli",
 ]  # fmt: skip
 MAY_READ_PDDL = {"assist.cli"}
 ARRAYS = {"planner", "planner.errors", "planner.storage"}
