@@ -10,7 +10,8 @@ linear program. The sawtooth of Hauskrecht ("Value-function approximations for p
 decision processes", 2000) lets one belief at a time carry weight: that is the simplex method's first pivot. Here
 some more pivots follow, which is cheap, since a basis has few beliefs and the costs of all slacks are zero, and
 makes the bound much tighter between beliefs. Whatever pivots and rounding do, the weights are checked in
-the end: any that keep the two conditions give a bound.
+the end: any that keep the two conditions give a bound. So the bound that the search works with is not exactly convex;
+`envelope` answers with one that is.
 
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
@@ -347,15 +348,6 @@ def add_point(x, belief, value, hull):
 
 
 @numba.njit(cache=True)
-def uppers(value, x, beliefs, hull):
-    """Fill in the upper bounds, shape (N,), of states at beliefs, shape (N, H)."""
-    space = new_room(beliefs.shape[1])
-    for i in range(len(x)):
-        v = upper(x[i], beliefs[i], hull, space)
-        value[i] = v + ROUNDING * abs(v)
-
-
-@numba.njit(cache=True)
 def lower(x, belief, plans):
     """Give the lower bound at an unnormalised belief, and the vector that it comes from."""
     best, at = -np.inf, NONE
@@ -583,7 +575,12 @@ def _plan(x, r, picked, vector, plans, m):
 
 @numba.njit(cache=True, nogil=True)
 def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
-    """Run trials until the gap is closed, room is short, or so many backups have been done; return their number."""
+    """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
+
+    `fineness` says what is too little to be of use: [0] of a bound's gain, as a share of the gap aimed at, and [1] of
+    what a child adds to the gap at the root, as a share of that. A trial that improves nothing makes one of them finer.
+    Without [1] a trial would follow people who err for hundreds of steps, to where hardly anybody ever gets.
+    """
     work, room = np.empty((3, len(prior))), new_room(len(prior))
     slots = m.targets.shape[1]
     picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
@@ -595,7 +592,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
         if gap <= enough or short:
             break
         path.state[0], path.belief[0] = x0, prior
-        depth, target = 0, TARGET * gap
+        depth, target, reach, cut = 0, TARGET * gap, 1.0, False
         while True:
             x, belief = path.state[depth], path.belief[depth]
             for r in range(m.robots[x]):
@@ -607,18 +604,22 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 break
             most, chosen = 0.0, NONE
             target /= m.gamma
+            reach *= m.gamma
             for a in range(m.counts[place]):
                 y = m.targets[place, a]
                 if m.final[y]:
                     continue
-                excess = path.child[depth, r, a] - lower(y, path.after[depth, r, a], plans)[0]
-                excess -= target * path.mass[depth, r, a]
-                if excess > most:
+                apart = path.child[depth, r, a] - lower(y, path.after[depth, r, a], plans)[0]
+                excess = apart - target * path.mass[depth, r, a]
+                if excess > 0.0 and reach * apart < fineness[1] * gap:
+                    cut = True
+                elif excess > most:
                     most, chosen = excess, a
             if chosen == NONE:
                 break
             chance = path.mass[depth, r, chosen]
             path.chance[depth] = chance
+            reach *= chance
             depth += 1
             path.state[depth] = m.targets[place, chosen]
             path.bound[depth] = path.child[depth - 1, r, chosen] / chance
@@ -652,6 +653,6 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 add_plan(x, at, vector, belief, plans)
                 improved = True
         if not improved:
-            fineness[0] *= 0.1
+            fineness[1 if cut else 0] *= 0.1
         done += depth + 1
     return done

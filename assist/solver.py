@@ -11,7 +11,8 @@ over beliefs of B * T numbers.
   beliefs by backups.
 
 A trial walks from the initial state and the prior through the most promising robot action to the child that
-contributes most to the gap, until the gap there is small, and backs both bounds up on the way home.
+contributes most to the gap, until the gap there is small or hardly anybody gets there, and backs both bounds up on the
+way home.
 
 Both bounds hold in floating point too: whatever is stored is moved outwards by `mdp.ROUNDING`. They are bounds of
 the problem on its grid of beta and theta, and to someone who acts in steps as `AssistPOMDP` has them.
@@ -22,14 +23,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import archive, search
+from . import archive, envelope, search
 from .human import Floats
 from .mdp import QMDP, ROUNDING, Arrays, evaluate, qmdp
 from .pomdp import AssistPOMDP
@@ -132,30 +132,14 @@ class Solution:
         return self.q_values(x, belief).argmax(axis=1)
 
     def upper_bound(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give what no policy exceeds, shape (N,); arguments as in `q_values`."""
+        """Give what no policy exceeds, shape (N,), convex in the belief; arguments as in `q_values`."""
+        # Contiguous, so that one compiled form serves everybody.
+        x, size = np.ascontiguousarray(x, dtype=np.int64), self.pomdp.prior.size
+        beliefs = np.ascontiguousarray(belief, dtype=float).reshape(len(x), size)
+        corner, point = self.corner.reshape(-1, size), self.point.reshape(-1, size)
         value = np.empty(len(x))
-        x = np.ascontiguousarray(x, dtype=np.int64)
-        search.uppers(
-            value, x, np.ascontiguousarray(belief, dtype=float).reshape(len(x), self.pomdp.prior.size), self._hull
-        )
+        envelope.uppers(value, x, beliefs, corner, point, self.drop, self.first, envelope.PIVOTS)
         return value
-
-    @cached_property
-    def _hull(self) -> search.Hull:
-        states, size = len(self.corner), self.pomdp.prior.size
-        hull = search.empty_hull(self.corner.reshape(states, size).copy(), len(self.drop))
-        hull.belief[:] = self.point.reshape(-1, size)
-        hull.inverse[:] = np.divide(
-            1.0, hull.belief, out=np.full_like(hull.belief, search.HUGE), where=hull.belief > 1e-200
-        )
-        hull.drop[:] = self.drop
-        hull.state[:] = np.repeat(np.arange(states), np.diff(self.first))
-        # Each belief leads to the next, the last of a state to none.
-        hull.after[:-1] = np.where(hull.state[1:] == hull.state[:-1], np.arange(1, len(self.drop)), search.NONE)
-        some = np.diff(self.first) > 0
-        hull.head[some] = self.first[:-1][some]
-        hull.space[0] = len(self.drop)
-        return hull
 
 
 def relative_gap(lower: float, upper: float) -> float:
@@ -270,7 +254,7 @@ class _Search:
             np.empty((search.DEPTH, robots), dtype=bool), np.empty((search.DEPTH, robots, slots)),
             np.empty((search.DEPTH, robots, slots, size)), np.empty((search.DEPTH, robots, slots)),
         )  # fmt: skip
-        self.fineness = np.array([0.1])  # what a bound must gain to be stored, as a share of the gap aimed at
+        self.fineness = np.array([0.1, 0.01])  # as `search.trials` has it; refined where nothing more is found
 
     def begin(self, robot: NDArray[np.int64], max_sweeps: int = 100_000) -> float:
         """Add the vectors of a policy that looks only at x; return its value at the root."""
