@@ -11,6 +11,7 @@ region         the part of a large task that matters to it
 mdp            its values where beta and theta are seen; the QMDP policy
 vectors        policies made of alpha vectors
 search         bounds on the value at every belief, and how they are improved
+envelope       the upper bound at a belief, solved to the end
 solver         its policy, with proven bounds
 exchange       problems and policies in other programs' formats
 team           what a team is to its robot, and what a policy for it looks like

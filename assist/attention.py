@@ -90,10 +90,10 @@ class AttentionSwitching:
         if self.never is None:
             reference = q[:, :, 0]
         else:
-            assert team.belief is not None  # q_values has seen to it
             reference = np.zeros(team.x.shape)
             for group, rows in team.groups():
-                reference[rows] = np.einsum("nbt,nbt->n", self.never[group][team.x[rows]], team.belief[rows])
+                x, belief = team.known_of(rows)
+                reference.reshape(-1)[rows] = np.einsum("nbt,nbt->n", self.never[group][x], belief)
         # Nothing is worth infinitely little to those who are not there.
         score = np.subtract(q.max(axis=2), reference, out=np.full(team.x.shape, -np.inf), where=team.active)
         # Doing nothing is no reason to go anywhere, however much better than never helping again it is.

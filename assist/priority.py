@@ -85,24 +85,24 @@ class Priority:
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Give each person's robot action, what going to them is worth, both (N, K), and what holding on is, (N,)."""
-        if team.belief is None:
-            raise ValueError("worth: the policy needs the team's beliefs")
-        robot, holding = np.zeros_like(team.x), np.zeros(len(team.x))
-        going = np.full(team.x.shape, -np.inf)
-        steps = team.travel.steps[team.location][:, :-1]
+        robot, holding = np.zeros(team.x.size, dtype=np.int64), np.zeros(len(team.x))
+        going = np.full(team.x.size, -np.inf)
+        steps = team.travel.steps[team.location][:, :-1].ravel()
         for group, rows in team.groups():
-            here, belief = self.states[group][HERE][team.x[rows]], team.belief[rows]
-            q = self.policies[group].q_values(here, belief)
+            x, belief = team.known_of(rows)
+            states, policy = self.states[group], self.policies[group]
+            q = policy.q_values(states[HERE][x], belief)
             q[:, 1:] += self.price
             gain = q - q[:, :1]
             robot[rows] = gain[:, 2:].argmax(axis=1) + 1 if gain.shape[1] > 2 else 0
             worth = gain[:, 2:].max(axis=1, initial=-np.inf)
             far = np.flatnonzero(steps[rows] > 0)
             if len(far):
-                at = self.states[group][HERE + steps[rows][far], team.x[rows][far]]
-                worth[far] = self.policies[group].q_values(at, belief[far])[:, 0] + self.price - q[far, 0]
+                at = states[HERE + steps[rows[far]], x[far]]
+                worth[far] = policy.q_values(at, belief[far])[:, 0] + self.price - q[far, 0]
             going[rows] = worth
-            e, k = np.nonzero(rows)
+            e, k = np.divmod(rows, team.x.shape[1])
             with_them = np.flatnonzero(team.location[e] == k)
             holding[e[with_them]] = gain[with_them, 1]
-        return robot, going - team.to(), holding
+        shape = team.x.shape
+        return robot.reshape(shape), going.reshape(shape) - team.to(), holding

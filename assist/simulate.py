@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal
 
@@ -183,6 +184,7 @@ def simulate(
     presence: Presence | None = None,
     world: World = "people",
     trace: Trace | None = None,
+    jobs: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
@@ -208,6 +210,8 @@ def simulate(
         the prior, on its grid, with lapses. In the second world a model's bounds hold.
     trace : list, optional
         Every action of every person is appended to it, one dictionary each.
+    jobs : int
+        Threads that simulate at a time. The policy is then called by several; results do not depend on it.
     progress : callable, optional
         Called with the number of episodes that have been finished since the last call.
     """
@@ -226,11 +230,14 @@ def simulate(
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     numbers = np.arange(episodes) if isinstance(episodes, int) else np.asarray(episodes, dtype=np.int64)
     together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
-    parts = []
-    for start in range(0, max(1, len(numbers)), together):
+    jobs = 1 if trace is not None else jobs  # a trace is in order
+
+    def run(start: int) -> Episodes:
         chunk = numbers[start : start + together]
-        parts.append(_Run(pool, policy, humans, chunk, seed, name, travel, presence, world, trace, progress).run())
-    return Episodes.joined(parts)
+        return _Run(pool, policy, humans, chunk, seed, name, travel, presence, world, trace, progress).run()
+
+    with ThreadPoolExecutor(jobs) as workers:
+        return Episodes.joined(list(workers.map(run, range(0, max(1, len(numbers)), together))))
 
 
 class _Luck:
@@ -376,11 +383,11 @@ class _Run:
         free = running[(self.busy_until[running] <= step) & active[running].any(axis=1)]
         if not len(free):
             return robot, charged
-        every = slice(None) if len(free) == len(self.x) else free  # a slice saves copying
+        every = slice(None) if len(free) == len(self.x) else free
         action = self.policy(
             TeamState(
                 step, self.x[every], active[every], self.erred[every], self.location[every], self.model[every],
-                None if self.belief is None else self.belief[every], self.pool.policies, self.travel,
+                None if self.belief is None else _rows(self.belief, every), self.pool.policies, self.travel,
             )
         )  # fmt: skip
         self._check(action, free, active, step)
@@ -486,6 +493,11 @@ class _Group:
         lapse = model.lapse if on_grid else 0.0
         minds = Minds(q, value, choices.h, model.eta / model.utility_scale, lapse, on_grid)
         return cls(number, Arrays.of(pomdp), minds, row)
+
+
+def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
+    """Some rows of a large array, copied only if they must be, and then a row at a time."""
+    return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
 
 
 def _finite(value: float) -> float | None:

@@ -146,33 +146,38 @@ class TeamState:
     policies: Sequence[Policy]
     travel: Travel
 
-    def groups(self) -> list[tuple[int, NDArray[np.bool_]]]:
-        """Give each model that somebody active has, and who that is, shape (N, K)."""
+    def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
+        """Give each model that somebody active has, and who that is: places in the arrays if they were flat."""
+        rows = np.flatnonzero(self.active)
         if len(self.policies) == 1:
-            return [(0, self.active)]
-        model = np.where(self.active, self.model, -1)
-        return [(int(group), model == group) for group in np.unique(model) if group >= 0]
+            return [(0, rows)]
+        model = self.model.ravel()[rows]
+        return [(group, rows[model == group]) for group in np.unique(model).tolist()]
+
+    def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
+        """Give state, shape (m,), and belief, shape (m, B, T), of people, as `groups` names them."""
+        if self.belief is None:
+            raise ValueError("the policy has said that it uses no beliefs")
+        return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
 
     def q_values(self) -> Floats:
         """Give what each robot action is worth for each person, were they alone, shape (N, K, R).
 
         Minus infinity in padding, and for those who are not active.
         """
-        if self.belief is None:
-            raise ValueError("q_values: the policy has said that it uses no beliefs")
         actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
-        q = np.full((*self.x.shape, actions), -np.inf)
+        q = np.full((self.x.size, actions), -np.inf)
         for group, rows in self.groups():
-            values = self.policies[group].q_values(self.x[rows], self.belief[rows])
+            values = self.policies[group].q_values(*self.known_of(rows))
             q[rows, : values.shape[1]] = values
-        return q
+        return q.reshape(*self.x.shape, actions)
 
     def first_optimal(self) -> NDArray[np.int64]:
         """Give each person's first robot action that suggests an optimal action, shape (N, K); 0: there is none."""
-        robot = np.zeros_like(self.x)
+        robot = np.zeros(self.x.size, dtype=np.int64)
         for group, rows in self.groups():
-            robot[rows] = self.policies[group].pomdp.first_optimal[self.x[rows]]
-        return robot
+            robot[rows] = self.policies[group].pomdp.first_optimal[self.x.ravel()[rows]]
+        return robot.reshape(self.x.shape)
 
     def to(self) -> Floats:
         """Give what it costs to go to each person from where the robot is, shape (N, K)."""

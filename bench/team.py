@@ -1,0 +1,385 @@
+"""Teams of 1 to 1,000 people: decisions, simulation, and how far policies are from the best.
+
+    python bench/team.py latency    time of one decision, and memory, against K
+    python bench/team.py rate       person-steps per second against K
+    python bench/team.py gap        certified gap against K
+    python bench/team.py settings   the own policy against Algorithm 1 in 20 settings
+    python bench/team.py fluid      many robots, each for so many people
+
+Each prints a table and writes it as JSON, and all but `settings` draw a picture, into --out.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import statistics
+import time
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from rich.console import Console
+from rich.table import Table
+
+from assist.acting import Minds, People, act
+from assist.bounds import upper_bound
+from assist.choices import Choices
+from assist.human import perceived_value
+from assist.mdp import Arrays
+from assist.pool import Pool, Setting
+from assist.priority import Priority
+from assist.simulate import simulate
+from assist.team import TeamAction, TeamPolicy, TeamState
+from assist.visits import HERE
+from planner import load, sweep
+
+KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
+SIZES = (1, 3, 10, 30, 100, 300, 1000)
+COLOURS = {"attention": "#0072B2", "priority": "#D55E00", "none": "#8C8C8C", "reactive": "#E69F00"}
+
+# K, c_suggest, c_move, travel time, and whether the places are on a line (distance 1 between neighbours).
+SETTINGS = [
+    (2, 0.5, 0.5, 0.0, False), (4, 0.5, 0.5, 0.0, False), (6, 0.5, 0.5, 0.0, False), (12, 0.5, 0.5, 0.0, False),
+    (4, 0.1, 0.5, 0.0, False), (4, 1.0, 0.5, 0.0, False), (4, 0.5, 0.1, 0.0, False), (4, 0.5, 1.0, 0.0, False),
+    (4, 0.5, 2.0, 0.0, False), (4, 0.1, 0.0, 0.0, False), (6, 0.2, 1.0, 0.0, True), (4, 0.5, 0.5, 0.0, True),
+    (2, 0.5, 0.5, 1.0, False), (4, 0.5, 0.5, 1.0, False), (6, 0.5, 0.5, 1.0, False), (4, 0.2, 0.2, 2.0, False),
+    (4, 0.5, 0.5, 2.0, False), (12, 0.5, 0.5, 1.0, False), (4, 0.5, 0.2, 1.0, True), (6, 0.2, 0.2, 1.0, True),
+]  # fmt: skip
+
+out_option = click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/team"), show_default=True
+)
+instance_option = click.option(
+    "--instance", "instances", multiple=True, default=("paper",), show_default=True, help="Kitting instance."
+)
+seeds_option = click.option("--seeds", type=click.IntRange(min=1), default=3, show_default=True, help="Pools.")
+
+
+@click.group()
+def main() -> None:
+    """Measure teams."""
+
+
+@cache
+def choices_of(name: str) -> Choices:
+    return Choices.of(sweep(load(KITTING / f"{name}.pddl")))
+
+
+def pool_of(name: str, size: int, seed: int, **setting: Any) -> Pool:
+    return Pool.sample(choices_of(name), size, seed, setting=Setting(**setting))
+
+
+def write(out: Path, name: str, rows: list[dict[str, Any]], title: str) -> None:
+    """Print rows as a table, and save them."""
+    table = Table(*rows[0], title=title)
+    for row in rows:
+        table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
+    Console(width=140).print(table)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / f"{name}.json").write_text(json.dumps(rows, indent=2))
+
+
+def draw(out: Path, name: str, width: float, plot: Any) -> None:
+    """Draw one picture of one pair of axes."""
+    figure = Figure(figsize=(width, 4.2), layout="constrained")
+    axis = figure.subplots()
+    plot(axis)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(alpha=0.3)
+    for kind in ("png", "svg"):
+        figure.savefig(out / f"{name}.{kind}", dpi=150)
+
+
+def watched(policy: TeamPolicy, at: int, seen: list[TeamState]) -> TeamPolicy:
+    """Keep what a policy is asked at one step."""
+
+    def asked(team: TeamState) -> TeamAction:
+        if team.step == at:
+            seen.append(team)
+        return policy(team)
+
+    return asked
+
+
+@main.command()
+@instance_option
+@click.option("--repeat", type=click.IntRange(min=1), default=51, show_default=True, help="The median counts.")
+@out_option
+def latency(instances: tuple[str, ...], repeat: int, out: Path) -> None:
+    """Time one decision of a team in its fifth step; all people share one model."""
+    rows = []
+    for name in instances:
+        for humans in SIZES:
+            pool = pool_of(name, humans, 0, knowledge="exact")
+            for label in ("attention", "priority"):
+                policy, seen = pool.policy(label), []
+                simulate(pool, watched(policy, 4, seen), humans=humans, episodes=1, seed=0)
+                times = []
+                for _ in range(repeat):
+                    start = time.perf_counter()
+                    policy(seen[0])
+                    times.append(time.perf_counter() - start)
+                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                rows.append(
+                    {"instance": name, "policy": label, "humans": humans, "ms": 1e3 * statistics.median(times),
+                     "us per person": 1e6 * statistics.median(times) / humans, "peak MB so far": round(peak)}
+                )  # fmt: skip
+    write(out, "latency", rows, "One decision")
+
+    def plot(axis: Axes) -> None:
+        for label in ("attention", "priority"):
+            mine = [row for row in rows if row["policy"] == label and row["instance"] == instances[0]]
+            axis.loglog(
+                [r["humans"] for r in mine], [r["ms"] for r in mine], marker="o", color=COLOURS[label], label=label
+            )
+        axis.set(xlabel="people", ylabel="milliseconds for one decision", title=f"{instances[0]}, one shared model")
+        axis.legend(frameon=False)
+
+    draw(out, "team_latency", 6.5, plot)
+
+
+@main.command()
+@instance_option
+@click.option("--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="The median counts.")
+@click.option("--jobs", type=click.IntRange(min=1), default=os.cpu_count(), show_default=True, help="Threads.")
+@out_option
+def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path) -> None:
+    """Simulate teams of several sizes, belief updates included."""
+    rows = []
+    for name in instances:
+        for humans in (1, 4, 12, 100, 1000):
+            knowledge = "own" if humans <= 12 else "exact"
+            pool = pool_of(name, max(humans, 12), 0, knowledge=knowledge)
+            for label in ("none", "attention", "priority"):
+                policy = pool.policy(label)
+                simulate(pool, policy, humans=humans, episodes=1, seed=0)
+                rates, processor = [], []
+                for seed in range(repeat):
+                    start, used = time.perf_counter(), time.process_time()
+                    run = simulate(
+                        pool, policy, humans=humans, episodes=max(128, 80_000 // humans), seed=seed, jobs=jobs
+                    )
+                    steps = run.actions.sum() / 1e6
+                    rates.append(steps / (time.perf_counter() - start))
+                    processor.append(steps / (time.process_time() - used))
+                rows.append(
+                    {"instance": name, "policy": label, "humans": humans, "knowledge": knowledge,
+                     "million person-steps/s": statistics.median(rates),
+                     "of processor time": statistics.median(processor)}
+                )  # fmt: skip
+    write(out, "rate", rows, "Simulation")
+
+    def plot(axis: Axes) -> None:
+        for label in ("none", "attention", "priority"):
+            mine = [row for row in rows if row["policy"] == label and row["instance"] == instances[0]]
+            axis.semilogx(
+                [r["humans"] for r in mine], [r["million person-steps/s"] for r in mine], marker="o",
+                color=COLOURS[label], label=label,
+            )  # fmt: skip
+        axis.set(xlabel="people in the team", ylabel="million person-steps per second", title=instances[0])
+        axis.set_ylim(bottom=0)
+        axis.legend(frameon=False)
+
+    draw(out, "team_rate", 6.5, plot)
+
+
+@main.command()
+@click.option("--instance", "instances", multiple=True, default=("paper-fixed", "paper"), show_default=True)
+@click.option("--gamma", "gammas", type=float, multiple=True, default=(0.95, 0.99), show_default=True)
+@click.option("--humans", "sizes", type=int, multiple=True, default=(2, 4, 6, 100), show_default=True)
+@click.option("--own", type=int, default=12, show_default=True, help="Larger teams share one model (knowledge exact).")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--time-limit", type=float, default=60.0, show_default=True, help="Seconds for each person's problem.")
+@click.option("--gap", type=float, default=5e-4, show_default=True)
+@out_option
+def gap(
+    instances: tuple[str, ...], gammas: tuple[float, ...], sizes: tuple[int, ...], own: int, seed: int,
+    time_limit: float, gap: float, out: Path,
+) -> None:  # fmt: skip
+    """Certify policies of teams of several sizes."""
+    rows = []
+    for name in instances:
+        for gamma in gammas:
+            for humans in sizes:
+                pool = pool_of(name, humans, seed, gamma=gamma, knowledge="own" if humans <= own else "exact")
+                found = upper_bound(pool, gap=gap, time_limit=time_limit)
+                certified = {
+                    label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
+                    for label in ("none", "reactive", "attention", "priority")
+                }
+                best = certified["priority"]
+                rows.append(
+                    {"instance": name, "gamma": gamma, "humans": humans, "upper": found.upper,
+                     "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
+                     "attention gap %": certified["attention"].gap_percent,
+                     "reactive gap %": certified["reactive"].gap_percent,
+                     "none gap %": certified["none"].gap_percent,
+                     "left to solver %": best.slack_percent,
+                     "if beta, theta seen %": 100 * (found.upper_seen - best.value) / abs(best.value),
+                     "seconds": found.seconds}
+                )  # fmt: skip
+                write(out, "gap", rows, "Certified gap")
+
+    def plot(axis: Axes) -> None:
+        for name, style in zip(instances, ("-", "--", ":"), strict=False):
+            for gamma, marker in zip(gammas, ("o", "s", "^"), strict=False):
+                mine = [row for row in rows if row["instance"] == name and row["gamma"] == gamma]
+                for column, label in (("gap %", "priority"), ("attention gap %", "attention")):
+                    axis.plot(
+                        [r["humans"] for r in mine], [r[column] for r in mine], linestyle=style, marker=marker,
+                        color=COLOURS[label], label=f"{label}, {name}, gamma {gamma:g}",
+                    )  # fmt: skip
+        axis.set(xlabel="people, one robot", ylabel="certified gap, %", xscale="log")
+        axis.set_xticks(sorted(set(sizes)), [str(size) for size in sorted(set(sizes))])
+        axis.minorticks_off()
+        axis.set_ylim(bottom=0)
+        axis.legend(frameon=False, fontsize=8)
+
+    draw(out, "team_gap", 7.5, plot)
+
+
+@main.command()
+@click.option("--instance", default="paper-fixed", show_default=True)
+@seeds_option
+@click.option("--episodes", type=click.IntRange(min=2), default=2000, show_default=True, help="Of each pool.")
+@out_option
+def settings(instance: str, seeds: int, episodes: int, out: Path) -> None:
+    """Compare the own policy with Algorithm 1 on the same people with the same luck, people drawn from the prior."""
+    rows = []
+    for humans, c_suggest, c_move, travel_time, line in SETTINGS:
+        ahead, ahead_never, base = [], [], []
+        for seed in range(seeds):
+            pool = pool_of(instance, humans, seed, c_suggest=c_suggest, c_move=c_move, travel_time=travel_time)
+            places = np.append(np.arange(humans, dtype=float), -1.0)
+            distance = np.abs(places[:, None] - places) if line else None
+            travel = pool.setting.travel(humans, distance)
+            runs = {
+                label: simulate(
+                    pool, pool.policy(label, travel), humans=list(range(humans)), episodes=episodes, seed=seed,
+                    travel=travel, world="model",
+                ).discounted_return
+                for label in ("attention", "attention-never", "priority")
+            }  # fmt: skip
+            ahead.append(runs["priority"] - runs["attention"])
+            ahead_never.append(runs["priority"] - runs["attention-never"])
+            base.append(runs["attention"])
+        gain, never, mean = np.concatenate(ahead), np.concatenate(ahead_never), np.concatenate(base).mean()
+        error = gain.std(ddof=1) / np.sqrt(len(gain))
+        rows.append(
+            {"K": humans, "c_suggest": c_suggest, "c_move": c_move, "travel time": travel_time,
+             "places": "line" if line else "all at 1", "attention": float(mean), "priority ahead": float(gain.mean()),
+             "stderr": float(error), "z": float(gain.mean() / error), "percent": float(100 * gain.mean() / abs(mean)),
+             "ahead of attention-never": float(never.mean()),
+             "its stderr": float(never.std(ddof=1) / np.sqrt(len(never)))}
+        )  # fmt: skip
+    write(out, "settings", rows, f"priority against attention, {instance}")
+
+
+@main.command()
+@click.option("--instance", default="paper-fixed", show_default=True)
+@click.option("--per-robot", type=int, default=6, show_default=True, help="People for each robot.")
+@click.option("--episodes", type=click.IntRange(min=2), default=40_000, show_default=True, help="Robots simulated.")
+@click.option("--time-limit", type=float, default=120.0, show_default=True)
+@out_option
+def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: Path) -> None:
+    """Let m robots serve any of m times so many people, and compare with the bound, which is the same for all m."""
+    pool = pool_of(instance, per_robot, 0, knowledge="exact")
+    found = upper_bound(pool, gap=5e-4, time_limit=time_limit)
+    priority = Priority.of(pool.policies, found.travel)
+    one = simulate(
+        replace(pool, setting=replace(pool.setting, max_steps=2000)), priority, humans=list(range(per_robot)),
+        episodes=episodes // 2, seed=0, world="model",
+    ).discounted_return  # fmt: skip
+    rows = [_fluid_row(1, "own people only", one, found.upper, per_robot)]
+    for robots in (1, 2, 4, 8, 16, 32, 64):
+        values = _pooled(pool, priority, robots, robots * per_robot, max(50, episodes // (4 * robots)))
+        rows.append(_fluid_row(robots, "anybody", values / robots, found.upper, per_robot))
+    write(out, "fluid", rows, f"{per_robot} people for each robot, {instance}")
+
+    def plot(axis: Axes) -> None:
+        mine = rows[1:]
+        axis.errorbar(
+            [r["robots"] for r in mine], [r["gap %"] for r in mine], yerr=[2 * r["stderr %"] for r in mine],
+            marker="o", color=COLOURS["priority"], label="each robot may go to anybody",
+        )  # fmt: skip
+        axis.axhline(
+            rows[0]["gap %"], color=COLOURS["attention"], linestyle="--", label="each robot has its own people"
+        )
+        axis.set(xscale="log", xlabel=f"robots, with {per_robot} people for each", ylabel="gap to the bound, %")
+        axis.set_xticks([r["robots"] for r in mine], [str(r["robots"]) for r in mine])
+        axis.minorticks_off()
+        axis.set_ylim(bottom=0)
+        axis.legend(frameon=False)
+
+    draw(out, "team_fluid", 6.5, plot)
+
+
+def _fluid_row(robots: int, serves: str, values: np.ndarray, upper: float, per_robot: int) -> dict[str, Any]:
+    """Values are returns per robot, shape (N,)."""
+    mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+    return {
+        "robots": robots, "people": robots * per_robot, "serves": serves, "value per robot": mean, "upper": upper,
+        "gap %": 100 * (upper - mean) / abs(mean), "stderr %": 100 * error / abs(mean),
+    }  # fmt: skip
+
+
+def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: int) -> np.ndarray:
+    """Simulate teams with several robots, shape (episodes,): the m largest worths are acted on.
+
+    All people have one model, and all places are equally far from each other.
+    """
+    pomdp = pool.policies[0].pomdp
+    model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
+    arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
+    minds = Minds(
+        model.q[None], perceived_value(choices, model.q)[None], choices.h, model.eta / model.utility_scale, model.lapse,
+        True,
+    )  # fmt: skip
+    size = episodes * humans
+    cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
+    b, t = np.divmod(cell, len(pomdp.grid.theta))
+    people = People(
+        np.full(size, choices.initial), np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64),
+        pomdp.grid.beta[b], pomdp.grid.theta[t].copy(), np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
+        np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),
+    )  # fmt: skip
+    here, total = np.zeros(size, dtype=bool), np.zeros(episodes)
+    for step in range(2000):
+        active = np.flatnonzero(~choices.goal[people.x])
+        if not len(active):
+            break
+        q = priority.policies[0].q_values(priority.states[0][HERE][people.x[active]], people.belief[active])
+        gain = q - q[:, :1] + priority.price
+        speak, hold = gain[:, 2:].max(axis=1), np.where(here[active], gain[:, 1], -np.inf)
+        worth = np.full(size, -np.inf)
+        worth[active] = np.maximum(speak - np.where(here[active], 0.0, setting.c_move), hold)
+        ranked = np.argsort(-worth.reshape(episodes, humans), axis=1)[:, :robots]
+        chosen = (ranked + humans * np.arange(episodes)[:, None]).ravel()
+        chosen = chosen[worth[chosen] > 0]
+        speaks = np.zeros(size, dtype=bool)
+        speaks[active] = speak - np.where(here[active], 0.0, setting.c_move) >= hold
+        robot, best = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
+        best[active] = gain[:, 2:].argmax(axis=1) + 1
+        robot[chosen] = np.where(speaks[chosen], best[chosen], 0)
+        paid = np.zeros(size)
+        paid[chosen] = setting.c_move * ~here[chosen]
+        paid += pomdp.charge[people.x, robot]
+        here[:] = False
+        here[chosen] = True
+        people.robot[:] = robot
+        people.cost[:] = 0.0
+        people.luck[active] = rng.random((len(active), 2))
+        act(active, people, minds, arrays)
+        total -= setting.gamma**step * (paid + people.cost).reshape(episodes, humans).sum(axis=1)
+    return total
+
+
+if __name__ == "__main__":
+    main()
