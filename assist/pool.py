@@ -122,6 +122,7 @@ class Pool:
         *,
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
+        prior: Population | Mixture | None = None,
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
         progress: Callable[[int, int], None] | None = None,
     ) -> Pool:
@@ -129,6 +130,10 @@ class Pool:
 
         Parameters
         ----------
+        population : Population or Mixture, optional
+            From whom they are drawn; the paper's unless given.
+        prior : Population or Mixture, optional
+            From whom the robot takes them to be drawn; `population` unless given.
         solver : callable
             Gives the policy for one person's problem.
         progress : callable, optional
@@ -136,6 +141,7 @@ class Pool:
         """
         setting = setting or Setting()
         population = population or Population()
+        prior = prior or population
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         people = population.sample(choices, size, rng)
         known = {"eta": setting.eta, "lapse": setting.lapse, "utility_scale": setting.utility_scale}
@@ -143,11 +149,11 @@ class Pool:
             models = [HumanModel.own(choices, human, **known) for human in people]
         else:
             models = [HumanModel.exact(choices, **known)]
-        grid = Grid.regular(population)
+        grid = Grid.regular(prior)
         policies = []
         for done, model in enumerate(models, start=1):
             pomdp = AssistPOMDP.of(
-                model, grid=grid, population=population, gamma=setting.gamma,
+                model, grid=grid, population=prior, gamma=setting.gamma,
                 c_suggest=setting.c_suggest, suggestions=setting.suggestions, execute=setting.execute,
                 c_execute=setting.c_execute,
             )  # fmt: skip
