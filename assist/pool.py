@@ -73,6 +73,15 @@ class Setting:
         """Give the way between so many people; `distance` as in `Travel.of`."""
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
+    def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
+        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task."""
+        known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
+        model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
+        return AssistPOMDP.of(
+            model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
+            suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Pool:
@@ -144,23 +153,13 @@ class Pool:
         prior = prior or population
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         people = population.sample(choices, size, rng)
-        known = {"eta": setting.eta, "lapse": setting.lapse, "utility_scale": setting.utility_scale}
-        if setting.knowledge == "own":
-            models = [HumanModel.own(choices, human, **known) for human in people]
-        else:
-            models = [HumanModel.exact(choices, **known)]
-        grid = Grid.regular(prior)
+        known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
         policies = []
-        for done, model in enumerate(models, start=1):
-            pomdp = AssistPOMDP.of(
-                model, grid=grid, population=prior, gamma=setting.gamma,
-                c_suggest=setting.c_suggest, suggestions=setting.suggestions, execute=setting.execute,
-                c_execute=setting.c_execute,
-            )  # fmt: skip
-            policies.append(solver(pomdp))
+        for done, human in enumerate(known, start=1):
+            policies.append(solver(setting.problem(choices, human, prior)))
             if progress is not None:
-                progress(done, len(models))
-        number = np.arange(size) if len(models) > 1 else np.zeros(size, dtype=np.int64)
+                progress(done, len(known))
+        number = np.arange(size) if len(known) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 
     @classmethod

@@ -59,7 +59,8 @@ class _Table:
     """A table of the file, from which values are taken one by one; what is left at the end is a mistake."""
 
     def __init__(self, file: Path, place: str, content: dict[str, Any]) -> None:
-        self.file, self.place, self.content, self.known = file, place, dict(content), []
+        self.file, self.place, self.content = file, place, dict(content)
+        self.known: list[str] = []
 
     def fault(self, key: str, message: str) -> StudyError:
         return StudyError(f"{self.file}: {f'{self.place}.{key}'.strip('.')}: {message}")
@@ -145,7 +146,7 @@ def _study(file: Path, top: _Table) -> Study:
     humans = top.wholes("humans", (1, 2, 3, 4, 5, 6))
     setting = _setting(top.table("setting"), Setting())
     names = tuple(label for label, _ in instances)
-    conditions = []
+    conditions: list[Condition] = []
     for table in top.tables("conditions", [{"name": "team size"}]):
         chosen, more = _policies(file, table, "policies", policies) if "policies" in table.content else (policies, {})
         own.update(more)
@@ -248,7 +249,7 @@ def _policies(
 def _setting(table: _Table, base: Setting) -> Setting:
     """Read a setting: what is not given is as in another."""
     known = {field.name: getattr(Setting(), field.name) for field in fields(Setting)}
-    given = {}
+    given: dict[str, Any] = {}
     for key, default in known.items():
         if key in table.content:
             value = table.take(key)

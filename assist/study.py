@@ -339,7 +339,7 @@ def _function(file: Path, name: str) -> TeamPolicy:
 
 
 def check(study: Study) -> None:
-    """Read all tasks and own policies, so that what is wrong with them is said before anything is simulated.
+    """Read all tasks and own policies and try all settings, so that what is wrong is said before the work begins.
 
     Raises
     ------
@@ -349,3 +349,11 @@ def check(study: Study) -> None:
         _choices(files)
     for _, (file, name) in study.own_policies:
         _function(file, name)
+    for condition in study.conditions:
+        for label, setting in condition.settings:
+            for name in condition.instances:
+                try:
+                    setting.problem(_choices(dict(study.instances)[name]), None, Population())
+                except ValueError as error:
+                    place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
+                    raise StudyError(f"{study.file}: {place}: {error}") from None
