@@ -18,6 +18,7 @@ attention      team policies: no assistance, reactive, attention switching
 pool           the people from whom teams are drawn
 acting         one step of many people, compiled
 simulate       episodes of a team
+watching       what the robot believed in an episode
 log            recorded actions, as a log has them and as the task has them
 fit            beta, theta and eta of a person, from recorded actions
 misconception  sigma, and what a person takes for the cost-to-go
@@ -26,5 +27,6 @@ diagnostics    whether the model fits
 profile        all that a log says of each person
 figures        pictures (extra `plots`)
 fit_figures    pictures of what was learned from people (extra `plots`)
+study_figures  pictures of a study: policies, team sizes, kinds of people, costs (extra `plots`)
 cli            the command `kitassist`, a file for each of its commands
 """

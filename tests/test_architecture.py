@@ -14,9 +14,9 @@ ORDER = [
     "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
     "assist.choices", "assist.human", "assist.belief", "assist.archive", "assist.pomdp", "assist.region",
     "assist.mdp", "assist.vectors", "assist.search", "assist.solver", "assist.exchange", "assist.team",
-    "assist.attention", "assist.pool", "assist.acting", "assist.simulate",
+    "assist.attention", "assist.pool", "assist.acting", "assist.simulate", "assist.watching",
     "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
-    "assist.profile", "assist.figures", "assist.fit_figures",
+    "assist.profile", "assist.figures", "assist.fit_figures", "assist.study_figures",
     "assist.cli.console", "assist.cli.task", "assist.cli.person", "assist.cli.solve", "assist.cli.simulate",
     "assist.cli.policy", "assist.cli.export", "assist.cli.fit", "assist.cli",
 ]  # fmt: skip
