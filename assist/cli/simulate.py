@@ -28,7 +28,8 @@ SHOWN = {
 @click.argument("instance", metavar="INSTANCE")
 @click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team.")
 @click.option(
-    "--policy", "names", type=click.Choice(["none", "reactive", "attention", "attention-never"]), multiple=True, default=("attention",),
+    "--policy", "names", type=click.Choice(["none", "reactive", "attention", "attention-never"]), multiple=True,
+    default=("attention",),
     show_default=True, help="Team policy; repeat it to compare several on the same people and luck.",
 )  # fmt: skip
 @click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
