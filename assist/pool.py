@@ -50,7 +50,7 @@ class Setting:
     """
 
     gamma: float = 0.99
-    c_suggest: float = 0.5
+    c_suggest: float = 1.0
     c_move: float = 0.5
     travel_time: float = 0.0
     eta: float = 0.2

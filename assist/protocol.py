@@ -13,7 +13,7 @@ from planner import Instance, InstanceError, find_instances
 from . import crowd
 from .human import Mixture, Population
 from .pool import POLICIES, Setting
-from .study import OWN, Condition, Reference, Study, StudyError
+from .study import OWN, Condition, Contrast, Reference, Study, StudyError
 
 PROTOCOLS = Path(__file__).parent / "protocols"
 COMMON = ("instances", "policies", "humans")
@@ -169,11 +169,17 @@ def _study(file: Path, top: _Table) -> Study:
     focus = top.text("focus", "attention" if "attention" in conditions[0].policies else conditions[0].policies[-1])
     if focus not in conditions[0].policies:
         raise top.fault("focus", f"'{focus}'; expected one of {', '.join(conditions[0].policies)}")
+    contrasts = []
+    for table in top.tables("contrasts") if "contrasts" in top.content else []:
+        names = tuple(populations)
+        sides = {side: _among(table, side, (), names) for side in ("of", "to")}
+        contrasts.append(Contrast(table.text("name"), **sides))
+        table.done()
     reference = _reference(top.table("reference"), populations) if "reference" in top.content else None
     top.done()
     return Study(
         file, title, seed, repeats, pool, draws, trials, focus, tuple(populations.items()), instances,
-        tuple(own.items()), tuple(conditions), reference,
+        tuple(own.items()), tuple(conditions), tuple(contrasts), reference,
     )  # fmt: skip
 
 

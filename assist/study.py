@@ -12,9 +12,9 @@ import hashlib
 import importlib.util
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,14 +25,17 @@ from planner import Instance, LimitError, load, sweep
 
 from .choices import Choices
 from .human import Mixture, Population
+from .mdp import qmdp
 from .pool import Pool, Setting
-from .simulate import Episodes, Trace, simulate
+from .simulate import Episodes, simulate
 from .team import TeamPolicy
 
 SCHEMA = 1
 """The version of what `episodes.jsonl` and `summary.json` hold."""
 
+TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
 SIMULATED_STATES = 200_000  # each person's POMDP takes about 3 KB a state
+OF_NO_CONSEQUENCE = {"file", "title", "repeats", "focus", "contrasts", "reference"}  # for what episodes there are
 OWN = "own"
 """The prior that is the population from which people are drawn."""
 
@@ -115,6 +118,22 @@ class Reference:
 
 
 @dataclass(frozen=True)
+class Contrast:
+    """Two groups of populations, of which it is asked how many more interventions the first get.
+
+    Attributes
+    ----------
+    name : str
+    of, to : tuple of str
+        Names of populations.
+    """
+
+    name: str
+    of: tuple[str, ...]
+    to: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Study:
     """A study.
 
@@ -139,6 +158,7 @@ class Study:
         Names, and the file and function of each.
     conditions : tuple of Condition
         The headline is that of the first.
+    contrasts : tuple of Contrast
     reference : Reference or None
     """
 
@@ -154,6 +174,7 @@ class Study:
     instances: tuple[tuple[str, Instance], ...]
     own_policies: tuple[tuple[str, tuple[Path, str]], ...]
     conditions: tuple[Condition, ...]
+    contrasts: tuple[Contrast, ...]
     reference: Reference | None
 
     def condition(self, name: str) -> Condition:
@@ -184,7 +205,8 @@ class Study:
     def fingerprint(self) -> str:
         """Give a digest of all that results depend on: the study, and the files that it names, but not `repeats`."""
         digest = hashlib.sha256()
-        plain = {**asdict(self), "file": None, "repeats": None, "title": None, "reference": None, "schema": SCHEMA}
+        plain = {name: value for name, value in asdict(self).items() if name not in OF_NO_CONSEQUENCE}
+        plain["schema"] = SCHEMA
         for name in ("instances", "own_policies"):
             plain[name] = [label for label, _ in getattr(self, name)]
         digest.update(json.dumps(plain, sort_keys=True).encode())
@@ -205,7 +227,7 @@ class Study:
         population = populations[cell.population]
         return Pool.sample(
             _choices(dict(self.instances)[cell.instance]), self.pool, self.luck(cell.repeat),
-            setting=self.setting(cell), population=population,
+            setting=self.setting(cell), population=population, solver=partial(qmdp, tolerance=TOLERANCE),
             prior=population if cell.prior == OWN else populations[cell.prior],
         )  # fmt: skip
 
@@ -227,19 +249,6 @@ class Study:
         """Make a team policy: one of the package's, or the study's own."""
         own = dict(self.own_policies)
         return _function(*own[name]) if name in own else pool.policy(name)
-
-    def simulate(
-        self, cell: Cell, pool: Pool, policy: str, humans: int, trace: Trace | None = None, *, only: int | None = None
-    ) -> Episodes:
-        """Simulate the episodes of a cell's pool under one policy, or `only` one of them."""
-        teams = self.teams(cell.repeat, humans)
-        episodes: Sequence[int] = range(len(teams))
-        if only is not None:
-            teams, episodes = teams[only : only + 1], [only]
-        return simulate(
-            pool, self.policy(policy, pool), humans=teams, episodes=episodes, seed=self.luck(cell.repeat), name=policy,
-            trace=trace,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -274,10 +283,15 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
     lap("people's POMDPs")
     condition = study.condition(cell.condition)
     lines = []
-    for policy in condition.policies:
+    for name in condition.policies:
+        policy = study.policy(name, pool)
+        lap(f"preparing {name}")
         for humans in condition.humans:
-            episodes = study.simulate(cell, pool, policy, humans)
-            lap(f"simulating {policy}")
+            teams = study.teams(cell.repeat, humans)
+            episodes = simulate(
+                pool, policy, humans=teams, episodes=len(teams), seed=study.luck(cell.repeat), name=name
+            )
+            lap(f"simulating {name}")
             lines += [json.dumps(record) + "\n" for record in _records(cell, episodes, humans, study.trials)]
             lap("records")
     return Outcome("".join(lines), seconds)

@@ -100,6 +100,9 @@ class Found:
             "headline": self.headline(),
             "cells": self.cells(),
             "comparisons": self.comparisons(),
+            "decline": self.decline(),
+            "contrasts": self.contrasts(),
+            "readings": self.readings(),
         }
 
     def headline(self) -> dict[str, Any]:
@@ -168,15 +171,93 @@ class Found:
                             ]
         return found
 
-    def decline(self, policy: str, against: str, measure: str = "actions") -> list[dict[str, Any]]:
-        """Give by how many percentage points less a policy saves in the largest team than in the smallest."""
+    def decline(self) -> list[dict[str, Any]]:
+        """Give by how many percentage points the policy in focus saves less in the largest team than in the smallest."""
         found = []
+        focus = self.study.focus
         for arm, own in self.arms(**self.main):
             sizes = sorted(own["humans"].unique())
-            ends = [paired(own[own["humans"] == size], measure, policy, against) for size in (sizes[0], sizes[-1])]
-            estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
-            found.append({"instance": arm["instance"], "sizes": (int(sizes[0]), int(sizes[-1])), **estimate.record()})
+            for against in [name for name in BASELINES if name in set(own["policy"]) and name != focus]:
+                for measure in ("actions", "interventions"):
+                    ends = [
+                        paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
+                    ]
+                    estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
+                    if math.isfinite(estimate.value) and len(sizes) > 1:
+                        found.append(
+                            {
+                                "instance": arm["instance"],
+                                "policy": focus,
+                                "against": against,
+                                "measure": measure,
+                                "humans": [int(sizes[0]), int(sizes[-1])],
+                                **estimate.record(),
+                            }
+                        )
         return found
+
+    def contrasts(self) -> list[dict[str, Any]]:
+        """Give how many times the interventions of some populations others get, wherever all of them are compared."""
+        found = []
+        for family, pools in self._families():
+            for contrast in self.study.contrasts:
+                if not {*contrast.of, *contrast.to} <= set(pools["population"]):
+                    continue
+                for policy in dict.fromkeys(pools["policy"]):
+                    sides = [
+                        _interventions(pools[(pools["policy"] == policy) & pools["population"].isin(side)])
+                        for side in (contrast.of, contrast.to)
+                    ]
+                    estimate = statistics.ratio(sides[0], sides[1], np.random.default_rng(SEED))
+                    if math.isfinite(estimate.value):
+                        found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
+        return found
+
+    def readings(self) -> list[dict[str, Any]]:
+        """Compare interventions with the reference's, under each reading of what it leaves open; nearest first.
+
+        `off` is by which factor the means are too high or too low, the geometric mean over the reference's figures.
+        """
+        found = []
+        targets = () if self.study.reference is None else self.study.reference.interventions
+        for family, pools in self._families() if targets else ():
+            if not {name for names, _ in targets for name in names} <= set(pools["population"]):
+                continue
+            largest = max(pools["humans"])
+            for policy in [name for name in dict.fromkeys(pools["policy"]) if name not in BASELINES]:
+                own = pools[pools["policy"] == policy]
+                for counted, part, per_person in (
+                    ("per episode, all K", own, False),
+                    (f"per episode, K = {largest}", own[own["humans"] == largest], False),
+                    ("per person, all K", own, True),
+                ):
+                    means = [
+                        statistics.mean(_interventions(part[part["population"].isin(names)], per_person))
+                        for names, _ in targets
+                    ]
+                    wrong = [abs(math.log(max(m.value, 1e-9) / t)) for m, (_, t) in zip(means, targets, strict=True)]
+                    found.append(
+                        {
+                            **family,
+                            "policy": policy,
+                            "counted": counted,
+                            "interventions": [m.record() for m in means],
+                            "off": math.exp(float(np.mean(wrong))),
+                        }
+                    )
+        return sorted(found, key=lambda reading: reading["off"])
+
+    def _families(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+        """Give the arms that differ in nothing but the population, and their pools."""
+        names = [name for name in ARM if name != "population"]
+        for values, own in self.pools.groupby(names, observed=True, sort=False):
+            yield dict(zip(names, _texts(values), strict=True)), own
+
+
+def _interventions(pools: pd.DataFrame, per_person: bool = False) -> Any:
+    """Give the mean interventions in each repeat, over populations and team sizes, shape (n,)."""
+    value = pools["interventions"] / (pools["humans"] if per_person else 1)
+    return value.groupby(pools["repeat"]).mean().to_numpy()
 
 
 def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tuple[Any, Any]:

@@ -7,6 +7,7 @@ task           the task that people are assisted in, or were recorded in
 person         one person's problem, and the options that describe it
 solve          the command `solve`
 simulate       the command `simulate`
+study          the command `study`
 policy         the command `policy`
 export         the command `export`
 fit            the command `fit`
@@ -16,11 +17,11 @@ from __future__ import annotations
 
 import click
 
-from . import export, fit, policy, simulate, solve
+from . import export, fit, policy, simulate, solve, study
 
 
 @click.group(
-    commands=[solve.solve, simulate.simulate, policy.policy, export.export, fit.fit],
+    commands=[solve.solve, simulate.simulate, study.study, policy.policy, export.export, fit.fit],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="kitassist")

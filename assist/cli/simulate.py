@@ -52,7 +52,7 @@ SHOWN = {
     help="Draw an episode in which the last policy saved actions (.png, .svg or .pdf).",
 )  # fmt: skip
 @click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step.")
-@click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion.")
+@click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion.")
 @click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of going to another person.")
 @click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update.")
 @click.option(
