@@ -19,6 +19,7 @@ import numpy as np
 from planner.storage import atomic
 
 from .figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, require
+from .human import Floats
 from .simulate import Episode
 
 if TYPE_CHECKING:
@@ -266,7 +267,7 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
             )  # fmt: skip
             axis.plot(known["step"], known[f"{name}_mean"], color=BLUE, linewidth=1.8)
             axis.plot(own["step"], own[f"{name}_true"], color=_ink(), linestyle="--", linewidth=1.2)
-            top = 1.0 if name == "theta" else float(beliefs[["beta_high", "beta_true"]].max(axis=None))
+            top = 1.0 if name == "theta" else float(np.nanmax(beliefs[["beta_high", "beta_true"]].to_numpy()))
             told = own["step"][own["suggestion"]]
             # Below all values, where they hide nothing.
             axis.plot(told, np.full(len(told), -0.1 * top), linestyle="none", marker="^", markersize=5, color=GREEN)
@@ -470,18 +471,22 @@ def _note(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
         drawn = [line.get_xydata() for line in axis.get_lines()]
         drawn += [part for bars in axis.collections if isinstance(bars, LineCollection) for part in bars.get_segments()]
         lines = [axis.transData.transform(points) for points in drawn]
-        # Where ink is: points of all lines, close to each other, and later the words.
-        ink = [np.linspace(start, end, 60) for line in lines for start, end in pairwise(line)] + lines
+        # Points of all lines, close to each other.
+        ink = np.concatenate([np.linspace(start, end, 60) for line in lines for start, end in pairwise(line)] + lines)
+        written: list[tuple[Floats, Floats]] = []
         for text, x, y in texts:
-            size = np.array([4.8 * len(text), 8]) * pixels
-            there, at = np.concatenate(ink), axis.transData.transform((x, y))
-            middles = [at + np.array(place) * (size / 2 + 5 * pixels) for place in places]
-            best = int(np.argmin([(np.abs(there - middle) < size / 2).all(axis=1).sum() for middle in middles]))
-            words = list(product(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 5)))
-            ink.append(middles[best] + np.array(words) * size)
+            size, at = np.array([4.8 * len(text), 8]) * pixels, axis.transData.transform((x, y))
+            middles = [at + np.array(place) * (size / 2 + 6 * pixels) for place in places]
+            hidden = [
+                (np.abs(ink - middle) < size / 2).all(axis=1).sum()
+                + len(ink) * sum((np.abs(other - middle) < (size + its) / 2 + pixels).all() for other, its in written)
+                for middle in middles
+            ]
+            best = int(np.argmin(hidden))
+            written.append((middles[best], size))
             right, up = places[best]
             axis.annotate(
-                text, (x, y), xytext=(5 * right, 5 * up), textcoords="offset points", fontsize=8, zorder=7,
+                text, (x, y), xytext=(6 * right, 6 * up), textcoords="offset points", fontsize=8, zorder=7,
                 ha=("center", "left", "right")[right], va=("center", "bottom", "top")[up],
                 path_effects=[withStroke(linewidth=2.5, foreground=axis.get_facecolor())],
             )  # fmt: skip

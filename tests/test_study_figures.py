@@ -193,10 +193,17 @@ def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> No
     assert sorted(text.get_text() for text in axis.texts) == [
         "0, 0", "0.5, 0.5", "4, 4", "against none", "against reactive",
     ]  # fmt: skip
-    figure.draw_without_rendering()
-    assert overlaps(list(axis.texts)) == []
     without = study_figures.trade_off_figure(costs[costs["policy"] == "attention"], PAPER_SAVINGS)
     assert not any(one.get_marker() == "*" for one in without.axes[0].get_lines())
+
+
+def test_costs_beside_points_do_not_cover_each_other(costs: pd.DataFrame) -> None:
+    own = costs[costs["policy"] == "attention"]
+    near = [own.assign(policy=f"p{n}", interventions=own["interventions"] + 0.1 * n) for n in range(3)]
+    figure = study_figures.trade_off_figure(pd.concat([costs, *near]))
+    figure.draw_without_rendering()
+    assert len(figure.axes[0].texts) == 12
+    assert overlaps(list(figure.axes[0].texts)) == []
 
 
 def test_each_cost_of_moving_has_a_line(costs: pd.DataFrame) -> None:
@@ -230,8 +237,8 @@ def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
     episode, rows = beliefs_of_episode(pool, policy, humans=2, episode=5, seed=3, name="attention")
     assert episode == expected
     assert sum(row["suggestion"] for row in rows) == episode.interventions > 0
-    assert [(row["place"], row["step"], row["theta_true"]) for row in rows] == [
-        (row["place"], row["step"], row["theta"]) for row in trace
+    assert [(row["place"], row["step"], row["theta_true"], row["robot_here"]) for row in rows] == [
+        (row["place"], row["step"], row["theta"], row["robot_place"] == row["place"]) for row in trace
     ]
     for place in range(2):
         own = [row for row in rows if row["place"] == place]
@@ -254,7 +261,11 @@ def test_beliefs_are_those_of_a_filter(pool: Pool) -> None:
     pomdp = pool.policies[2].pomdp
     choices, belief, x = pomdp.model.choices, pomdp.prior[None], pomdp.model.choices.initial
     for row, action in zip(rows, trace, strict=True):
-        assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ belief[0].sum(axis=1)))
+        beta = belief[0].sum(axis=1)
+        assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ beta))
+        for end, share in (("beta_low", 0.05), ("beta_high", 0.95)):
+            below, at = pomdp.grid.beta < row[end], pomdp.grid.beta <= row[end]
+            assert beta[below].sum() < share <= beta[at].sum() + 1e-9
         slots = np.flatnonzero(choices.applicable[x])
         slot = next(int(s) for s in slots if choices.name(x, int(s)) == action["action"])
         belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([slot]))
