@@ -172,7 +172,7 @@ class Found:
         return found
 
     def decline(self) -> list[dict[str, Any]]:
-        """Give by how many percentage points the policy in focus saves less in the largest team than in the smallest."""
+        """Give by how many percentage points the policy in focus saves less in large teams than in small ones."""
         found = []
         focus = self.study.focus
         for arm, own in self.arms(**self.main):

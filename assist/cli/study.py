@@ -54,8 +54,8 @@ def study(
                 failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=advance)
         except StudyError as error:
             fail(str(error), EXIT_USAGE)
-        for cell, error in failed:
-            click.echo(f"{cell}: {error if isinstance(error, StudyError) else repr(error)}", err=True)
+        for cell, reason in failed:
+            click.echo(f"{cell}: {reason if isinstance(reason, StudyError) else repr(reason)}", err=True)
         if failed:
             fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
         summary = write_report(planned, out)
