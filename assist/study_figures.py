@@ -35,6 +35,7 @@ End = tuple[str, str, float, float]
 """The name and colour of a curve, and where it ends."""
 
 WIDTH = 9.0  # inches
+MOST_COSTS = 6  # that are all written beside a policy's points
 MEASURES = {"actions": "human actions per person", "interventions": "robot interventions per episode"}
 CATEGORIES = (
     "low expertise, low influence",
@@ -536,7 +537,7 @@ def _curve(axis: Axes, look: Look, own: DataFrame) -> list[Note]:
         return []
     return [
         (f"{own['c_suggest'].iloc[i]:g}, {own['c_move'].iloc[i]:g}", x[i], y[i])
-        for i in sorted({0, len(own) // 2, len(own) - 1})
+        for i in (range(len(own)) if len(own) <= MOST_COSTS else (0, len(own) // 2, len(own) - 1))
     ]
 
 
