@@ -28,5 +28,11 @@ profile        all that a log says of each person
 figures        pictures (extra `plots`)
 fit_figures    pictures of what was learned from people (extra `plots`)
 study_figures  pictures of a study: policies, team sizes, kinds of people, costs (extra `plots`)
+statistics     means, savings and effects with intervals over pools of people
+study          a study as data, and what is done in one go
+protocol       studies from TOML files
+running        a study carried out, in parallel and resumable (extra `study` to load its results)
+summary        what a study found, in numbers (extra `study`)
+report         the report of a study (extra `study`)
 cli            the command `kitassist`, a file for each of its commands
 """

@@ -65,6 +65,10 @@ class _Table:
     def fault(self, key: str, message: str) -> StudyError:
         return StudyError(f"{self.file}: {f'{self.place}.{key}'.strip('.')}: {message}")
 
+    def gives(self, key: str) -> bool:
+        self.known.append(key)
+        return key in self.content
+
     def take(self, key: str, default: Any = None) -> Any:
         self.known.append(key)
         return self.content.pop(key, default)
@@ -148,7 +152,7 @@ def _study(file: Path, top: _Table) -> Study:
     names = tuple(label for label, _ in instances)
     conditions: list[Condition] = []
     for table in top.tables("conditions", [{"name": "team size"}]):
-        chosen, more = _policies(file, table, "policies", policies) if "policies" in table.content else (policies, {})
+        chosen, more = _policies(file, table, "policies", policies) if table.gives("policies") else (policies, {})
         own.update(more)
         condition = Condition(
             name=table.text("name"),
@@ -158,7 +162,7 @@ def _study(file: Path, top: _Table) -> Study:
             humans=table.wholes("humans", humans),
             settings=_settings(table, setting),
             priors=_among(table, "priors", (OWN,), (OWN, *populations)),
-            repeats=table.whole("repeats") if "repeats" in table.content else None,
+            repeats=table.whole("repeats") if table.gives("repeats") else None,
         )
         table.done()
         if condition.name in {other.name for other in conditions}:
@@ -170,12 +174,12 @@ def _study(file: Path, top: _Table) -> Study:
     if focus not in conditions[0].policies:
         raise top.fault("focus", f"'{focus}'; expected one of {', '.join(conditions[0].policies)}")
     contrasts = []
-    for table in top.tables("contrasts") if "contrasts" in top.content else []:
+    for table in top.tables("contrasts") if top.gives("contrasts") else []:
         names = tuple(populations)
         sides = {side: _among(table, side, (), names) for side in ("of", "to")}
         contrasts.append(Contrast(table.text("name"), **sides))
         table.done()
-    reference = _reference(top.table("reference"), populations) if "reference" in top.content else None
+    reference = _reference(top.table("reference"), populations) if top.gives("reference") else None
     top.done()
     return Study(
         file, title, seed, repeats, pool, draws, trials, focus, tuple(populations.items()), instances,
@@ -217,7 +221,7 @@ def _instances(file: Path, top: _Table) -> tuple[tuple[str, Instance], ...]:
 def _population(table: _Table) -> Population | Mixture:
     """Read ranges, or the name of a file that `kitassist fit --population` has written."""
     try:
-        if "file" in table.content:
+        if table.gives("file"):
             path = table.file.parent / table.text("file")
             table.done()
             return crowd.mixture(json.loads(path.read_text(encoding="utf-8")))
@@ -257,7 +261,7 @@ def _setting(table: _Table, base: Setting) -> Setting:
     known = {field.name: getattr(Setting(), field.name) for field in fields(Setting)}
     given: dict[str, Any] = {}
     for key, default in known.items():
-        if key in table.content:
+        if table.gives(key):
             value = table.take(key)
             kind = type(default)
             right = (
@@ -295,7 +299,7 @@ def _reference(table: _Table, populations: dict[str, Population | Mixture]) -> R
     numbers = table.table("headline")
     headline = tuple((key, numbers.number(key)) for key in list(numbers.content))
     interventions = []
-    for part in table.tables("interventions", []) if "interventions" in table.content else []:
+    for part in table.tables("interventions", []) if table.gives("interventions") else []:
         interventions.append((_among(part, "populations", (), tuple(populations)), part.number("mean")))
         part.done()
     table.done()
