@@ -125,7 +125,7 @@ class _Table:
     def done(self) -> None:
         """Refuse what nobody has asked for."""
         for key in self.content:
-            raise self.fault(key, f"unknown; expected one of {', '.join(sorted(self.known))}")
+            raise self.fault(key, f"unknown; expected one of {', '.join(sorted(set(self.known)))}")
 
 
 def _shown(value: Any) -> str:
