@@ -208,7 +208,8 @@ class Found:
                         _interventions(pools[(pools["policy"] == policy) & pools["population"].isin(side)])
                         for side in (contrast.of, contrast.to)
                     ]
-                    estimate = statistics.ratio(sides[0], sides[1], np.random.default_rng(SEED))
+                    above, below = sides[0].align(sides[1], join="inner")
+                    estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
                     if math.isfinite(estimate.value):
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
@@ -255,9 +256,9 @@ class Found:
 
 
 def _interventions(pools: pd.DataFrame, per_person: bool = False) -> Any:
-    """Give the mean interventions in each repeat, over populations and team sizes, shape (n,)."""
+    """Give the mean interventions in each repeat, over populations and team sizes, a series."""
     value = pools["interventions"] / (pools["humans"] if per_person else 1)
-    return value.groupby(pools["repeat"]).mean().to_numpy()
+    return value.groupby(pools["repeat"]).mean()
 
 
 def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tuple[Any, Any]:

@@ -70,11 +70,12 @@ def _show_headline(summary: dict[str, Any], out: Path) -> None:
     instances = headline["instances"]
     table = Table(box=None, pad_edge=False)
     table.add_column(f"{headline['policy']} saves, %")
-    for name in (*instances, "together"):
+    columns = {**instances, "together": headline} if len(instances) > 1 else instances
+    for name in columns:
         table.add_column(name, justify="right")
     for key, value in headline.items():
         if isinstance(value, dict) and key != "instances":
-            cells = [_shown(found.get(key)) for found in (*instances.values(), headline)]
+            cells = [_shown(found.get(key)) for found in columns.values()]
             table.add_row(key.replace("_", " "), *cells)
     print_table(table)
     click.echo(f"{summary['repeats']} pools of people, 95 % intervals over pools; the report is {out / 'report.md'}")
