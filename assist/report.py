@@ -213,6 +213,7 @@ def _sections(found: Found, summary: Record, pictures: dict[str, str]) -> Iterat
     yield f"# {study.title}"
     yield from _what_was_run(study, summary)
     yield from _headline(study, summary)
+    yield from _claims(study, summary)
     yield from _team_sizes(found, summary)
     yield from _shown(pictures, "team-size")
     yield from _decline(study, summary)
@@ -319,6 +320,40 @@ def _better(estimate: Record, reference: float) -> str:
     if estimate["high"] is not None and estimate["high"] < reference:
         return "worse, the whole interval"
     return "better, not the whole interval" if estimate["mean"] > reference else "worse, not the whole interval"
+
+
+def _claims(study: Study, summary: Record) -> Iterator[str]:
+    """Say which of the reference's claims hold, and under which readings of what it leaves open."""
+    if study.reference is None:
+        return
+    yield "## Which of the paper's claims hold"
+    rows = []
+    for key, published in study.reference.headline:
+        for instance, found in summary["headline"]["instances"].items():
+            if key in found:
+                verdict = {"yes": "holds", "not shown": "is not shown"}.get(_sign(found[key]), "does not hold")
+                saved = f"saves {key.replace('_', ' ')} ({published:g} %)"
+                rows.append([saved, instance, f"{verdict}; {_better(found[key], published)}", _interval(found[key])])
+    for r in summary["decline"]:
+        verdict = {"yes": "holds", "not shown": "is not shown"}.get(_sign(r), "the contrary holds")
+        rows.append(
+            [f"saves fewer {r['measure']} vs {r['against']} in large teams", r["instance"], verdict, _interval(r)]
+        )
+    yield _table([f"claim: {study.focus} ...", "instance", "verdict", "percent, or percentage points"], rows)
+    for contrast in study.contrasts:
+        readings: dict[str, list[str]] = {"yes": [], "not shown": [], "no, the contrary": []}
+        for c in summary["contrasts"]:
+            if c["contrast"] == contrast.name and c["policy"] not in BASELINES:
+                name = ", ".join([c["instance"], c["policy"], c["setting"] or "default", f"prior {_prior(c['prior'])}"])
+                if name not in readings[_sign(c, 1.0)]:
+                    readings[_sign(c, 1.0)].append(name)
+        if any(readings.values()):
+            more, fewer = (" and ".join(f"*{name}*" for name in side) for side in (contrast.of, contrast.to))
+            yield (
+                f"More interventions for {more} than for {fewer}: shown under "
+                f"{len(readings['yes'])} readings, undecided under {len(readings['not shown'])}, the contrary under "
+                f"{len(readings['no, the contrary'])}. Shown under: {'; '.join(readings['yes']) or 'none'}."
+            )
 
 
 def _team_sizes(found: Found, summary: Record) -> Iterator[str]:

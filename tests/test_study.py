@@ -17,7 +17,7 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT, kitassist
 from scipy import stats
 
-from assist import mdp, statistics
+from assist import mdp, protocol, statistics
 from assist.choices import Choices
 from assist.human import Human, HumanModel, Population, perceived_cost
 from assist.pomdp import AssistPOMDP
@@ -200,6 +200,17 @@ def test_the_papers_protocol_is_the_papers() -> None:
     assert study.repeats * study.draws * study.trials * len(first.humans) == 9000
     assert [name for name, _ in study.instances] == ["paper", "paper-fixed"]
     assert dict(study.reference.headline)["actions_vs_none"] == 24.48
+
+
+def test_the_papers_tasks_are_found_in_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    installed = tmp_path / "assist" / "protocols"
+    shutil.copytree(protocol.PROTOCOLS, installed)
+    monkeypatch.setattr(protocol, "PROTOCOLS", installed)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(StudyError, match="the project's folder `domains` is needed: run this in a checkout"):
+        read("paper")
+    (tmp_path / "domains").symlink_to(DOMAINS)
+    assert len(read("paper").instances) == 2
 
 
 def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None:
