@@ -22,6 +22,7 @@ pool           the people from whom teams are drawn
 acting         one step of many people, compiled
 simulate       episodes of a team
 bounds         what no team policy exceeds
+watching       what the robot believed in an episode
 log            recorded actions, as a log has them and as the task has them
 fit            beta, theta and eta of a person, from recorded actions
 misconception  sigma, and what a person takes for the cost-to-go
@@ -30,5 +31,12 @@ diagnostics    whether the model fits
 profile        all that a log says of each person
 figures        pictures (extra `plots`)
 fit_figures    pictures of what was learned from people (extra `plots`)
+study_figures  pictures of a study: policies, team sizes, kinds of people, costs (extra `plots`)
+statistics     means, savings and effects with intervals over pools of people
+study          a study as data, and what is done in one go
+protocol       studies from TOML files
+running        a study carried out, in parallel and resumable (extra `study` to load its results)
+summary        what a study found, in numbers (extra `study`)
+report         the report of a study (extra `study`)
 cli            the command `kitassist`, a file for each of its commands
 """

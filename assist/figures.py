@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Okabe and Ito's colours, which people with any colour vision tell apart.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
-
+SKY, VERMILLION, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
 
 FORMATS = (".png", ".svg", ".pdf")
 

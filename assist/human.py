@@ -9,6 +9,7 @@ Assistance: Expertise and Influence in Multi-User Task Planning"; see `docs/mode
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,24 +17,30 @@ from numpy.typing import ArrayLike, NDArray
 from .choices import Choices
 
 Floats = NDArray[np.float64]
+Noise = Literal["state", "action"]
 
 NOTHING = -1
 """The suggestion slot that stands for no suggestion."""
 
 
-def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generator) -> Floats:
-    """Draw what a person takes for the cost-to-go of every state, shape (n,).
+def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Floats:
+    """Draw what a person takes for the cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
 
     h(x) = h*(x) + sigma * eps(x), eps standard normal: a lasting misconception, drawn once per person
-    and state. The goal is recognised (h = 0) and dead ends stay infinite.
+    and state; with `noise="action"` once per person and choice, h(x, a) = h*(succ(x, a)) + sigma * eps(x, a),
+    so that one state looks different from where one comes. The goal is recognised (h = 0) and dead ends stay
+    infinite.
     """
+    if noise == "action":
+        after = choices.h[choices.targets]
+        return np.where(choices.goal[choices.targets], 0.0, after + sigma * rng.standard_normal(after.shape))
     h = choices.h + sigma * rng.standard_normal(len(choices))
     return np.where(choices.goal, 0.0, h)
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:
-    """Give Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots."""
-    return np.where(choices.applicable, choices.costs + h[choices.targets], np.inf)
+    """Give Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots; `h` as a `Human` has it."""
+    return np.where(choices.applicable, choices.costs + (h if h.ndim == 2 else h[choices.targets]), np.inf)
 
 
 def perceived_value(choices: Choices, q: Floats) -> Floats:
@@ -136,8 +143,8 @@ class Human:
         Influence of the robot at the beginning, in [0, 1].
     sigma : float
         Standard deviation of their misconception, in cost units.
-    h : float array, shape (n,)
-        What they take for the cost-to-go.
+    h : float array, shape (n,) or (n, A)
+        What they take for the cost-to-go of each state, or of what each choice leads to.
     """
 
     beta: float
@@ -154,13 +161,23 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Population:
-    """Ranges from which people's parameters are drawn uniformly; the defaults are the paper's Table I."""
+    """Ranges from which people's parameters are drawn uniformly; the defaults are the paper's Table I.
+
+    Attributes
+    ----------
+    beta, theta, sigma : pair of float
+    noise : "state" or "action"
+        Whether a person is mistaken about states, or about the outcome of each choice in each state.
+    """
 
     beta: Range = (0.1, 3.0)
     theta: Range = (0.5, 0.95)
     sigma: Range = (0.1, 1.0)
+    noise: Noise = "state"
 
     def __post_init__(self) -> None:
+        if self.noise not in ("state", "action"):
+            raise ValueError(f"noise '{self.noise}': expected 'state' or 'action'")
         for name, (low, high), most in (
             ("beta", self.beta, np.inf), ("theta", self.theta, 1.0), ("sigma", self.sigma, np.inf),
         ):  # fmt: skip
@@ -174,7 +191,7 @@ class Population:
         people = []
         for _ in range(count):
             beta, theta, sigma = (float(rng.uniform(*span)) for span in (self.beta, self.theta, self.sigma))
-            people.append(Human(beta, theta, sigma, perceived_cost_to_go(choices, sigma, rng)))
+            people.append(Human(beta, theta, sigma, perceived_cost_to_go(choices, sigma, rng, self.noise)))
         return people
 
 

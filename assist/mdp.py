@@ -22,6 +22,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+import scipy.sparse as sparse
+import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
 from .human import Floats
@@ -29,6 +31,8 @@ from .pomdp import AssistPOMDP
 
 ROUNDING = 1e-12
 """Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
+
+DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
 
 
 @dataclass(frozen=True)
@@ -151,9 +155,35 @@ def evaluate(
     value[active] = worst
     if pomdp.frontier is not None:
         value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
+    if silent and active.sum() <= DIRECT:
+        value[active] = _alone_for_ever(arrays, active)[:, :, None]
     _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)
     value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
+
+
+def _alone_for_ever(m: Arrays, active: NDArray[np.bool_]) -> Floats:
+    """Give a start from below for `evaluate` where nothing is ever suggested, shape (active states, B).
+
+    Linear equations, solved directly; sweeps take long where people go round in circles. What the solution v leaves
+    over in one sweep, at most r, makes v - r / (1 - gamma) a start from which sweeps only rise.
+    """
+    states = np.flatnonzero(active)
+    number = np.full(len(active), -1)
+    number[states] = np.arange(len(states))
+    row, slot = np.nonzero(np.arange(m.chosen.shape[1]) < m.counts[states][:, None])
+    origin = states[row]
+    to = number[m.targets[origin, slot]]
+    value = np.empty((len(states), m.chosen.shape[2]))
+    for b in range(value.shape[1]):
+        p = (1.0 - m.lapse) * m.chosen[origin, slot, b] + m.lapse / m.counts[origin]
+        cost = np.bincount(row, p * m.costs[origin, slot], len(states))
+        goes_on = to >= 0
+        chain = sparse.csc_array((p[goes_on], (row[goes_on], to[goes_on])), shape=(len(states), len(states)))
+        exact = sparse_linalg.spsolve(sparse.eye_array(len(states), format="csc") - m.gamma * chain, -cost)
+        left = np.abs(m.gamma * (chain @ exact) - cost - exact).max(initial=0.0)
+        value[:, b] = exact - 2 * left / (1 - m.gamma)
+    return value
 
 
 def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:

@@ -115,7 +115,7 @@ class AssistPOMDP:
         grid: Grid | None = None,
         population: Population | Mixture | None = None,
         gamma: float = 0.99,
-        c_suggest: float = 0.5,
+        c_suggest: float = 1.0,
         suggestions: Suggestions = "optimal",
         execute: bool = False,
         c_execute: float = 1.0,

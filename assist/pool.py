@@ -51,7 +51,7 @@ class Setting:
     """
 
     gamma: float = 0.99
-    c_suggest: float = 0.5
+    c_suggest: float = 1.0
     c_move: float = 0.5
     travel_time: float = 0.0
     eta: float = 0.2
@@ -73,6 +73,15 @@ class Setting:
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
         """Give the way between so many people; `distance` as in `Travel.of`."""
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
+
+    def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
+        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task."""
+        known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
+        model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
+        return AssistPOMDP.of(
+            model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
+            suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -123,6 +132,7 @@ class Pool:
         *,
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
+        prior: Population | Mixture | None = None,
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
         progress: Callable[[int, int], None] | None = None,
     ) -> Pool:
@@ -130,6 +140,10 @@ class Pool:
 
         Parameters
         ----------
+        population : Population or Mixture, optional
+            From whom they are drawn; the paper's unless given.
+        prior : Population or Mixture, optional
+            From whom the robot takes them to be drawn; `population` unless given.
         solver : callable
             Gives the policy for one person's problem.
         progress : callable, optional
@@ -137,25 +151,16 @@ class Pool:
         """
         setting = setting or Setting()
         population = population or Population()
+        prior = prior or population
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
         people = population.sample(choices, size, rng)
-        known = {"eta": setting.eta, "lapse": setting.lapse, "utility_scale": setting.utility_scale}
-        if setting.knowledge == "own":
-            models = [HumanModel.own(choices, human, **known) for human in people]
-        else:
-            models = [HumanModel.exact(choices, **known)]
-        grid = Grid.regular(population)
+        known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
         policies = []
-        for done, model in enumerate(models, start=1):
-            pomdp = AssistPOMDP.of(
-                model, grid=grid, population=population, gamma=setting.gamma,
-                c_suggest=setting.c_suggest, suggestions=setting.suggestions, execute=setting.execute,
-                c_execute=setting.c_execute,
-            )  # fmt: skip
-            policies.append(solver(pomdp))
+        for done, human in enumerate(known, start=1):
+            policies.append(solver(setting.problem(choices, human, prior)))
             if progress is not None:
-                progress(done, len(models))
-        number = np.arange(size) if len(models) > 1 else np.zeros(size, dtype=np.int64)
+                progress(done, len(known))
+        number = np.arange(size) if len(known) > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 
     @classmethod

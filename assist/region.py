@@ -108,7 +108,7 @@ class Region:
         lapse: float = 1e-3,
         utility_scale: float = 1.0,
         gamma: float = 0.99,
-        c_suggest: float = 0.5,
+        c_suggest: float = 1.0,
         suggestions: Suggestions = "optimal",
     ) -> AssistPOMDP:
         """Set up the problem of assisting one person within the region; arguments as in `AssistPOMDP.of`."""

@@ -176,7 +176,7 @@ def simulate(
     pool: Pool,
     policy: TeamPolicy,
     *,
-    humans: int | Sequence[int],
+    humans: int | ArrayLike,
     episodes: Sequence[int] | int,
     seed: int,
     name: str = "policy",
@@ -194,8 +194,9 @@ def simulate(
     pool : Pool
     policy : callable
         A team policy.
-    humans : int or sequence of int
-        People per team, drawn from the pool without replacement; or who is in the team, at which place.
+    humans : int, or int array, shape (K,) or (N, K)
+        People per team, drawn from the pool without replacement; or who is in the team, at which place, in every
+        episode or in each.
     episodes : int or sequence of int
         How many episodes, or their numbers.
     seed : int
@@ -215,26 +216,31 @@ def simulate(
     progress : callable, optional
         Called with the number of episodes that have been finished since the last call.
     """
+    numbers = np.arange(episodes) if isinstance(episodes, int) else np.asarray(episodes, dtype=np.int64)
+    teams: NDArray[np.int64] | None = None
     if isinstance(humans, int):
         if not 1 <= humans <= len(pool.people):
             raise ValueError(f"{humans} people per team: expected 1 to {len(pool.people)}, the size of the pool")
         places = humans
     else:
-        wrong = [number for number in humans if not 0 <= number < len(pool.people)]
-        if wrong or not humans:
-            raise ValueError(f"team {list(humans)}: expected numbers of the pool, from 0 to {len(pool.people) - 1}")
-        places = len(humans)
+        given = np.asarray(humans, dtype=np.int64)
+        if not given.size or given.min() < 0 or given.max() >= len(pool.people):
+            raise ValueError(f"team {given.tolist()}: expected numbers of the pool, from 0 to {len(pool.people) - 1}")
+        if given.ndim > 2 or (given.ndim == 2 and len(given) != len(numbers)):
+            raise ValueError(f"teams, shape {given.shape}: expected one row for each of {len(numbers)} episodes")
+        places = given.shape[-1]
+        teams = np.array(np.broadcast_to(given, (len(numbers), places)))
     travel = travel or pool.setting.travel(places)
     presence = presence or Presence.of(places)
     if len(travel) != places or len(presence.joins) != places:
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
-    numbers = np.arange(episodes) if isinstance(episodes, int) else np.asarray(episodes, dtype=np.int64)
     together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else jobs  # a trace is in order
 
     def run(start: int) -> Episodes:
         chunk = numbers[start : start + together]
-        return _Run(pool, policy, humans, chunk, seed, name, travel, presence, world, trace, progress).run()
+        own = None if teams is None else teams[start : start + together]
+        return _Run(pool, policy, own, chunk, seed, name, travel, presence, world, trace, progress).run()
 
     with ThreadPoolExecutor(jobs) as workers:
         return Episodes.joined(list(workers.map(run, range(0, max(1, len(numbers)), together))))
@@ -271,7 +277,7 @@ class _Run:
         self,
         pool: Pool,
         policy: TeamPolicy,
-        humans: int | Sequence[int],
+        teams: NDArray[np.int64] | None,
         numbers: NDArray[np.int64],
         seed: int,
         name: str,
@@ -285,10 +291,7 @@ class _Run:
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
         shape = (len(numbers), len(travel))
         self.luck, self.on_grid = _Luck(seed, numbers, len(travel)), world == "model"
-        if isinstance(humans, int):
-            self.people = self.luck.team(len(pool.people))
-        else:
-            self.people = np.tile(np.array(humans, dtype=np.int64), (len(numbers), 1))
+        self.people = self.luck.team(len(pool.people)) if teams is None else teams
         self.model = pool.model[self.people]
         self.groups = [
             _Group.of(pool, group, self.on_grid) if (self.model == group).any() else None

@@ -7,24 +7,19 @@ soon as it is there. The records do not depend on where they were made.
 from __future__ import annotations
 
 import os
-import signal
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, as_completed
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 from .budget import available_memory
-from .errors import MissingExtraError
 from .pddl import Instance
 from .solving import Record, SolveOptions, solve_instance, unsolved
 from .storage import append_record, read_records, write_records
+from .workers import WorkerDiedError, outcomes
 
 RESULTS = "results.jsonl"
 DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
-
-Outcomes = Iterator[tuple[Instance, Record]]
 
 
 class ResultsExistError(ValueError):
@@ -90,10 +85,11 @@ def solve_batch(
         for record in records.values():
             progress(record)
     todo = [instance for instance in instances if str(instance.problem) not in records]
-    outcomes = (
-        _in_processes(todo, options, out, jobs) if scheduler is None else _on_cluster(todo, options, out, scheduler)
-    )
-    for instance, record in outcomes:
+    timeout = None if options.time_limit is None else options.time_limit + GRACE
+    for instance, outcome in outcomes(
+        solve_instance, todo, (options, out), jobs=jobs, scheduler=scheduler, timeout=timeout
+    ):
+        record = _unsolved(instance, outcome, options) if isinstance(outcome, Exception) else outcome
         records[str(instance.problem)] = record
         if results is not None:
             append_record(results, record)
@@ -105,66 +101,10 @@ def solve_batch(
     return ordered
 
 
-def _in_processes(instances: Sequence[Instance], options: SolveOptions, out: Path | None, jobs: int) -> Outcomes:
-    """Solve instances in processes of this machine, which are stopped when an instance exceeds its time."""
-    from pebble import ProcessExpired, ProcessPool
-
-    if not instances:
-        return
-    timeout = None if options.time_limit is None else options.time_limit + GRACE
-    workers = min(jobs, len(instances))
-    pool = ProcessPool(max_workers=workers, context=get_context("spawn"), initializer=_ignore_interrupts)
-    try:
-        futures: dict[Future[Record], Instance] = {
-            pool.schedule(solve_instance, args=(instance, options, out), timeout=timeout): instance
-            for instance in instances
-        }
-        for future in as_completed(futures):
-            instance = futures[future]
-            try:
-                record = future.result()
-            except TimeoutError:
-                record = unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
-            except ProcessExpired as error:
-                reason = f"the worker process died with exit code {error.exitcode}, probably out of memory"
-                record = unsolved(instance, "limit", reason)
-            except Exception as error:  # noqa: BLE001  a fault of this program stops one instance, not all
-                record = unsolved(instance, "invalid", f"internal error: {error!r}")
-            yield instance, record
-        pool.close()  # type: ignore[no-untyped-call]
-    except BaseException:
-        pool.stop()  # type: ignore[no-untyped-call]
-        raise
-    finally:
-        pool.join()
-
-
-def _on_cluster(instances: Sequence[Instance], options: SolveOptions, out: Path | None, scheduler: str) -> Outcomes:
-    """Solve instances on the workers of a Dask cluster, which see the same files at the same paths."""
-    try:
-        from distributed import Client, KilledWorker
-        from distributed import as_completed as as_completed_on_cluster
-    except ImportError:
-        raise MissingExtraError("a cluster needs Dask: pip install 'kitassist[cluster]'") from None
-
-    with Client(scheduler) as client:
-        futures = {
-            client.submit(solve_instance, instance, options, out, pure=False): instance for instance in instances
-        }
-        try:
-            for future in as_completed_on_cluster(list(futures)):
-                instance = futures[future]
-                try:
-                    record = future.result()
-                except KilledWorker:
-                    record = unsolved(instance, "limit", "its workers died, probably out of memory")
-                except Exception as error:  # noqa: BLE001  as above
-                    record = unsolved(instance, "invalid", f"internal error: {error!r}")
-                yield instance, record
-        finally:
-            client.cancel(list(futures))
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which stops the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> Record:
+    """Say why there is no result; a fault of this program stops one instance, not all."""
+    if isinstance(error, TimeoutError):
+        return unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
+    if isinstance(error, WorkerDiedError):
+        return unsolved(instance, "limit", str(error))
+    return unsolved(instance, "invalid", f"internal error: {error!r}")

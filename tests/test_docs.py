@@ -49,7 +49,8 @@ def name(page: Path) -> str:
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder that looks like the project's, to which nothing is written in the project itself."""
-    (tmp_path / "domains").symlink_to(ROOT / "domains")
+    for folder in ("domains", "docs"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

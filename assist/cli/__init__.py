@@ -8,6 +8,7 @@ person         one person's problem, and the options that describe it
 team           a team, and the options that describe it
 solve          the command `solve`
 simulate       the command `simulate`
+study          the command `study`
 policy         the command `policy`
 bound          the command `bound`
 export         the command `export`
@@ -18,11 +19,19 @@ from __future__ import annotations
 
 import click
 
-from . import bound, export, fit, policy, simulate, solve
+from . import bound, export, fit, policy, simulate, solve, study
 
 
 @click.group(
-    commands=[solve.solve, simulate.simulate, policy.policy, bound.bound, export.export, fit.fit],
+    commands=[
+        solve.solve,
+        simulate.simulate,
+        study.study,
+        policy.policy,
+        bound.bound,
+        export.export,
+        fit.fit,
+    ],
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="kitassist")

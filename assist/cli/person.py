@@ -26,7 +26,7 @@ def person_options(command: Callable[..., None]) -> Callable[..., None]:
     options = (
         click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
         click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
-        click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion."),
+        click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion."),
         click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update."),
         click.option(
             "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."

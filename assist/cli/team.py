@@ -30,7 +30,7 @@ def team_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
         click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
         click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
-        click.option("--c-suggest", type=float, default=0.5, show_default=True, help="Cost of a suggestion."),
+        click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion."),
         click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of moving by a distance of 1."),
         click.option(
             "--travel-time", type=float, default=0.0, show_default=True, help="Steps that a distance of 1 takes."

@@ -1,0 +1,88 @@
+"""The command `study`: an experiment of many pools of people, its statistics, pictures and report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table, progress_bar
+
+
+@click.command()
+@click.option(
+    "--protocol", default="paper", show_default=True, metavar="NAME|FILE.toml",
+    help="A study that comes with the package, or a file of your own.",
+)  # fmt: skip
+@click.option(
+    "--repeats", type=click.IntRange(min=1), metavar="N", help="Pools of people; as the study says unless given."
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+@click.option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`).")
+@click.option(
+    "--out", type=click.Path(file_okay=False, path_type=Path), required=True,
+    help="Folder for episodes, summary, figures and report.",
+)  # fmt: skip
+@click.option("--resume", is_flag=True, help="Keep what --out holds of this study, and run the rest.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
+def study(
+    protocol: str,
+    repeats: int | None,
+    jobs: int,
+    scheduler: str | None,
+    out: Path,
+    resume: bool,
+    as_json: bool,
+) -> None:
+    """Run a whole study: pools of people, teams, policies, conditions; then write its report.
+
+    Without --protocol it is section V of the paper.
+    """
+    from ..protocol import read
+    from ..report import require, write_report
+    from ..running import run_study
+    from ..study import StudyError, check
+
+    with one_line_errors("interrupted; what was finished is kept, --resume continues"):
+        require()
+        try:
+            planned = read(protocol, repeats=repeats)
+            check(planned)
+            with progress_bar("episodes", sum(map(planned.episodes, planned.cells()))) as advance:
+                failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=advance)
+        except StudyError as error:
+            fail(str(error), EXIT_USAGE)
+        for cell, reason in failed:
+            click.echo(f"{cell}: {reason if isinstance(reason, StudyError) else repr(reason)}", err=True)
+        if failed:
+            fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
+        summary = write_report(planned, out)
+    if as_json:
+        print_json(summary)
+    else:
+        _show_headline(summary, out)
+
+
+def _show_headline(summary: dict[str, Any], out: Path) -> None:
+    headline = summary["headline"]
+    instances = headline["instances"]
+    table = Table(box=None, pad_edge=False)
+    table.add_column(f"{headline['policy']} saves, %")
+    columns = {**instances, "together": headline} if len(instances) > 1 else instances
+    for name in columns:
+        table.add_column(name, justify="right")
+    for key, value in headline.items():
+        if isinstance(value, dict) and key != "instances":
+            cells = [_shown(found.get(key)) for found in columns.values()]
+            table.add_row(key.replace("_", " "), *cells)
+    print_table(table)
+    click.echo(f"{summary['repeats']} pools of people, 95 % intervals over pools; the report is {out / 'report.md'}")
+
+
+def _shown(estimate: dict[str, float | None] | None) -> str:
+    if estimate is None:
+        return "-"
+    ends = "" if estimate["low"] is None else f" ({estimate['low']:.1f} to {estimate['high']:.1f})"
+    return f"{estimate['mean']:.1f}{ends}"

@@ -1,0 +1,117 @@
+"""The same work on many things: in processes of this machine, or on a cluster.
+
+`outcomes` hands out the work and gives back what has ended, as it ends.
+"""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, as_completed
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from .errors import MissingExtraError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class WorkerDiedError(RuntimeError):
+    """A process that ended in the middle of its work."""
+
+
+def outcomes(
+    work: Callable[..., Result],
+    items: Sequence[Item],
+    arguments: Sequence[Any] = (),
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    timeout: float | None = None,
+) -> Iterator[tuple[Item, Result | Exception]]:
+    """Give each item with `work(item, *arguments)`, or with the exception that it ended in.
+
+    Parameters
+    ----------
+    work : callable
+        A function of a module, so that other processes find it.
+    items, arguments : sequence
+        What can be pickled.
+    jobs : int
+        Processes of this machine, started anew.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers do it instead. They have to see the same files at the same paths,
+        and run one thread each.
+    timeout : float, optional
+        Seconds after which a process of this machine is stopped; the item then comes with a `TimeoutError`.
+
+    Raises
+    ------
+    MissingExtraError
+        A cluster is asked for, and the extra `cluster` is not installed.
+    """
+    if scheduler is None:
+        return _in_processes(work, items, arguments, jobs, timeout)
+    return _on_cluster(work, items, arguments, scheduler)
+
+
+def _in_processes(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], jobs: int, timeout: float | None
+) -> Iterator[tuple[Item, Result | Exception]]:
+    from pebble import ProcessExpired, ProcessPool
+
+    if not items:
+        return
+    pool = ProcessPool(max_workers=min(jobs, len(items)), context=get_context("spawn"), initializer=_ignore_interrupts)
+    try:
+        futures: dict[Future[Result], Item] = {
+            pool.schedule(work, args=(item, *arguments), timeout=timeout): item for item in items
+        }
+        for future in as_completed(futures):
+            outcome: Any
+            try:
+                outcome = future.result()
+            except ProcessExpired as error:
+                outcome = WorkerDiedError(
+                    f"the worker process died with exit code {error.exitcode}, probably out of memory"
+                )
+            except Exception as error:  # noqa: BLE001  what went wrong with one item is not to stop the others
+                outcome = error
+            yield futures[future], outcome
+        pool.close()  # type: ignore[no-untyped-call]
+    except BaseException:
+        pool.stop()  # type: ignore[no-untyped-call]
+        raise
+    finally:
+        pool.join()
+
+
+def _on_cluster(
+    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], scheduler: str
+) -> Iterator[tuple[Item, Result | Exception]]:
+    try:
+        from distributed import Client, KilledWorker
+        from distributed import as_completed as as_completed_on_cluster
+    except ImportError:
+        raise MissingExtraError("a cluster needs Dask: pip install 'kitassist[cluster]'") from None
+
+    with Client(scheduler) as client:
+        futures = {client.submit(work, item, *arguments, pure=False): item for item in items}
+        try:
+            for future in as_completed_on_cluster(list(futures)):
+                outcome: Any
+                try:
+                    outcome = future.result()
+                except KilledWorker:
+                    outcome = WorkerDiedError("its workers died, probably out of memory")
+                except Exception as error:  # noqa: BLE001  as above
+                    outcome = error
+                yield futures[future], outcome
+        finally:
+            client.cancel(list(futures))
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent, which stops the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

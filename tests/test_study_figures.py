@@ -1,0 +1,347 @@
+from __future__ import annotations
+
+from itertools import combinations, pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from assist import study_figures
+from assist.attention import AttentionSwitching, NoAssistance
+from assist.choices import Choices
+from assist.human import Population
+from assist.pool import Pool, Setting
+from assist.simulate import Trace, simulate
+from assist.study_figures import CATEGORIES, COMPARISONS, LOOKS, PAPER_SAVINGS, Look, looks
+from assist.watching import beliefs_of_episode
+
+POLICIES = ("none", "reactive", "attention", "our-own")
+INSTANCES = ("paper", "paper-fixed")
+
+
+def intervals(rows: list[dict[str, object]], seed: int = 0) -> pd.DataFrame:
+    rng = np.random.default_rng(seed)
+    mean = rng.uniform(5, 25, len(rows))
+    return pd.DataFrame(rows).assign(mean=mean, sd=mean / 3, low=mean - 1.5, high=mean + 2, n=30)
+
+
+@pytest.fixture(scope="module")
+def team_sizes() -> pd.DataFrame:
+    rows = [
+        {"instance": i, "policy": p, "humans": k, "measure": m}
+        for i in INSTANCES for m in ("actions", "interventions") for p in POLICIES for k in (3, 1, 2)
+    ]  # fmt: skip
+    return intervals(rows)
+
+
+@pytest.fixture(scope="module")
+def categories() -> pd.DataFrame:
+    rows = [
+        {"instance": i, "policy": p, "category": c, "measure": m}
+        for i in INSTANCES for m in ("actions", "interventions") for p in POLICIES for c in reversed(CATEGORIES)
+    ]  # fmt: skip
+    return intervals(rows)
+
+
+@pytest.fixture(scope="module")
+def costs() -> pd.DataFrame:
+    rows = [
+        {"instance": "paper", "policy": p, "c_suggest": c, "c_move": c, "actions": a, "interventions": i}
+        for p, points in {
+            "none": [(20.0, 0.0)] * 3,
+            "reactive": [(16.0, 10.0)] * 3,
+            "attention": [(12.0, 9.0), (14.0, 5.0), (19.0, 1.0)],
+        }.items()
+        for c, (a, i) in zip((0.0, 0.5, 4.0), points, strict=True)
+    ]
+    frame = pd.DataFrame(rows)
+    for name in ("actions", "interventions"):
+        frame = frame.assign(**{f"{name}_low": frame[name] - 0.5, f"{name}_high": frame[name] + 0.7})
+    return frame
+
+
+@pytest.fixture(scope="module")
+def pool(tiny_choices: Choices) -> Pool:
+    return Pool.sample(tiny_choices, 4, 0, population=Population(beta=(0.1, 1.5)))
+
+
+def where(frame: pd.DataFrame, **values: str) -> pd.DataFrame:
+    for column, value in values.items():
+        frame = frame[frame[column] == value]
+    return frame
+
+
+def lines_of(axis: Axes, look: Look) -> np.ndarray:
+    """The points of the line, as opposed to those of the markers, that has the look of a policy."""
+    [line] = [one for one in axis.get_lines() if one.get_color() == look.color and one.get_linestyle() != "None"]
+    return np.asarray(line.get_xydata())
+
+
+def bars_of(axis: Axes, color: str) -> list[tuple[float, float]]:
+    """The ends of all vertical bars of a colour."""
+    bars = [bar for bar in axis.collections if isinstance(bar, LineCollection) and to_hex(bar.get_color()[0]) == color]
+    return [(part[0][1], part[1][1]) for bar in bars for part in bar.get_segments()]
+
+
+def words(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text) if text.get_text()]
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[-1].get_texts()]
+
+
+def overlaps(texts: list[Text]) -> list[tuple[str, str]]:
+    boxes = [(text.get_text(), Text.get_window_extent(text)) for text in texts]  # without the line to the point
+    return [(a, b) for (a, one), (b, other) in combinations(boxes, 2) if one.overlaps(other)]
+
+
+def test_a_policy_looks_the_same_in_every_company() -> None:
+    assert looks(["attention", "none"]) == {"none": LOOKS["none"], "attention": LOOKS["attention"]}
+    for name in ("our-own", "bandit"):
+        assert looks([name])[name] == looks(["none", "reactive", "attention", name])[name]
+    assert looks(["b", "a"]) == looks(["a", "b", "a"])
+
+
+@pytest.mark.parametrize("names", [["p1", "p2", "p3", "p4"], ["oracle", "bandit", "random", "mine"]])
+def test_unknown_policies_have_colours_of_their_own(names: list[str]) -> None:
+    found = looks([*LOOKS, *names])
+    assert list(found) == [*LOOKS, *sorted(names)]
+    assert len({look.color for look in found.values()}) == len(found)
+    # Nobody needs to see colours: with every colour goes another marker.
+    assert len({look.marker for look in found.values()}) == len(found)
+
+
+def test_many_unknown_policies_look_different() -> None:
+    assert len(set(looks([f"policy-{n}" for n in range(12)]).values())) == 12
+    assert len(looks([f"policy-{n}" for n in range(40)])) == 40
+
+
+def test_team_sizes_are_drawn_as_given(team_sizes: pd.DataFrame) -> None:
+    figure = study_figures.team_size_figure(team_sizes)
+    panels = iter(figure.axes)
+    for instance in INSTANCES:
+        for measure in ("actions", "interventions"):
+            axis = next(panels)
+            assert measure in axis.get_ylabel()
+            for policy, look in looks(POLICIES).items():
+                own = where(team_sizes, instance=instance, measure=measure, policy=policy)
+                own = own.sort_values("humans")
+                line = lines_of(axis, look)
+                assert np.abs(line[:, 0] - [1, 2, 3]).max() < 0.4
+                np.testing.assert_allclose(line[:, 1], own["mean"])
+                bars = [*zip(own["mean"] - own["sd"], own["mean"] + own["sd"], strict=True)]
+                bars += [*zip(own["low"], own["high"], strict=True)]
+                np.testing.assert_allclose(bars_of(axis, look.color.lower()), bars)
+                assert policy in [text.get_text() for text in axis.texts]
+            assert axis.get_ylim()[0] == 0
+    assert [axis.get_title(loc="left") for axis in figure.axes] == ["paper", "", "paper-fixed", ""]
+    assert any("30 runs" in text for text in legend(figure))
+
+
+def test_names_beside_lines_do_not_cover_each_other(team_sizes: pd.DataFrame) -> None:
+    together = team_sizes.assign(mean=10.0, low=9.0, high=11.0)
+    figure = study_figures.team_size_figure(together)
+    figure.draw_without_rendering()
+    for axis in figure.axes:
+        assert len(axis.texts) == len(POLICIES)
+        assert overlaps(list(axis.texts)) == []
+        assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in axis.texts)
+
+
+def test_categories_are_drawn_as_given_with_the_papers_numbers(categories: pd.DataFrame) -> None:
+    figure = study_figures.category_figure(categories)
+    for number, axis in enumerate(figure.axes):
+        instance, measure = INSTANCES[number // 2], ("actions", "interventions")[number % 2]
+        if number // 2 == 1:  # the axis is shared
+            assert [label.get_text().replace("\n", " ") for label in axis.get_xticklabels()] == list(CATEGORIES)
+        for policy, look in looks(POLICIES).items():
+            own = where(categories, instance=instance, measure=measure, policy=policy)
+            [marks] = [np.asarray(one.get_xydata()) for one in axis.get_lines() if one.get_color() == look.color]
+            drawn = {CATEGORIES[round(x)]: y for x, y in marks}
+            assert drawn == pytest.approx(dict(zip(own["category"], own["mean"], strict=True)))
+        dashed = [np.asarray(one.get_xydata()) for one in axis.get_lines() if one.get_linestyle() == "--"]
+        spans = {y: {CATEGORIES[i] for i in range(4) if x0 < i < x1} for (x0, y), (x1, _) in dashed}
+        assert spans == (
+            {3.86: {c for c in CATEGORIES if "low influence" in c}, 31.685: {"low expertise, high influence"}}
+            if measure == "interventions"
+            else {}
+        )
+        assert measure == "actions" or axis.get_ylim()[1] > 31.685
+    assert "attention in the paper: 3.86, 31.685" in legend(figure)
+    assert set(POLICIES) <= set(legend(figure))
+    assert not any("paper:" in text for text in legend(study_figures.category_figure(categories, ())))
+
+
+def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> None:
+    figure = study_figures.trade_off_figure(costs, PAPER_SAVINGS)
+    [axis] = figure.axes
+    for policy, look in looks(["none", "reactive", "attention"]).items():
+        own = costs[costs["policy"] == policy]
+        np.testing.assert_allclose(lines_of(axis, look), own[["interventions", "actions"]])
+        assert set(zip(own["actions_low"], own["actions_high"], strict=True)) <= set(bars_of(axis, look.color.lower()))
+    stars = [one.get_xydata()[0].tolist() for one in axis.get_lines() if one.get_marker() == "*"]
+    x = 10 * (1 - 0.2594)
+    assert stars == [pytest.approx([x, 20 * (1 - 0.2448)]), pytest.approx([x, 16 * (1 - 0.1235)])]
+    # Costs stand beside the points of the policy that heeds them only.
+    assert sorted(text.get_text() for text in axis.texts) == [
+        "0, 0", "0.5, 0.5", "4, 4", "against none", "against reactive",
+    ]  # fmt: skip
+    without = study_figures.trade_off_figure(costs[costs["policy"] == "attention"], PAPER_SAVINGS)
+    assert not any(one.get_marker() == "*" for one in without.axes[0].get_lines())
+
+
+def test_costs_beside_points_do_not_cover_each_other(costs: pd.DataFrame) -> None:
+    own = costs[costs["policy"] == "attention"]
+    near = [own.assign(policy=f"p{n}", interventions=own["interventions"] + 0.1 * n) for n in range(3)]
+    figure = study_figures.trade_off_figure(pd.concat([costs, *near]))
+    figure.draw_without_rendering()
+    assert len(figure.axes[0].texts) == 12
+    assert overlaps(list(figure.axes[0].texts)) == []
+
+
+def test_each_cost_of_moving_has_a_line(costs: pd.DataFrame) -> None:
+    own = costs[costs["policy"] == "attention"]
+    grid = pd.concat([own.assign(c_move=0.0), own.assign(c_move=1.0, actions=own["actions"] + 1)])
+    [axis] = study_figures.trade_off_figure(grid).axes
+    lines = [one.get_ydata().tolist() for one in axis.get_lines()]
+    assert lines == [[12.0, 14.0, 19.0], [13.0, 15.0, 20.0]]
+
+
+def test_benefits_are_drawn_as_given() -> None:
+    rows = [
+        {"instance": i, "humans": k, "comparison": c} for i in INSTANCES for c in [*COMPARISONS, "x"] for k in (1, 2)
+    ]
+    cells = intervals(rows)
+    cells.loc[cells["comparison"].eq("x") & cells["humans"].eq(2), "mean"] = np.nan
+    figure = study_figures.benefit_figure(cells)
+    for instance, axis in zip(INSTANCES, figure.axes, strict=True):
+        for comparison, look in {**COMPARISONS, **looks(["x"])}.items():
+            own = where(cells, instance=instance, comparison=comparison).dropna()
+            [line, *_] = [one.get_ydata() for one in axis.get_lines() if one.get_color() == look.color]
+            np.testing.assert_allclose(line, own["mean"])
+        stars = {one.get_color(): one.get_ydata()[0] for one in axis.get_lines() if one.get_marker() == "*"}
+        assert stars == {COMPARISONS[name].color: value for name, value in PAPER_SAVINGS.items()}
+    assert not any("paper" in text for text in legend(study_figures.benefit_figure(cells, {})))
+
+
+def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
+    policy, trace = AttentionSwitching(), Trace()
+    [expected] = simulate(pool, policy, humans=2, episodes=[5], seed=3, name="attention", trace=trace)
+    episode, rows = beliefs_of_episode(pool, policy, humans=2, episode=5, seed=3, name="attention")
+    assert episode == expected
+    assert sum(row["suggestion"] for row in rows) == episode.interventions > 0
+    assert [(row["place"], row["step"], row["theta_true"], row["robot_here"]) for row in rows] == [
+        (row["place"], row["step"], row["theta"], row["robot_place"] == row["place"]) for row in trace
+    ]
+    for place in range(2):
+        own = [row for row in rows if row["place"] == place]
+        assert len(own) == episode.actions[place]
+        assert {row["beta_true"] for row in own} == {episode.beta[place]}
+        prior, grid = pool.policies[0].pomdp.prior, pool.policies[0].pomdp.grid
+        first = own[0]
+        assert first["beta_mean"] == pytest.approx(grid.beta @ prior.sum(axis=1))
+        assert first["theta_mean"] == pytest.approx(grid.theta @ prior.sum(axis=0))
+        # Six equally probable values: a twentieth below the first of them, a twentieth above the last.
+        assert (first["beta_low"], first["beta_high"]) == (grid.beta[0], grid.beta[-1])
+        assert all(row["beta_low"] <= row["beta_mean"] <= row["beta_high"] for row in own)
+        assert all(one["beta_mean"] != other["beta_mean"] for one, other in pairwise(own))
+
+
+def test_beliefs_are_those_of_a_filter(pool: Pool) -> None:
+    _, rows = beliefs_of_episode(pool, NoAssistance(), humans=[2], episode=0, seed=0)
+    trace = Trace()
+    simulate(pool, NoAssistance(), humans=[2], episodes=[0], seed=0, trace=trace)
+    pomdp = pool.policies[2].pomdp
+    choices, belief, x = pomdp.model.choices, pomdp.prior[None], pomdp.model.choices.initial
+    for row, action in zip(rows, trace, strict=True):
+        beta = belief[0].sum(axis=1)
+        assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ beta))
+        for end, share in (("beta_low", 0.05), ("beta_high", 0.95)):
+            below, at = pomdp.grid.beta < row[end], pomdp.grid.beta <= row[end]
+            assert beta[below].sum() < share <= beta[at].sum() + 1e-9
+        slots = np.flatnonzero(choices.applicable[x])
+        slot = next(int(s) for s in slots if choices.name(x, int(s)) == action["action"])
+        belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([slot]))
+        x = int(choices.targets[x, slot])
+
+
+def test_what_is_not_known_under_way_leaves_no_hole(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 4, 0, setting=Setting(travel_time=2.0), population=Population(beta=(0.1, 0.3)))
+    episode, rows = beliefs_of_episode(pool, AttentionSwitching(), humans=2, episode=0, seed=0)
+    beliefs = pd.DataFrame(rows)
+    unknown = beliefs["beta_mean"].isna()
+    assert unknown.any()
+    assert not unknown.all()
+    assert beliefs["theta_high"].isna().equals(unknown)
+    figure = study_figures.belief_figure(beliefs, episode)
+    known = beliefs[~unknown & beliefs["place"].eq(0)]
+    np.testing.assert_allclose(figure.axes[0].get_lines()[0].get_xydata(), known[["step", "beta_mean"]])
+
+
+def test_beliefs_are_drawn_beside_the_truth(pool: Pool) -> None:
+    episode, rows = beliefs_of_episode(pool, AttentionSwitching(), humans=3, episode=5, seed=3, name="mine")
+    beliefs = pd.DataFrame(rows)
+    figure = study_figures.belief_figure(beliefs, episode)
+    assert [axis.get_title(loc="left") for axis in figure.axes[::2]] == list(episode.people)
+    for number, axis in enumerate(figure.axes):
+        own, name = beliefs[beliefs["place"] == number // 2], ("beta", "theta")[number % 2]
+        believed, true, told = axis.get_lines()
+        np.testing.assert_allclose(believed.get_xydata(), own[["step", f"{name}_mean"]])
+        np.testing.assert_allclose(true.get_xydata(), own[["step", f"{name}_true"]])
+        assert told.get_xdata().tolist() == own["step"][own["suggestion"]].tolist()
+        assert len(axis.patches) == own["robot_here"].sum()
+        assert axis.get_ylim()[1] > own[[f"{name}_high", f"{name}_true"]].max(axis=None)
+    assert f"Episode {episode.episode} under the policy 'mine'" in words(figure)
+
+
+def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monkeypatch: pytest.MonkeyPatch) -> None:
+    backgrounds = []
+
+    def draw() -> Figure:
+        figure = study_figures.trade_off_figure(costs)
+        backgrounds.append(to_hex(figure.get_facecolor()))
+        return figure
+
+    files = study_figures.save(draw, tmp_path / "new", "costs")
+    assert [file.name for file in files] == ["costs.png", "costs.svg", "costs-dark.png", "costs-dark.svg"]
+    assert sorted(files) == sorted((tmp_path / "new").iterdir())
+    assert all(file.read_bytes().startswith(b"\x89PNG" if file.suffix == ".png" else b"<?xml") for file in files)
+    light, dark = backgrounds
+    assert light == "#ffffff"
+    assert int(dark[1:3], 16) < 50
+    assert dark in files[3].read_text()
+    assert dark not in files[1].read_text()
+
+    before = [file.read_bytes() for file in files]
+    study_figures.save(draw, tmp_path / "new", "costs")
+    assert [file.read_bytes() for file in files] == before
+
+    def broken(_: Figure, path: Path, **how: object) -> None:
+        path.write_text("half of a pic")
+        raise OSError(f"no space for {path} {how}")
+
+    monkeypatch.setattr(Figure, "savefig", broken)
+    with pytest.raises(OSError, match="no space"):
+        study_figures.save(draw, tmp_path / "new", "costs")
+    assert [file.read_bytes() for file in files] == before
+    assert sorted(files) == sorted((tmp_path / "new").iterdir())
+
+
+@pytest.mark.parametrize("figure", ["team_size_figure", "category_figure"])
+def test_legends_fit(figure: str, team_sizes: pd.DataFrame, categories: pd.DataFrame) -> None:
+    cells = team_sizes if figure == "team_size_figure" else categories
+    long = pd.concat([cells.assign(policy=f"a-policy-of-a-rather-long-name-{n}") for n in range(6)])
+    drawn = getattr(study_figures, figure)(long)
+    drawn.draw_without_rendering()
+    box = drawn.legends[0].get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= drawn.bbox.x1
+    assert not any(box.overlaps(axis.get_window_extent()) for axis in drawn.axes)
+    assert len(drawn.legends) == 1
