@@ -22,6 +22,7 @@ pool           the people from whom teams are drawn
 acting         one step of many people, compiled
 simulate       episodes of a team
 bounds         what no team policy exceeds
+joint          a tiny team's problem as a whole, solved between bounds
 watching       what the robot believed in an episode
 log            recorded actions, as a log has them and as the task has them
 fit            beta, theta and eta of a person, from recorded actions

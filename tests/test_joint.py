@@ -1,0 +1,160 @@
+"""A tiny team's problem as a whole: against one person's solver, trees of beliefs, simulation, the team's bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+from conftest import KITTING, table_of
+
+from assist.belief import Grid
+from assist.bounds import upper_bound
+from assist.choices import Choices
+from assist.human import Floats, HumanModel, Population
+from assist.joint import JointBounds, joint_bounds
+from assist.mdp import evaluate, qmdp
+from assist.pomdp import AssistPOMDP
+from assist.pool import Pool, Setting
+from assist.simulate import simulate
+from assist.solver import solve
+from assist.team import NOBODY, Travel
+from assist.visits import Visits
+from planner import Instance
+
+COSTS = [(0.05, 0.1), (0.2, 0.3)]
+"""Of a suggestion, and of moving."""
+
+GAP = 4e-3
+
+
+def pool_of(c_suggest: float, c_move: float, *, initial: int | None = None, seed: int = 0, **options: object) -> Pool:
+    """Two people who are mistaken about the task, and whom the robot knows but for two betas and three thetas."""
+    choices = Choices.of(table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")))
+    if initial is not None:
+        choices = replace(choices, initial=initial)
+    setting = Setting(**{"gamma": 0.95, "c_suggest": c_suggest, "c_move": c_move, **options})  # type: ignore[arg-type]
+    population = Population(sigma=(0.5, 1.0))
+    people = population.sample(choices, 2, np.random.default_rng(seed))
+    grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
+    policies = [
+        qmdp(
+            AssistPOMDP.of(
+                HumanModel.own(choices, human), grid=grid, population=population, gamma=setting.gamma,
+                c_suggest=c_suggest, execute=setting.execute, c_execute=setting.c_execute,
+            )
+        )
+        for human in people
+    ]  # fmt: skip
+    return Pool(setting, tuple(people), tuple(policies), np.arange(2))
+
+
+@cache
+def solved(costs: tuple[float, float]) -> tuple[Pool, JointBounds]:
+    pool = pool_of(*costs)
+    return pool, joint_bounds(pool, gap=GAP)
+
+
+@pytest.mark.parametrize("costs", COSTS)
+@pytest.mark.parametrize("execute", [False, True])
+def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], execute: bool) -> None:
+    pool = pool_of(*costs, execute=execute, c_execute=0.8)
+    alone = pool.policies[0].pomdp
+    joint = joint_bounds(pool, (0,), gap=1e-3)
+    visits = solve(Visits.of(alone, costs[1]).pomdp, gap=1e-3)
+    assert (joint.states, joint.hidden) == (2 * len(alone.robots), 6)
+    assert joint.gap <= 1e-3
+    assert joint.lower <= visits.upper
+    assert joint.upper >= visits.lower
+    assert joint.never == pytest.approx(visits.value_never, abs=1e-3)
+    assert joint.lower > joint.never + 0.5  # helping pays, so that it is looked at
+
+
+@pytest.mark.parametrize("costs", COSTS)
+def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float, float]) -> None:
+    pool, joint = solved(costs)
+    assert joint.gap <= GAP
+    assert joint.never < joint.lower
+    for name in ("none", "reactive", "attention", "priority"):
+        run = simulate(pool, pool.policy(name), humans=[0, 1], episodes=4000, seed=0, world="model")
+        value, error = run.discounted_return.mean(), run.discounted_return.std(ddof=1) / np.sqrt(len(run))
+        assert value <= joint.upper + 4 * error
+        if name == "none":
+            assert abs(value - joint.never) <= 4 * error
+    assert joint.lower <= upper_bound(pool, jobs=1).upper + 1e-9
+
+
+def test_never_helping_is_everybodys_own_value() -> None:
+    pool, joint = solved(COSTS[0])
+    alone = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64), tolerance=1e-7) for p in pool.policies]
+    own = sum(
+        float((value[p.pomdp.model.choices.initial] * p.pomdp.prior).sum())
+        for value, p in zip(alone, pool.policies, strict=True)
+    )
+    assert joint.never == pytest.approx(own, abs=1e-5)
+
+
+def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs: list[Floats], at: int) -> float:
+    """What is best in so many steps, by the whole tree of what may happen, with everybody's `tail` after that."""
+    if depth == 0:
+        return sum(float((value[y] * belief).sum()) for value, y, belief in zip(tail, x, beliefs, strict=True))
+    people, travel = [policy.pomdp for policy in pool.policies], pool.setting.travel(2)
+    best = -np.inf
+    goal = [bool(p.model.choices.goal[y]) for p, y in zip(people, x, strict=True)]
+    robots = [(k, r) for k in range(2) if not goal[k] for r in range(1, people[k].robots[x[k]])]
+    for person, robot in [(NOBODY, 0), *robots]:
+        to = at if person == NOBODY else person
+        value = -travel.c_move * float(travel.distance[at, to])
+        parts = []
+        for k, (p, y, belief) in enumerate(zip(people, x, beliefs, strict=True)):
+            if goal[k]:
+                parts.append([(1.0, 0.0, y, belief)])
+                continue
+            r = robot if k == person else 0
+            slots = np.flatnonzero(p.model.choices.applicable[y])
+            rows = [np.full_like(slots, number) for number in (y, r)]
+            likelihood = np.broadcast_to(p.likelihood(*rows, slots), (len(slots), *belief.shape))
+            chance = np.einsum("abt,bt->a", likelihood, belief)
+            after = p.update(np.tile(belief, (len(slots), 1, 1)), *rows, slots)
+            cost = p.model.choices.costs[y, slots] + p.charge[y, r]
+            parts.append(list(zip(chance, cost, p.model.choices.targets[y, slots], after, strict=True)))
+        for ends in product(*parts):
+            chance = float(np.prod([end[0] for end in ends]))
+            then = tree(pool, tail, depth - 1, tuple(int(e[2]) for e in ends), [e[3] for e in ends], to)
+            value += chance * (pool.setting.gamma * then - sum(float(end[1]) for end in ends))
+        best = max(best, value)
+    return best
+
+
+@pytest.mark.parametrize("costs", [(0.01, 0.02), (0.03, 0.0)])
+def test_a_short_sighted_team_is_worth_what_the_whole_tree_is(costs: tuple[float, float]) -> None:
+    """A step from the goal and with a future of little weight, three steps are nearly all there is."""
+    choices = pool_of(*costs).choices(0)
+    pool = pool_of(*costs, initial=int(np.flatnonzero(choices.h == 1)[0]), gamma=0.3)
+    joint = joint_bounds(pool, gap=1e-5)
+    never = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64)) for p in pool.policies]
+    seen = [qmdp(p.pomdp).value_mdp for p in pool.policies]  # ways that cost nothing
+    x, beliefs = (pool.choices(0).initial,) * 2, [p.pomdp.prior for p in pool.policies]
+    low, high = (tree(pool, tail, 3, x, beliefs, 2) for tail in (never, seen))
+    assert 0 <= high - low < 0.2 * (low - joint.never)  # narrow enough to see what helping is worth
+    assert joint.lower <= high + 1e-9
+    assert joint.upper >= low - 1e-9
+
+
+def test_what_cannot_be_solved_as_a_whole_is_refused() -> None:
+    pool = pool_of(*COSTS[0])
+    with pytest.raises(ValueError, match=r"team of 3: too large .* 37,044 observed and 216 hidden states"):
+        joint_bounds(pool, (0, 1, 0))
+    with pytest.raises(ValueError, match="no time"):
+        joint_bounds(pool, travel=Travel.of(2, travel_time=1.0))
+    with pytest.raises(ValueError, match="shorter than the direct one"):
+        joint_bounds(pool, travel=Travel.of(2, distance=[[0, 1, 3], [1, 0, 1], [3, 1, 0]]))
+    with pytest.raises(ValueError, match="expected as many"):
+        joint_bounds(pool, travel=Travel.of(3))
+
+
+def test_the_search_stops_in_time() -> None:
+    joint = joint_bounds(pool_of(*COSTS[0]), gap=0.0, time_limit=0.3)
+    assert joint.never <= joint.lower <= joint.upper <= 0
