@@ -229,7 +229,7 @@ def simulate(
         if given.ndim > 2 or (given.ndim == 2 and len(given) != len(numbers)):
             raise ValueError(f"teams, shape {given.shape}: expected one row for each of {len(numbers)} episodes")
         places = given.shape[-1]
-        teams = np.array(np.broadcast_to(given, (len(numbers), places)))
+        teams = np.broadcast_to(given, (len(numbers), places))
     travel = travel or pool.setting.travel(places)
     presence = presence or Presence.of(places)
     if len(travel) != places or len(presence.joins) != places:
@@ -291,7 +291,8 @@ class _Run:
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
         shape = (len(numbers), len(travel))
         self.luck, self.on_grid = _Luck(seed, numbers, len(travel)), world == "model"
-        self.people = self.luck.team(len(pool.people)) if teams is None else teams
+        # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
+        self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
         self.groups = [
             _Group.of(pool, group, self.on_grid) if (self.model == group).any() else None
