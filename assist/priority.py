@@ -88,6 +88,11 @@ class Priority:
         robot, holding = np.zeros(team.x.size, dtype=np.int64), np.zeros(len(team.x))
         going = np.full(team.x.size, -np.inf)
         steps = team.travel.steps[team.location][:, :-1].ravel()
+        if HERE + steps.max(initial=0) >= len(self.states[0]):
+            raise ValueError(
+                f"a way of {steps.max()} steps: this policy was made for at most {len(self.states[0]) - 1 - HERE}; "
+                "expected the team's travel in Priority.of"
+            )
         for group, rows in team.groups():
             x, belief = team.known_of(rows)
             states, policy = self.states[group], self.policies[group]

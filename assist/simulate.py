@@ -242,8 +242,11 @@ def simulate(
         own = None if teams is None else teams[start : start + together]
         return _Run(pool, policy, own, chunk, seed, name, travel, presence, world, trace, progress).run()
 
+    starts = range(0, max(1, len(numbers)), together)
+    if jobs == 1:
+        return Episodes.joined([run(start) for start in starts])
     with ThreadPoolExecutor(jobs) as workers:
-        return Episodes.joined(list(workers.map(run, range(0, max(1, len(numbers)), together))))
+        return Episodes.joined(list(workers.map(run, starts)))
 
 
 class _Luck:

@@ -169,3 +169,9 @@ def test_teams_options_that_cannot_be(tmp_path: object) -> None:
         assert result.returncode == 2
         assert complaint in result.stderr
         assert result.stdout == ""
+
+
+def test_the_own_policy_names_a_way_that_it_was_not_made_for(pool: Pool) -> None:
+    far = replace(pool.setting, travel_time=3.0).travel(3)
+    with pytest.raises(ValueError, match="a way of 3 steps: this policy was made for at most 0"):
+        simulate(pool, pool.policy("priority"), humans=3, episodes=1, seed=0, travel=far)

@@ -383,7 +383,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
     def restless(team: TeamState) -> TeamAction:
         return team.act(np.array([rng.choice(np.flatnonzero(row)) for row in team.active]), team.first_optimal())
 
-    inner = restless if name == "restless" else pool.policy(name)
+    inner = restless if name == "restless" else pool.policy(name, travel)
     decided: list[tuple[int, int, int, int]] = []
 
     def watched(team: TeamState) -> TeamAction:
