@@ -392,7 +392,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
     yield "## Does the benefit decline with the number of people?"
     yield (
         f"By how many percentage points {study.focus} saves less with K = {last} than with K = {first}; it declines "
-        "where the whole interval is above 0."
+        "where the whole interval is above 0. Against no assistance the baseline is that of all K together, since alone it "
+        "makes no difference how many others there are."
     )
     yield _table(
         ["instance", "measure", "against", "percentage points less", "declines"],
@@ -471,8 +472,8 @@ def _readings(study: Study, summary: Record) -> Iterator[str]:
         f"{study.reference.source} says that "
         + "; ".join(f"{' and '.join(f'*{name}*' for name in names)} got {mean:g}" for names, mean in targets)
         + f". How these are counted, and several parts of the model, it leaves open. Of {len(readings)} readings these "
-        f"{min(SHOWN_READINGS, len(readings))} come nearest (all are in `summary.json`); *off* is the factor by which "
-        "the means miss the paper's, on average. None was tuned to it."
+        f"{min(SHOWN_READINGS, len(readings))} come nearest (all are in `summary.json`); *off* is by how "
+        "many interventions the means miss the paper's, on average. Nothing was tuned to them."
     )
     head = [
         "Algorithm 1",
@@ -490,7 +491,7 @@ def _readings(study: Study, summary: Record) -> Iterator[str]:
             reading = r["policy"]
         return [
             reading, r["setting"] or "default", _prior(r["prior"]), r["instance"], r["counted"],
-            *(_interval(estimate) for estimate in r["interventions"]), f"× {r['off']:.2f}",
+            *(_interval(estimate) for estimate in r["interventions"]), f"{r['off']:.1f}",
         ]  # fmt: skip
 
     yield _table(head, map(row, readings[:SHOWN_READINGS]))
