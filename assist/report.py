@@ -241,6 +241,8 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _interval(estimate: Record, digits: int = 1) -> str:
+    if estimate["mean"] is None:
+        return "only these get any"
     text = f"{estimate['mean']:.{digits}f}"
     if estimate["low"] is None:
         return text
@@ -392,8 +394,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
     yield "## Does the benefit decline with the number of people?"
     yield (
         f"By how many percentage points {study.focus} saves less with K = {last} than with K = {first}; it declines "
-        "where the whole interval is above 0. Against no assistance the baseline is that of all K together, since alone it "
-        "makes no difference how many others there are."
+        "where the whole interval is above 0. Against no assistance the baseline is that of all K together: it makes no "
+        "difference to those who are alone how many others there are."
     )
     yield _table(
         ["instance", "measure", "against", "percentage points less", "declines"],
@@ -402,6 +404,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
 
 
 def _sign(estimate: Record, at: float = 0.0) -> str:
+    if estimate["mean"] is None:
+        return "yes"
     if estimate["low"] is not None and estimate["low"] > at:
         return "yes"
     if estimate["high"] is not None and estimate["high"] < at:

@@ -225,7 +225,7 @@ def simulate(
         if given.ndim > 2 or (given.ndim == 2 and len(given) != len(numbers)):
             raise ValueError(f"teams, shape {given.shape}: expected one row for each of {len(numbers)} episodes")
         places = given.shape[-1]
-        teams = np.array(np.broadcast_to(given, (len(numbers), places)))
+        teams = np.ascontiguousarray(np.broadcast_to(given, (len(numbers), places)))
     travel = travel or pool.setting.travel(places)
     presence = presence or Presence.of(places)
     if len(travel) != places or len(presence.joins) != places:

@@ -213,7 +213,7 @@ class Found:
                     ]
                     above, below = sides[0].align(sides[1], join="inner")
                     estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
-                    if math.isfinite(estimate.value):
+                    if above.sum() > 0:  # where the others get none, the ratio is no number
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
 
