@@ -394,8 +394,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
     yield "## Does the benefit decline with the number of people?"
     yield (
         f"By how many percentage points {study.focus} saves less with K = {last} than with K = {first}; it declines "
-        "where the whole interval is above 0. Against no assistance the baseline is that of all K together: it makes no "
-        "difference to those who are alone how many others there are."
+        "where the whole interval is above 0. Against no assistance the baseline is that of all K together: to "
+        "those whom nobody helps it makes no difference how many others there are."
     )
     yield _table(
         ["instance", "measure", "against", "percentage points less", "declines"],

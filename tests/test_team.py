@@ -25,7 +25,7 @@ from planner import Table
 
 @pytest.fixture(scope="module")
 def pool(tiny_choices: Choices) -> Pool:
-    return Pool.sample(tiny_choices, 5, seed=3)
+    return Pool.sample(tiny_choices, 5, seed=3, setting=Setting(c_suggest=0.5))
 
 
 def state(
