@@ -10,7 +10,7 @@ import importlib.util
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,20 +166,23 @@ def _of_categories(study: Study) -> Any:
 
 
 def _points(found: Found) -> Iterator[Record]:
-    """Give actions and interventions wherever nothing but costs differs from the first condition."""
+    """Give actions and interventions wherever nothing but costs differs from the first condition, of common pools."""
     study = found.study
     main = dict(study.conditions[0].settings)[found.main["setting"]]
+    arms = []
     for arm, own in found.arms(population=found.main["population"], prior=found.main["prior"]):
         setting = dict(study.condition(arm["condition"]).settings)[arm["setting"]]
-        free = {**asdict(setting), "c_suggest": main.c_suggest, "c_move": main.c_move}
-        if free != asdict(main):
-            continue
+        if replace(setting, c_suggest=main.c_suggest, c_move=main.c_move) == main:
+            arms.append((arm, setting, own))
+    common = set.intersection(*(set(own["repeat"]) for _, _, own in arms))
+    for arm, setting, own in arms:
+        pools = own[own["repeat"].isin(common)]
         for policy in dict.fromkeys(own["policy"]):
             row: Record = {
                 "instance": arm["instance"], "policy": policy, "c_suggest": setting.c_suggest, "c_move": setting.c_move,
             }  # fmt: skip
             for measure in ("actions", "interventions"):
-                estimate = average(own, measure, policy)
+                estimate = average(pools, measure, policy)
                 row |= {measure: estimate.value, f"{measure}_low": estimate.low, f"{measure}_high": estimate.high}
             yield row
 
