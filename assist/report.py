@@ -10,7 +10,7 @@ import importlib.util
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,20 +166,23 @@ def _of_categories(study: Study) -> Any:
 
 
 def _points(found: Found) -> Iterator[Record]:
-    """Give actions and interventions wherever nothing but costs differs from the first condition."""
+    """Give actions and interventions wherever nothing but costs differs from the first condition, of common pools."""
     study = found.study
     main = dict(study.conditions[0].settings)[found.main["setting"]]
+    arms = []
     for arm, own in found.arms(population=found.main["population"], prior=found.main["prior"]):
         setting = dict(study.condition(arm["condition"]).settings)[arm["setting"]]
-        free = {**asdict(setting), "c_suggest": main.c_suggest, "c_move": main.c_move}
-        if free != asdict(main):
-            continue
+        if replace(setting, c_suggest=main.c_suggest, c_move=main.c_move) == main:
+            arms.append((arm, setting, own))
+    common = set.intersection(*(set(own["repeat"]) for _, _, own in arms))
+    for arm, setting, own in arms:
+        pools = own[own["repeat"].isin(common)]
         for policy in dict.fromkeys(own["policy"]):
             row: Record = {
                 "instance": arm["instance"], "policy": policy, "c_suggest": setting.c_suggest, "c_move": setting.c_move,
             }  # fmt: skip
             for measure in ("actions", "interventions"):
-                estimate = average(own, measure, policy)
+                estimate = average(pools, measure, policy)
                 row |= {measure: estimate.value, f"{measure}_low": estimate.low, f"{measure}_high": estimate.high}
             yield row
 
@@ -241,6 +244,8 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def _interval(estimate: Record, digits: int = 1) -> str:
+    if estimate["mean"] is None:
+        return "only these get any"
     text = f"{estimate['mean']:.{digits}f}"
     if estimate["low"] is None:
         return text
@@ -392,7 +397,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
     yield "## Does the benefit decline with the number of people?"
     yield (
         f"By how many percentage points {study.focus} saves less with K = {last} than with K = {first}; it declines "
-        "where the whole interval is above 0."
+        "where the whole interval is above 0. Against no assistance the baseline is that of all K together: to "
+        "those whom nobody helps it makes no difference how many others there are."
     )
     yield _table(
         ["instance", "measure", "against", "percentage points less", "declines"],
@@ -401,6 +407,8 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
 
 
 def _sign(estimate: Record, at: float = 0.0) -> str:
+    if estimate["mean"] is None:
+        return "yes"
     if estimate["low"] is not None and estimate["low"] > at:
         return "yes"
     if estimate["high"] is not None and estimate["high"] < at:
@@ -471,8 +479,8 @@ def _readings(study: Study, summary: Record) -> Iterator[str]:
         f"{study.reference.source} says that "
         + "; ".join(f"{' and '.join(f'*{name}*' for name in names)} got {mean:g}" for names, mean in targets)
         + f". How these are counted, and several parts of the model, it leaves open. Of {len(readings)} readings these "
-        f"{min(SHOWN_READINGS, len(readings))} come nearest (all are in `summary.json`); *off* is the factor by which "
-        "the means miss the paper's, on average. None was tuned to it."
+        f"{min(SHOWN_READINGS, len(readings))} come nearest (all are in `summary.json`); *off* is by how "
+        "many interventions the means miss the paper's, on average. Nothing was tuned to them."
     )
     head = [
         "Algorithm 1",
@@ -490,7 +498,7 @@ def _readings(study: Study, summary: Record) -> Iterator[str]:
             reading = r["policy"]
         return [
             reading, r["setting"] or "default", _prior(r["prior"]), r["instance"], r["counted"],
-            *(_interval(estimate) for estimate in r["interventions"]), f"× {r['off']:.2f}",
+            *(_interval(estimate) for estimate in r["interventions"]), f"{r['off']:.1f}",
         ]  # fmt: skip
 
     yield _table(head, map(row, readings[:SHOWN_READINGS]))

@@ -471,6 +471,8 @@ def _note(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
     for axis, texts in notes.items():
         drawn = [line.get_xydata() for line in axis.get_lines()]
         drawn += [part for bars in axis.collections if isinstance(bars, LineCollection) for part in bars.get_segments()]
+        # An interval of a single pool has no ends.
+        drawn = [points for points in drawn if np.ndim(points) == 2 and np.isfinite(points).all()]
         lines = [axis.transData.transform(points) for points in drawn]
         # Points of all lines, close to each other.
         ink = np.concatenate([np.linspace(start, end, 60) for line in lines for start, end in pairwise(line)] + lines)

@@ -182,6 +182,9 @@ class Found:
                     ends = [
                         paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
                     ]
+                    if against == "none":  # alone, nobody's team matters: all sizes together are the surer baseline
+                        alone = paired(own, measure, against, against)[0]
+                        ends = [(mine, alone) for mine, _ in ends]
                     estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
                     if math.isfinite(estimate.value) and len(sizes) > 1:
                         found.append(
@@ -210,14 +213,14 @@ class Found:
                     ]
                     above, below = sides[0].align(sides[1], join="inner")
                     estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
-                    if math.isfinite(estimate.value):
+                    if above.sum() > 0:  # where the others get none, the ratio is no number
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
 
     def readings(self) -> list[dict[str, Any]]:
         """Compare interventions with the reference's, under each reading of what it leaves open; nearest first.
 
-        `off` is by which factor the means are too high or too low, the geometric mean over the reference's figures.
+        `off` is by how many interventions the means miss the reference's, on average.
         """
         found = []
         targets = () if self.study.reference is None else self.study.reference.interventions
@@ -236,14 +239,14 @@ class Found:
                         statistics.mean(_interventions(part[part["population"].isin(names)], per_person))
                         for names, _ in targets
                     ]
-                    wrong = [abs(math.log(max(m.value, 1e-9) / t)) for m, (_, t) in zip(means, targets, strict=True)]
+                    wrong = [abs(m.value - t) for m, (_, t) in zip(means, targets, strict=True)]
                     found.append(
                         {
                             **family,
                             "policy": policy,
                             "counted": counted,
                             "interventions": [m.record() for m in means],
-                            "off": math.exp(float(np.mean(wrong))),
+                            "off": float(np.mean(wrong)),
                         }
                     )
         return sorted(found, key=lambda reading: reading["off"])

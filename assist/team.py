@@ -179,6 +179,13 @@ class TeamState:
             robot[rows] = self.policies[group].pomdp.first_optimal[self.x.ravel()[rows]]
         return robot.reshape(self.x.shape)
 
+    def cost_to_go(self) -> Floats:
+        """Give each person's exact cost-to-go, shape (N, K); 0 for those who are not active."""
+        h = np.zeros(self.x.size)
+        for group, rows in self.groups():
+            h[rows] = self.policies[group].pomdp.model.choices.h[self.x.ravel()[rows]]
+        return h.reshape(self.x.shape)
+
     def to(self) -> Floats:
         """Give what it costs to go to each person from where the robot is, shape (N, K)."""
         return self.travel.c_move * self.travel.distance[self.location][:, :-1]

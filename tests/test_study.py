@@ -23,7 +23,7 @@ from assist.human import Human, HumanModel, Population, perceived_cost
 from assist.pomdp import AssistPOMDP
 from assist.pool import Pool, Setting
 from assist.protocol import read
-from assist.report import profile
+from assist.report import profile, write_report
 from assist.running import load_study, run_study
 from assist.simulate import simulate
 from assist.study import Study, StudyError, check
@@ -333,6 +333,9 @@ def test_repeats_can_be_added_and_another_study_is_refused(done: tuple[Study, Pa
     out, seen = tmp_path / "out", []
     assert run_study(read(study.file, repeats=1), out, progress=seen.append) == []
     assert sum(seen) == len(load_study(out))
+    first = write_report(read(study.file, repeats=1), out)  # a single pool has no intervals
+    assert first["headline"]["actions_vs_none"]["low"] is None
+    assert "## Sensitivity" in (out / "report.md").read_text()
     assert run_study(study, out, jobs=2, resume=True) == []
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     with pytest.raises(StudyError, match="exists; resume it, or choose another folder"):

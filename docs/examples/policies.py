@@ -7,11 +7,8 @@ from assist.team import NOBODY, TeamAction, TeamState
 
 def furthest_first(team: TeamState) -> TeamAction:
     """Of those whose last action was no progress, help the one who is furthest from the goal."""
-    far = np.full(team.x.shape, -1.0)
-    for group, rows in team.groups():
-        far[rows] = team.policies[group].pomdp.model.choices.h[team.x[rows]]
     robot = team.first_optimal()
-    far[~team.erred | (robot == 0)] = -1.0
+    far = np.where(team.erred & (robot > 0), team.cost_to_go(), -1.0)
     person = np.where(far.max(axis=1) > 0, far.argmax(axis=1), NOBODY)
     return team.act(person, robot)
 
