@@ -5,8 +5,9 @@
     python bench/team.py gap        certified gap against K
     python bench/team.py settings   the own policy against Algorithm 1 in 20 settings
     python bench/team.py fluid      many robots, each for so many people
+    python bench/team.py joint      tiny teams whose whole problem can be solved
 
-Each prints a table and writes it as JSON, and all but `settings` draw a picture, into --out.
+Each prints a table and writes it as JSON, and all but `settings` and `joint` draw a picture, into --out.
 """
 
 from __future__ import annotations
@@ -29,10 +30,13 @@ from rich.console import Console
 from rich.table import Table
 
 from assist.acting import Minds, People, act
+from assist.belief import Grid
 from assist.bounds import upper_bound
 from assist.choices import Choices
-from assist.human import perceived_value
-from assist.mdp import Arrays
+from assist.human import HumanModel, Population, perceived_value
+from assist.joint import joint_bounds
+from assist.mdp import Arrays, qmdp
+from assist.pomdp import AssistPOMDP
 from assist.pool import Pool, Setting
 from assist.priority import Priority
 from assist.simulate import simulate
@@ -43,6 +47,8 @@ from planner import load, sweep
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
 SIZES = (1, 3, 10, 30, 100, 300, 1000)
 COLOURS = {"attention": "#0072B2", "priority": "#D55E00", "none": "#8C8C8C", "reactive": "#E69F00"}
+
+NAMES = ("attention", "priority")
 
 # K, c_suggest, c_move, travel time, and whether the places are on a line (distance 1 between neighbours).
 SETTINGS = [
@@ -280,6 +286,38 @@ def settings(instance: str, seeds: int, episodes: int, out: Path) -> None:
              "its stderr": float(never.std(ddof=1) / np.sqrt(len(never)))}
         )  # fmt: skip
     write(out, "settings", rows, f"priority against attention, {instance}")
+
+
+@main.command()
+@click.option("--time-limit", type=float, default=20.0, show_default=True, help="Seconds for each joint problem.")
+@click.option("--episodes", type=click.IntRange(min=2), default=100_000, show_default=True)
+@out_option
+def joint(time_limit: float, episodes: int, out: Path) -> None:
+    """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare."""
+    choices, population = choices_of("tiny"), Population(sigma=(0.5, 1.0))
+    grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
+    rows = []
+    for c_suggest, c_move, seed in ((0.05, 0.1, 0), (0.2, 0.3, 0), (0.5, 0.5, 0), (0.05, 0.1, 1), (0.2, 0.3, 1)):
+        people = population.sample(choices, 2, np.random.default_rng(seed))
+        pomdps = [
+            AssistPOMDP.of(
+                HumanModel.own(choices, human), grid=grid, population=population, gamma=0.95, c_suggest=c_suggest
+            )
+            for human in people
+        ]
+        setting = Setting(gamma=0.95, c_suggest=c_suggest, c_move=c_move)
+        pool = Pool(setting, tuple(people), tuple(qmdp(pomdp) for pomdp in pomdps), np.arange(2))
+        whole, relaxed = joint_bounds(pool, gap=1e-3, time_limit=time_limit), upper_bound(pool)
+        certified = {name: relaxed.certify(pool.policy(name), name, episodes=episodes) for name in NAMES}
+        row: dict[str, Any] = {"c_suggest": c_suggest, "c_move": c_move, "seed": seed}
+        for name in NAMES:
+            row |= {name: certified[name].value, f"{name} stderr": certified[name].value_stderr}
+        row |= {"joint lower": whole.lower, "joint upper": whole.upper, "bound": relaxed.upper}
+        for name in NAMES:
+            row[f"{name} below joint %"] = 100 * (whole.lower - certified[name].value) / abs(whole.lower)
+        row["bound above joint %"] = 100 * (relaxed.upper - whole.upper) / abs(whole.upper)
+        rows.append(row)
+    write(out, "joint", rows, "The whole problem of two people, tiny.pddl, gamma .95")
 
 
 @main.command()
