@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .attention import NoAssistance
 from .human import Floats
 from .mdp import QMDP, qmdp
 from .pool import Pool
@@ -46,6 +47,8 @@ SAMPLE = 2048
 
 NEGLIGIBLE = 0.01
 """Prices after the last one above this, in cost units, are left out."""
+
+CROWD, LONGEST = 5, 6
 
 BEYOND = 1e-6
 """Episodes are cut off where what may come after is worth less than this share of the first step's largest cost."""
@@ -175,6 +178,14 @@ class _Kind:
         return number / SAMPLE
 
 
+def _window(pool: Pool, team: tuple[int, ...], seed: int) -> int:
+    shortest = max(float(c.h[c.initial]) / float(c.costs[c.applicable].min()) for c in map(pool.choices, team))
+    alone = simulate(pool, NoAssistance(), humans=team, episodes=64, seed=seed, world="model").actions
+    steps = np.arange(math.ceil(LONGEST * shortest))
+    working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
+    return max(math.ceil(2 * shortest), int((working > CROWD).sum()))
+
+
 def upper_bound(
     pool: Pool,
     team: tuple[int, ...] | None = None,
@@ -197,7 +208,8 @@ def upper_bound(
     travel : Travel, optional
         The way between them; that of the setting unless given.
     window : int, optional
-        Prices are looked for on so many steps; twice what the longest task takes at best unless given.
+        Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a crowd, for
+        as long as `CROWD` people would still be at work without a robot, but at most `LONGEST` times that.
     gap : float
         Relative gap to which each person's problem is solved.
     time_limit : float, optional
@@ -212,8 +224,7 @@ def upper_bound(
     travel = travel or pool.setting.travel(len(team))
     gamma, tell = pool.setting.gamma, progress or (lambda *_: None)
     if window is None:
-        shortest = [float(c.h[c.initial]) / float(c.costs[c.applicable].min()) for c in map(pool.choices, team)]
-        window = math.ceil(2 * max(shortest))
+        window = _window(pool, team, seed)
     members = Counter(
         (int(pool.model[person]), float(travel.entry[k]), int(travel.entry_steps[k])) for k, person in enumerate(team)
     )

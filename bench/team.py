@@ -87,7 +87,7 @@ def write(out: Path, name: str, rows: list[dict[str, Any]], title: str) -> None:
     table = Table(*rows[0], title=title)
     for row in rows:
         table.add_row(*(f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
-    Console(width=140).print(table)
+    Console(width=180).print(table)
     out.mkdir(parents=True, exist_ok=True)
     (out / f"{name}.json").write_text(json.dumps(rows, indent=2))
 
@@ -204,17 +204,19 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path) -> None:
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--time-limit", type=float, default=60.0, show_default=True, help="Seconds for each person's problem.")
 @click.option("--gap", type=float, default=5e-4, show_default=True)
+@click.option("--c-suggest", type=float, default=1.0, show_default=True)
 @out_option
 def gap(
     instances: tuple[str, ...], gammas: tuple[float, ...], sizes: tuple[int, ...], own: int, seed: int,
-    time_limit: float, gap: float, out: Path,
+    time_limit: float, gap: float, c_suggest: float, out: Path,
 ) -> None:  # fmt: skip
     """Certify policies of teams of several sizes."""
     rows = []
     for name in instances:
         for gamma in gammas:
             for humans in sizes:
-                pool = pool_of(name, humans, seed, gamma=gamma, knowledge="own" if humans <= own else "exact")
+                knowledge = "own" if humans <= own else "exact"
+                pool = pool_of(name, humans, seed, gamma=gamma, c_suggest=c_suggest, knowledge=knowledge)
                 found = upper_bound(pool, gap=gap, time_limit=time_limit)
                 certified = {
                     label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
@@ -222,7 +224,7 @@ def gap(
                 }
                 best = certified["priority"]
                 rows.append(
-                    {"instance": name, "gamma": gamma, "humans": humans, "upper": found.upper,
+                    {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
                      "attention gap %": certified["attention"].gap_percent,
                      "reactive gap %": certified["reactive"].gap_percent,
