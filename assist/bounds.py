@@ -34,7 +34,7 @@ from .pool import Pool
 from .simulate import simulate
 from .solver import solve
 from .team import TeamAction, TeamPolicy, TeamState, Travel
-from .visits import Visits
+from .visits import HERE, Visits
 
 ROUNDS = 30
 """Times that prices are changed. The last half's mean is taken."""
@@ -48,7 +48,11 @@ SAMPLE = 2048
 NEGLIGIBLE = 0.01
 """Prices after the last one above this, in cost units, are left out."""
 
-CROWD, LONGEST = 5, 6
+CROWD = 5
+"""Prices are looked for while more people than these would be at work without a robot."""
+
+LONGEST = 6
+"""They end after at most so many times what the longest task takes at best."""
 
 BEYOND = 1e-6
 """Episodes are cut off where what may come after is worth less than this share of the first step's largest cost."""
@@ -168,11 +172,12 @@ class _Kind:
             robot = policy.choose(team.x[:, 0], team.belief[:, 0])  # type: ignore[index]
             if team.step < len(price):
                 # On its way the robot has no other choice than to go on.
-                number[team.step] = np.sum((robot > 0) | (visits.position[team.x[:, 0]] > 1))
+                number[team.step] = np.sum((robot > 0) | (visits.position[team.x[:, 0]] > HERE))
             return TeamAction(np.zeros_like(robot), robot)
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.x)))
-        setting = replace(self.pool.setting, c_move=0.0, max_steps=len(price))
+        # The way is part of the problem, so that none is left to the simulation.
+        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=len(price))
         pool = Pool(setting, (human,), (policy,), np.zeros(1, dtype=np.int64))
         simulate(pool, act, humans=[0], episodes=SAMPLE, seed=seed, world="model")
         return number / SAMPLE

@@ -106,6 +106,17 @@ def test_no_policy_exceeds_the_bound(pool: Pool) -> None:
     assert values["none"] < values["attention"]
 
 
+@pytest.mark.parametrize("time", [1.0, 2.0])
+def test_the_bound_holds_where_the_way_takes_time(pool: Pool, time: float) -> None:
+    slow = replace(pool, setting=replace(pool.setting, travel_time=time))
+    found = upper_bound(slow, gap=1e-3)
+    assert found.upper < upper_bound(pool, gap=1e-3).upper  # what it takes is not left out
+    for name in ("attention", "priority"):
+        certificate = found.certify(slow.policy(name), name, episodes=4000)
+        assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
+    assert certificate.gap_percent < 4
+
+
 def test_prices_make_the_bound_tighter(pool: Pool) -> None:
     """Three people, one robot: that it cannot be everywhere is worth something."""
     apart = sum(upper_bound(pool, (person,)).upper for person in range(3))
