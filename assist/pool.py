@@ -21,6 +21,10 @@ from .team import TeamPolicy, Travel
 
 Knowledge = Literal["own", "exact"]
 POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
+"""The names under which `Pool.policy` makes team policies."""
+
+SIMULATED_STATES = 200_000
+"""The largest task on which people are simulated: each person's POMDP takes about 3 KB a state."""
 
 
 @dataclass(frozen=True)

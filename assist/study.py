@@ -26,7 +26,7 @@ from planner import Instance, LimitError, load, sweep
 from .choices import Choices
 from .human import Mixture, Population
 from .mdp import qmdp
-from .pool import Pool, Setting
+from .pool import SIMULATED_STATES, Pool, Setting
 from .simulate import Episodes, simulate
 from .team import TeamPolicy
 
@@ -34,7 +34,6 @@ SCHEMA = 1
 """The version of what `episodes.jsonl` and `summary.json` hold."""
 
 TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
-SIMULATED_STATES = 200_000  # each person's POMDP takes about 3 KB a state
 OF_NO_CONSEQUENCE = {"file", "title", "repeats", "focus", "contrasts", "reference"}  # for what episodes there are
 OWN = "own"
 """The prior that is the population from which people are drawn."""

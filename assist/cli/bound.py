@@ -14,8 +14,9 @@ from rich.table import Table
 
 from planner.solving import versions
 
+from ..pool import POLICIES
 from .console import one_line_errors, print_json, print_table
-from .team import POLICIES, team_of, team_options
+from .team import team_of, team_options
 
 
 @click.command()

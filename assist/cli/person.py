@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from ..pomdp import AssistPOMDP, Suggestions
 
 
-def person_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add the options that say whose problem it is; `person_problem` takes them all."""
-    options = (
+def model_options() -> tuple[Callable[[Callable[..., None]], Callable[..., None]], ...]:
+    """Give the options that say what the robot takes for granted, of a person or of a team."""
+    return (
         click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
         click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
         click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion."),
@@ -38,6 +38,13 @@ def person_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True),
         click.option("--execute", is_flag=True, help="The robot can also do such an action itself."),
         click.option("--c-execute", type=float, default=1.0, show_default=True, help="What that costs."),
+    )  # fmt: skip
+
+
+def person_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say whose problem it is; `person_problem` takes them all."""
+    options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
+        *model_options(),
         range_option("--beta", (0.1, 3.0), "Range of the person's expertise."),
         range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
         click.option(

@@ -6,9 +6,8 @@ import math
 
 from planner import Instance, InstanceError, LimitError, Table, find_instances, load, sweep
 
+from ..pool import SIMULATED_STATES
 from .console import EXIT_FAILED, fail
-
-SIMULATED_STATES = 200_000  # each person's POMDP takes about 3 KB a state
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:

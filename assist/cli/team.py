@@ -13,6 +13,7 @@ import click
 from planner import Instance
 
 from .console import Range, progress_bar, range_option
+from .person import model_options
 from .task import one_instance, table_of
 
 if TYPE_CHECKING:
@@ -20,17 +21,13 @@ if TYPE_CHECKING:
     from ..pool import Pool
     from ..team import Travel
 
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
-
 
 def team_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that say what team it is; `team_of` takes them all."""
-    options = (
+    options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
         click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team."),
         click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
-        click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
-        click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
-        click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion."),
+        *model_options(),
         click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of moving by a distance of 1."),
         click.option(
             "--travel-time", type=float, default=0.0, show_default=True, help="Steps that a distance of 1 takes."
@@ -39,21 +36,10 @@ def team_options(command: Callable[..., None]) -> Callable[..., None]:
             "--distances", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="FILE",
             help="Distances between the K places and the base, which comes last (JSON list of lists); 1 unless given.",
         ),
-        click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update."),
-        click.option(
-            "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."
-        ),
-        click.option(
-            "--lapse", type=float, default=1e-3, show_default=True,
-            help="Weight of a uniform choice in the robot's model.",
-        ),
         click.option(
             "--knowledge", type=click.Choice(["own", "exact"]), default="own", show_default=True,
             help="What the robot knows of people's perceived costs.",
         ),
-        click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True),
-        click.option("--execute", is_flag=True, help="The robot can also do such an action itself."),
-        click.option("--c-execute", type=float, default=1.0, show_default=True, help="What that costs."),
         range_option("--beta", (0.1, 3.0), "Range of people's expertise."),
         range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
