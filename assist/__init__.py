@@ -20,6 +20,7 @@ visits         one person's problem with a robot that comes and goes, at a price
 priority       a team policy of our own
 pool           the people from whom teams are drawn
 acting         one step of many people, compiled
+episodes       what became of simulated episodes
 simulate       episodes of a team
 bounds         what no team policy exceeds
 joint          a tiny team's problem as a whole, solved between bounds

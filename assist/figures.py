@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from planner.errors import MissingExtraError
 from planner.storage import atomic
 
-from .simulate import Episode, Trace
+from .episodes import Episode, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

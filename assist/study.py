@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 from planner import Instance, LimitError, load, sweep
 
 from .choices import Choices
+from .episodes import Episodes
 from .human import Mixture, Population
 from .mdp import qmdp
 from .pool import SIMULATED_STATES, Pool, Setting
-from .simulate import Episodes, simulate
+from .simulate import simulate
 from .team import TeamPolicy
 
 SCHEMA = 1

@@ -18,9 +18,9 @@ import numpy as np
 
 from planner.storage import atomic
 
+from .episodes import Episode
 from .figures import BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION, require
 from .human import Floats
-from .simulate import Episode
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

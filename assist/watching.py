@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from .episodes import Episode, Trace
 from .human import Floats
 from .pool import Pool
-from .simulate import Episode, Presence, Trace, World, simulate
+from .simulate import Presence, World, simulate
 from .team import TeamAction, TeamPolicy, TeamState, Travel
 
 ENDS = (0.05, 0.95)

@@ -16,7 +16,7 @@ ORDER = [
     "assist.choices", "assist.human", "assist.belief", "assist.archive", "assist.pomdp", "assist.region",
     "assist.mdp", "assist.vectors", "assist.search", "assist.envelope", "assist.solver", "assist.exchange",
     "assist.team", "assist.attention", "assist.visits", "assist.priority", "assist.pool", "assist.acting",
-    "assist.simulate", "assist.watching", "assist.bounds", "assist.joint",
+    "assist.episodes", "assist.simulate", "assist.watching", "assist.bounds", "assist.joint",
     "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
     "assist.profile", "assist.figures", "assist.fit_figures", "assist.study_figures",
     "assist.statistics", "assist.study", "assist.protocol", "assist.running", "assist.summary", "assist.report",

@@ -15,9 +15,10 @@ from matplotlib.text import Text
 from assist import study_figures
 from assist.attention import AttentionSwitching, NoAssistance
 from assist.choices import Choices
+from assist.episodes import Trace
 from assist.human import Population
 from assist.pool import Pool, Setting
-from assist.simulate import Trace, simulate
+from assist.simulate import simulate
 from assist.study_figures import CATEGORIES, COMPARISONS, LOOKS, PAPER_SAVINGS, Look, looks
 from assist.watching import beliefs_of_episode
 

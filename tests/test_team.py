@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from assist.acting import Minds, People, act
 from assist.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.choices import Choices
+from assist.episodes import Episodes, Trace, illustrative, summarise
 from assist.human import HumanModel, Population, choice, influence, lapse, perceived_value, trust
 from assist.mdp import Arrays, evaluate
 from assist.pomdp import AssistPOMDP
 from assist.pool import POLICIES, Pool, Setting
-from assist.simulate import BLOCK, Episodes, Presence, Trace, illustrative, simulate, summarise
+from assist.simulate import BLOCK, Presence, simulate
 from assist.team import BASE, NOBODY, TeamAction, TeamState, Travel
 from planner import Table
 

@@ -63,7 +63,8 @@ def simulate(
     from planner import storage
 
     from .. import figures
-    from .. import simulate as simulation
+    from ..episodes import Episodes, Trace, illustrative, summarise
+    from ..simulate import simulate as run_episodes
 
     humans, seed = team["humans"], team["seed"]
     with one_line_errors():
@@ -74,11 +75,11 @@ def simulate(
         size = size or max(12, humans)
         made = team_of(instance, size=size, **team)
         pool = made.pool
-        results: list[simulation.Episodes] = []
-        steps: simulation.Trace = []
-        run = partial(simulation.simulate, pool, humans=humans, seed=seed, travel=made.travel)
+        results: list[Episodes] = []
+        steps: Trace = []
+        run = partial(run_episodes, pool, humans=humans, seed=seed, travel=made.travel)
         for name in dict.fromkeys(names):
-            traced: simulation.Trace | None = [] if trace else None
+            traced: Trace | None = [] if trace else None
             with progress_bar(f"simulating {name}", episodes) as advance:
                 results.append(
                     run(pool.policy(name, made.travel), episodes=episodes, name=name, trace=traced, progress=advance)
@@ -86,8 +87,8 @@ def simulate(
             steps += traced or []
         if figure:
             alone = run(pool.policy("none"), episodes=episodes)
-            shown = simulation.illustrative(results[-1], alone)
-            pictured: list[simulation.Trace] = [[], []]
+            shown = illustrative(results[-1], alone)
+            pictured: list[Trace] = [[], []]
             for name, trace_of in zip((names[-1], "none"), pictured, strict=True):
                 run(pool.policy(name, made.travel), episodes=[shown.episode], trace=trace_of)
             figures.save(
@@ -97,7 +98,7 @@ def simulate(
             storage.write_records(out, (episode.record() for result in results for episode in result))
         if trace:
             storage.write_records(trace, steps)
-    summaries = [simulation.summarise(result) for result in results]
+    summaries = [summarise(result) for result in results]
     if as_json:
         document = {
             "instance": str(made.instance.problem),
