@@ -254,7 +254,7 @@ class _Search:
             np.empty((search.DEPTH, robots), dtype=bool), np.empty((search.DEPTH, robots, slots)),
             np.empty((search.DEPTH, robots, slots, size)), np.empty((search.DEPTH, robots, slots)),
         )  # fmt: skip
-        self.fineness = np.array([0.1, 0.01])  # as `search.trials` has it; refined where nothing more is found
+        self.fineness = np.array([0.001, 0.01])  # as `search.trials` has it; refined where nothing more is found
 
     def begin(self, robot: NDArray[np.int64], max_sweeps: int = 100_000) -> float:
         """Add the vectors of a policy that looks only at x; return its value at the root."""
