@@ -94,8 +94,9 @@ class AttentionSwitching:
             for group, rows in team.groups():
                 x, belief = team.known_of(rows)
                 reference.reshape(-1)[rows] = np.einsum("nbt,nbt->n", self.never[group][x], belief)
+        worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # a maximum over so few takes numpy longer
         # Nothing is worth infinitely little to those who are not there.
-        score = np.subtract(q.max(axis=2), reference, out=np.full(team.x.shape, -np.inf), where=team.active)
+        score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
         # Doing nothing is no reason to go anywhere, however much better than never helping again it is.
         score[robot == 0] = -np.inf
         return robot, score - team.to()

@@ -190,6 +190,9 @@ class _Run:
             _Group.of(pool, group, self.on_grid) if (self.model == group).any() else None
             for group in range(len(pool.policies))
         ]
+        # Each person is of one group, and has row 0 in the others.
+        row = np.sum([group.row for group in self.groups if group is not None], axis=0)
+        self.who = row[self.people].reshape(-1)
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
@@ -253,13 +256,14 @@ class _Run:
             luck[running, :, kind - 1] = self.luck.draw(kind, running)
         # Views: people are changed in place.
         belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
+        people = People(
+            self.x.reshape(-1), robot.reshape(-1), self.who, self.beta.reshape(-1), self.theta.reshape(-1),
+            luck.reshape(-1, 2), belief, slot, spent, self.erred.reshape(-1),
+        )  # fmt: skip
+        model = self.model.ravel()[flat]
         for group in self.groups:
             if group is not None:
-                rows = flat if len(self.groups) == 1 else flat[self.model.ravel()[flat] == group.number]
-                people = People(
-                    self.x.reshape(-1), robot.ravel(), group.row[self.people.ravel()], self.beta.reshape(-1),
-                    self.theta.reshape(-1), luck.reshape(-1, 2), belief, slot, spent, self.erred.reshape(-1),
-                )  # fmt: skip
+                rows = flat if len(self.groups) == 1 else flat[model == group.number]
                 act(rows, people, group.minds, group.arrays)
                 self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
         cost = spent.reshape(self.x.shape)
