@@ -10,12 +10,14 @@ import importlib.util
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.errors import MissingExtraError
 from planner.storage import atomic
+from planner.workers import outcomes
 
 from . import figures
 from .running import PROFILE, load_study
@@ -47,16 +49,29 @@ def require() -> None:
             raise MissingExtraError(f"reports need {package}: pip install 'kitassist[study]'")
 
 
-def write_report(study: Study, folder: Path) -> Record:
-    """Write `summary.json`, the pictures, `report.md` and `report.html` beside a study's results; give the summary."""
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the report: its file's name, what it shows, and what draws it."""
+
+    name: str
+    text: str
+    figure: Callable[[], Figure]
+
+
+def write_report(study: Study, folder: Path, *, jobs: int = 1) -> Record:
+    """Write `summary.json`, the pictures, `report.md` and `report.html` beside a study's results; give the summary.
+
+    With several `jobs` pictures are drawn in as many processes.
+    """
     import markdown
 
     found = Found(study, load_study(folder))
     summary = found.summary()
     with atomic(folder / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    pictures = _pictures(found, summary, folder / FIGURES)
-    text = "\n\n".join(_sections(found, summary, pictures)) + "\n"
+    pictures = list(_pictures(found, summary))
+    _draw_all(pictures, folder / FIGURES, jobs)
+    text = "\n\n".join(_sections(found, summary, {each.name: each.text for each in pictures})) + "\n"
     with atomic(folder / "report.md") as path:
         path.write_text(text, encoding="utf-8")
     body = PICTURE.sub(_picture, markdown.markdown(text, extensions=["tables"]))
@@ -92,24 +107,34 @@ def _picture(found: re.Match[str]) -> str:
     return f'<picture>{dark}<img alt="{text}" src="{name}.svg"></picture>'
 
 
-def _pictures(found: Found, summary: Record, folder: Path) -> dict[str, str]:
-    """Draw what the study has data for; give each picture's name and what it shows."""
+def _draw_all(pictures: Sequence[Picture], folder: Path, jobs: int) -> None:
+    if jobs == 1:
+        for picture in pictures:
+            _draw(picture, folder)
+        return
+    for _, outcome in outcomes(_draw, pictures, (folder,), jobs=jobs):
+        if isinstance(outcome, Exception):
+            raise outcome
+
+
+def _draw(picture: Picture, folder: Path) -> None:
+    from . import study_figures
+
+    study_figures.save(picture.figure, folder, picture.name)
+
+
+def _pictures(found: Found, summary: Record) -> Iterator[Picture]:
+    """Give the pictures for which the study has data."""
     import pandas as pd
 
     from . import study_figures as draw
 
     study = found.study
-    drawn: dict[str, str] = {}
-
-    def save(name: str, text: str, figure: Callable[[], Figure]) -> None:
-        draw.save(figure, folder, name)
-        drawn[name] = text
-
     cells = pd.DataFrame(_measured(cell for cell in summary["cells"] if found.main.items() <= cell.items()))
-    save(
+    yield Picture(
         "team-size",
         "Human actions and interventions against the number of people",
-        lambda: draw.team_size_figure(cells),
+        partial(draw.team_size_figure, cells),
     )
     benefit = pd.DataFrame(
         {**row, "comparison": f"{row['measure']} against {row['against']}"}
@@ -117,17 +142,19 @@ def _pictures(found: Found, summary: Record, folder: Path) -> dict[str, str]:
         if row["humans"] is not None and row["policy"] == study.focus
     )
     if len(benefit) and len(set(benefit["humans"])) > 1:
-        save("benefit", f"What {study.focus} saves, against the number of people", lambda: draw.benefit_figure(benefit))
+        text = f"What {study.focus} saves, against the number of people"
+        yield Picture("benefit", text, partial(draw.benefit_figure, benefit))
     categories = pd.DataFrame(_categories(found))
     if len(categories):
-        save("categories", "Interventions and actions of kinds of people", lambda: draw.category_figure(categories))
+        text = "Interventions and actions of kinds of people"
+        yield Picture("categories", text, partial(draw.category_figure, categories))
     points = pd.DataFrame(_points(found))
     if len(points) and len(points[["c_suggest", "c_move"]].drop_duplicates()) > 1:
         paper = draw.PAPER_SAVINGS if study.reference and study.reference.headline else None
-        save("trade-off", "Actions against interventions as costs vary", lambda: draw.trade_off_figure(points, paper))
-    beliefs, episode = _one_episode(found)
-    save("belief", "What the robot believes in the course of one episode", lambda: draw.belief_figure(beliefs, episode))
-    return drawn
+        text = "Actions against interventions as costs vary"
+        yield Picture("trade-off", text, partial(draw.trade_off_figure, points, paper))
+    text = "What the robot believes in the course of one episode"
+    yield Picture("belief", text, partial(draw.belief_figure, *_one_episode(found)))
 
 
 def _measured(cells: Iterable[Record]) -> Iterator[Record]:

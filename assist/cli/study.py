@@ -58,7 +58,7 @@ def study(
             click.echo(f"{cell}: {reason if isinstance(reason, StudyError) else repr(reason)}", err=True)
         if failed:
             fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
-        summary = write_report(planned, out)
+        summary = write_report(planned, out, jobs=jobs)
     if as_json:
         print_json(summary)
     else:
