@@ -312,8 +312,11 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
     residual = 0.0
     for x in order:
         _row(q, expected, mean, other, value, x, b, robot[x], m)
+        first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robots[x])
         for t in range(thetas):
-            best = q[robot[x], t] if robot[x] >= 0 else q[: m.robots[x], t].max()
+            best = q[first, t]
+            for r in range(first + 1, end):
+                best = max(best, q[r, t])
             residual = max(residual, abs(best - value[x, b, t]))
             value[x, b, t] = best
     return residual

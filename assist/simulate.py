@@ -8,7 +8,7 @@ the same luck (common random numbers), and results do not depend on how episodes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
@@ -260,12 +260,9 @@ class _Run:
             self.x.reshape(-1), robot.reshape(-1), self.who, self.beta.reshape(-1), self.theta.reshape(-1),
             luck.reshape(-1, 2), belief, slot, spent, self.erred.reshape(-1),
         )  # fmt: skip
-        model = self.model.ravel()[flat]
-        for group in self.groups:
-            if group is not None:
-                rows = flat if len(self.groups) == 1 else flat[model == group.number]
-                act(rows, people, group.minds, group.arrays)
-                self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
+        for group, rows in self._by_group(self.model.reshape(-1), active.reshape(-1)):
+            act(rows, people, group.minds, group.arrays)
+            self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
         cost = spent.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
@@ -299,11 +296,9 @@ class _Run:
         self.moves[teams] += origin != to
         self.location[teams] = to
         robot[teams, to] = does
-        for group in self.groups:
-            if group is not None:
-                rows = np.flatnonzero((does > 0) & (self.model[teams, to] == group.number))
-                at = (teams[rows], to[rows])
-                charged[at] += group.arrays.charge[self.x[at], does[rows]]
+        for group, rows in self._by_group(self.model[teams, to], does > 0):
+            at = (teams[rows], to[rows])
+            charged[at] += group.arrays.charge[self.x[at], does[rows]]
         self.helped[teams, to] += does > 0
         return robot, charged
 
@@ -324,14 +319,21 @@ class _Run:
             raise ValueError(f"step {step}: the policy goes to a person who has finished or is not there")
         if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
             raise ValueError(f"step {step}: the policy speaks to a person before the robot has arrived")
-        for group in self.groups:
-            if group is not None:
-                rows = self.model[teams, to] == group.number
-                count = group.arrays.robots[self.x[teams, to][rows]]
-                if ((robot[rows] < 0) | (robot[rows] >= count)).any():
-                    raise ValueError(
-                        f"step {step}: the policy makes a suggestion that the person's state does not have"
-                    )
+        for group, rows in self._by_group(self.model[teams, to], robot != 0):
+            count = group.arrays.robots[self.x[teams[rows], to[rows]]]
+            if ((robot[rows] < 0) | (robot[rows] >= count)).any():
+                raise ValueError(f"step {step}: the policy makes a suggestion that the person's state does not have")
+
+    def _by_group(
+        self, model: NDArray[np.int64], among: NDArray[np.bool_]
+    ) -> Iterator[tuple[_Group, NDArray[np.int64]]]:
+        """Give each group that somebody is of, and the numbers of those people, of the people `among`."""
+        numbers = np.flatnonzero(among)
+        own = model[numbers]
+        for number in np.unique(own).tolist():
+            group = self.groups[number]
+            assert group is not None  # somebody is of it
+            yield group, numbers[own == number]
 
     def _record(
         self,

@@ -366,6 +366,7 @@ def save(figure_of: Callable[[], Figure], folder: Path, name: str) -> list[Path]
                 files.append(folder / f"{name}{suffix}{ending}")
                 with atomic(files[-1]) as path:
                     figure.savefig(path, dpi=150, metadata=metadata)
+                figure.set_layout_engine("none")  # laid out once; that takes a third of the time
     return files
 
 
