@@ -116,7 +116,7 @@ def qmdp(
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
     if above is not None:
         value = np.minimum(value, above)
-    arrays, order = Arrays.of(pomdp), _order(pomdp)
+    arrays, order = Arrays.of(pomdp), sweep_order(pomdp)
     if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
         raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
     betas, thetas = pomdp.grid.shape
@@ -157,7 +157,7 @@ def evaluate(
         value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
     if silent and active.sum() <= DIRECT:
         value[active] = _alone_for_ever(arrays, active)[:, :, None]
-    _converge(value, _order(pomdp), robot, arrays, tolerance, max_sweeps)
+    _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps)
     value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 
@@ -186,7 +186,8 @@ def _alone_for_ever(m: Arrays, active: NDArray[np.bool_]) -> Floats:
     return value
 
 
-def _order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
+def sweep_order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
+    """Give the states of a problem in an order in which most of what can follow a state comes before it."""
     if pomdp.order is not None:
         return pomdp.order
     states = np.flatnonzero(~pomdp.final)

@@ -15,7 +15,8 @@ the end: any that keep the two conditions give a bound. So the bound that the se
 
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
-`trials` improves both. `solver` says in what order, and hands the result on. All compiled functions of the search are
+`trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
+the result on. All compiled functions of the search are
 in this one file, since numba keeps compiled code for as long as the file of the function itself is unchanged.
 """
 
@@ -591,12 +592,11 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
         short = min(len(plans.robot) - plans.space[0], len(hull.drop) - hull.space[0]) < len(path.state)
         if gap <= enough or short:
             break
-        path.state[0], path.belief[0] = x0, prior
+        path.state[0] = x0
+        _begin(0, prior, q, path, m)
         depth, target, reach, cut = 0, TARGET * gap, 1.0, False
         while True:
-            x, belief = path.state[depth], path.belief[depth]
-            for r in range(m.robots[x]):
-                path.q[depth, r], path.known[depth, r] = dot(q[x, r], belief), False
+            x = path.state[depth]
             r = _promising(depth, work, room, path, hull, m)
             path.robot[depth] = r
             place = m.place[x, r]
@@ -623,8 +623,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             depth += 1
             path.state[depth] = m.targets[place, chosen]
             path.bound[depth] = path.child[depth - 1, r, chosen] / chance
-            for h in range(len(prior)):
-                path.belief[depth, h] = path.after[depth - 1, r, chosen, h] / chance
+            _begin(depth, path.after[depth - 1, r, chosen] / chance, q, path, m)
         improved, lowered = False, 0.0
         for d in range(depth, -1, -1):
             x, belief = path.state[d], path.belief[d]
@@ -656,3 +655,61 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             fineness[1 if cut else 0] *= 0.1
         done += depth + 1
     return done
+
+
+@numba.njit(cache=True, nogil=True)
+def renew(start, order, step, backups, path, plans, hull, q, m):
+    """Back up every belief of the hull and every vector in use again, from `order[start]` on.
+
+    What a trial found rests on what was known then, and most of it is not on the way of any later trial. Return where
+    to go on, after so many backups or when room is short, and how many there were.
+    """
+    size = hull.corner.shape[1]
+    work, room = np.empty((3, size)), new_room(size)
+    slots = m.targets.shape[1]
+    picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
+    done = 0
+    for at in range(start, len(order)):
+        x = order[at]
+        if hull.head[x] == NONE:  # no trial has been there
+            continue
+        short = len(plans.robot) - plans.space[0] < plans.live[x]
+        if done >= backups or short:
+            return at, done
+        path.state[0] = x
+        i = hull.head[x]
+        while i >= 0:
+            belief = hull.belief[i]
+            _begin(0, belief, q, path, m)
+            value = path.q[0, _promising(0, work, room, path, hull, m)]
+            value += 2 * ROUNDING * abs(value)
+            hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
+            i = hull.after[i]
+            done += 1
+        used, i = np.empty(plans.live[x], np.int64), plans.head[x]
+        for k in range(len(used)):
+            used[k], i = i, plans.after[i]
+        for i in used:
+            if plans.state[i] != x:  # one of those before has shown it to be superfluous
+                continue
+            _begin(0, plans.witness[i], q, path, m)
+            best, robot = -np.inf, NONE
+            for r in range(m.robots[x]):
+                value = _look_down(0, r, work, path, picked, plans, m)
+                if value > best:
+                    best, robot = value, r
+                    kept[:] = picked
+            if best > lower(x, path.belief[0], plans)[0] + step + 4 * ROUNDING * abs(best):
+                _plan(x, robot, kept, vector, plans, m)
+                add_plan(x, robot, vector, path.belief[0], plans)
+            done += 1
+    return len(order), done
+
+
+@numba.njit(cache=True)
+def _begin(d, belief, q, path, m):
+    """Put a belief on the path, with what is known of each robot action before its children are looked at."""
+    x = path.state[d]
+    path.belief[d] = belief
+    for r in range(m.robots[x]):
+        path.q[d, r], path.known[d, r] = dot(q[x, r], belief), False

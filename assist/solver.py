@@ -12,7 +12,9 @@ over beliefs of B * T numbers.
 
 A trial walks from the initial state and the prior through the most promising robot action to the child that
 contributes most to the gap, until the gap there is small or hardly anybody gets there, and backs both bounds up on the
-way home.
+way home. What is off the way of later trials would stay as it was first found: so after as many backups as there are
+beliefs above, all of these and all vectors below are backed up again, in the order in which the task ends (as
+point-based value iteration does: Pineau, Gordon and Thrun, 2003).
 
 Both bounds hold in floating point too: whatever is stored is moved outwards by `mdp.ROUNDING`. They are bounds of
 the problem on its grid of beta and theta, and to someone who acts in steps as `AssistPOMDP` has them.
@@ -31,7 +33,7 @@ from numpy.typing import NDArray
 
 from . import archive, envelope, search
 from .human import Floats
-from .mdp import QMDP, ROUNDING, Arrays, evaluate, qmdp
+from .mdp import QMDP, ROUNDING, Arrays, evaluate, qmdp, sweep_order
 from .pomdp import AssistPOMDP
 from .vectors import VectorPolicy
 
@@ -194,6 +196,7 @@ def solve(
     lower, upper = -np.inf, np.inf
     begun = time.perf_counter()
     work.trials(x0, prior, np.inf)  # no trial, but compiled code
+    work.renew(0.0)
     start += time.perf_counter() - begun
     while True:
         # A bound that has been proven remains proven, should the search lose sight of it.
@@ -211,7 +214,7 @@ def solve(
             stopped = "memory"
             break
         going_on = work.fineness[0] >= FINEST and upper - lower > smallest
-        done = work.trials(x0, prior, gap * abs(lower)) if going_on else 0
+        done = work.improve(x0, prior, gap * abs(lower), upper - lower) if going_on else 0
         if not done:
             stopped = "stalled"
             break
@@ -254,6 +257,8 @@ class _Search:
             np.empty((search.DEPTH, robots), dtype=bool), np.empty((search.DEPTH, robots, slots)),
             np.empty((search.DEPTH, robots, slots, size)), np.empty((search.DEPTH, robots, slots)),
         )  # fmt: skip
+        self.order = sweep_order(pomdp)
+        self.place, self.since = len(self.order), 0  # of a renewal in the order; and backups of trials since the last
         self.fineness = np.array([0.001, 0.01])  # as `search.trials` has it; refined where nothing more is found
 
     def begin(self, robot: NDArray[np.int64], max_sweeps: int = 100_000) -> float:
@@ -274,10 +279,11 @@ class _Search:
         limit = np.inf if memory_limit_mb is None else memory_limit_mb * 1e6
         if self.memory() > limit:
             return False
+        needed = max(search.DEPTH, int(self.plans.live.max()))
         for name in ("plans", "hull"):
             store = getattr(self, name)
             capacity = len(store.after)
-            if capacity - store.space[0] > search.DEPTH:
+            if capacity - store.space[0] > needed:
                 continue
             growing = [
                 field for field in store._fields if len(getattr(store, field)) == capacity and field not in FIXED
@@ -297,6 +303,24 @@ class _Search:
     def memory(self) -> int:
         """Give the bytes that vectors and beliefs take."""
         return sum(array.nbytes for store in (self.plans, self.hull) for array in store)
+
+    def improve(self, x: int, belief: Floats, target: float, gap: float) -> int:
+        """Do some backups, and return how many: of trials, and of all there is once trials have done as many."""
+        if self.place == len(self.order) and self.since > self.hull.space[0]:
+            self.place = self.since = 0
+        done = self.renew(self.fineness[0] * gap)
+        if done:
+            return done
+        done = self.trials(x, belief, target)
+        self.since += done
+        return done
+
+    def renew(self, step: float) -> int:
+        """Go on with backing everything up again; gains up to `step` are no reason for another vector."""
+        self.place, done = search.renew(
+            self.place, self.order, step, BACKUPS, self.path, self.plans, self.hull, self.q, self.arrays
+        )
+        return done
 
     def trials(self, x: int, belief: Floats, target: float) -> int:
         """Improve the bounds by some trials."""

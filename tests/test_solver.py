@@ -28,7 +28,7 @@ from assist.human import (
 )  # fmt: skip  # isort: skip
 from assist.mdp import evaluate, qmdp
 from assist.pomdp import AssistPOMDP, Policy
-from assist.solver import Solution, relative_gap, solve
+from assist.solver import Solution, _Search, relative_gap, solve
 from planner import Instance, Table
 
 
@@ -428,6 +428,40 @@ def test_bounds_tighten_until_the_gap_is_reached() -> None:
     assert (again.lower, again.upper, again.backups) == (solution.lower, solution.upper, solution.backups)
     np.testing.assert_array_equal(again.policy.vectors, solution.policy.vectors)
     np.testing.assert_array_equal(again.drop, solution.drop)
+
+
+def test_backing_everything_up_again_tightens_both_bounds() -> None:
+    pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
+    better, best = solve(pomdp, gap=2e-3), qmdp(pomdp)
+    work = _Search(pomdp, best)
+    work.begin(np.zeros(len(pomdp.robots), dtype=np.int64))
+    start, prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
+    for _ in range(4):
+        assert work.make_room(None)
+        work.trials(start, prior, 0.0)
+
+    def found() -> Solution:
+        none = dict.fromkeys(("lower", "upper", "value_qmdp", "value_never", "value_always", "seconds"), 0.0)
+        return work.solution(**none, backups=0, stopped="")
+
+    before = found()
+    work.place, done = 0, 0
+    while work.place < len(work.order):
+        assert work.make_room(None)
+        done += work.renew(0.0)
+    after = found()
+    assert done >= len(before.point)
+    np.testing.assert_array_equal(after.point, before.point)
+    assert (after.drop <= before.drop).all()
+    assert (after.drop < before.drop - 1e-6).mean() > 0.5
+    x, belief = some_beliefs(before, 0, 200)
+    size = 1e-9 * np.abs(before.value(x, belief))
+    assert (before.value(x, belief) <= after.value(x, belief) + size).all()
+    assert (after.value(x, belief) <= better.upper_bound(x, belief) + size).all()
+    assert (better.value(x, belief) <= after.upper_bound(x, belief) + size).all()
+    assert (after.upper_bound(x, belief) <= before.upper_bound(x, belief) + size).all()
+    assert after.value(x, belief).mean() > before.value(x, belief).mean()
+    assert after.upper_bound(x, belief).mean() < before.upper_bound(x, belief).mean()
 
 
 def test_limits_stop_the_search() -> None:
