@@ -36,11 +36,11 @@ from .solver import solve
 from .team import TeamAction, TeamPolicy, TeamState, Travel
 from .visits import HERE, Visits
 
-ROUNDS = 30
+ROUNDS = 40
 """Times that prices are changed. The last half's mean is taken."""
 
-STEP = 0.3
-"""What a price changes by in the first round, in cost units."""
+STEP = 0.5
+"""What a price changes by in the first round, at most, in cost units."""
 
 SAMPLE = 2048
 """Simulated episodes of each person's problem in every round."""
@@ -243,11 +243,14 @@ def upper_bound(
     price, mean, past = np.zeros(window), np.zeros(window), np.zeros(window)
     for round_ in range(ROUNDS if len(team) > 1 else 0):
         tell("looking for prices", round_, ROUNDS)
-        busy = sum((kind.count * kind.attention(price, seed) for kind in kinds), np.zeros(window))
+        # Other luck in every round, so that prices fit people and not a sample of them.
+        busy = sum((kind.count * kind.attention(price, seed + round_) for kind in kinds), np.zeros(window))
         # A subgradient step, for each price as long as its past ones have been short (AdaGrad: Duchi, Hazan and
         # Singer, 2011): where two persons need the robot every now and then, a price has far to go on a slight slope.
-        past += (busy - 1) ** 2
-        price = np.maximum(0.0, price + STEP * (busy - 1) / np.sqrt(past + 1e-12))
+        # Relative to how many robots are busy: a crowd's first steps, with dozens, would leave all others too short.
+        slope = (busy - 1) / np.maximum(busy, 1)
+        past += slope**2
+        price = np.maximum(0.0, price + STEP * slope / np.sqrt(past + 1e-12))
         if round_ >= ROUNDS // 2:
             mean += price / (ROUNDS - ROUNDS // 2)
     price = mean[: int(np.flatnonzero(mean > NEGLIGIBLE).max(initial=-1)) + 1]
