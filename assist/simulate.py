@@ -329,11 +329,12 @@ class _Run:
     ) -> Iterator[tuple[_Group, NDArray[np.int64]]]:
         """Give each group that somebody is of, and the numbers of those people, of the people `among`."""
         numbers = np.flatnonzero(among)
+        one = len(self.groups) == 1
         own = model[numbers]
-        for number in np.unique(own).tolist():
+        for number in [0] if one else np.unique(own).tolist():
             group = self.groups[number]
             assert group is not None  # somebody is of it
-            yield group, numbers[own == number]
+            yield group, numbers if one else numbers[own == number]
 
     def _record(
         self,
