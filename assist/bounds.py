@@ -58,6 +58,10 @@ BEYOND = 1e-6
 """Episodes are cut off where what may come after is worth less than this share of the first step's largest cost."""
 
 
+Tell = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it has been, and of how much."""
+
+
 @dataclass(frozen=True)
 class TeamBound:
     """What no policy for a team exceeds, from the beginning of an episode on.
@@ -89,12 +93,27 @@ class TeamBound:
     price: Floats
     seconds: float
 
+    def relaxed(self, *, episodes: int = 20_000, seed: int = 0) -> tuple[float, float]:
+        """Simulate QMDP's policies in the relaxed problem, with a robot for everybody; give mean and standard error.
+
+        The best policies there get no less and the bound no more than `upper`: what of a certificate's gap is below
+        this mean is not the solver's but the relaxation's and the policy's.
+        """
+        horizon = _horizon(self.pool.setting.gamma)
+        total, variance = float(self.price @ self.pool.setting.gamma ** np.arange(len(self.price))), 0.0
+        kinds = _kinds(self.pool, self.team, self.travel, len(self.price), lambda *_: None)
+        for number, kind in enumerate(kinds):  # of independent luck, so that variances add up
+            value = kind.simulated(self.price, horizon, episodes, seed + number)[1]
+            total += kind.count * float(value.mean())
+            variance += kind.count**2 * float(value.var(ddof=1)) / episodes
+        return total, math.sqrt(variance)
+
     def certify(
         self, policy: TeamPolicy, name: str = "policy", *, episodes: int = 20_000, seed: int = 0
     ) -> Certificate:
         """Simulate a policy in the model's world and compare."""
         setting = self.pool.setting
-        horizon = math.ceil(math.log(BEYOND * (1 - setting.gamma)) / math.log(setting.gamma))
+        horizon = _horizon(setting.gamma)
         pool = replace(self.pool, setting=replace(setting, max_steps=horizon))
         run = simulate(
             pool, policy, humans=self.team, episodes=episodes, seed=seed, name=name, travel=self.travel, world="model"
@@ -162,8 +181,11 @@ class _Kind:
         above[last] = self.tail.value_mdp[visits.position[last] * len(visits.alone.robots) + visits.x[last]]
         return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
-    def attention(self, price: Floats, seed: int) -> Floats:
-        """Give the share of people who are attended to at each step by QMDP's policy, simulated."""
+    def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
+        """Simulate QMDP's policy in the problem at these prices for so many steps.
+
+        Return the share of people who are attended to at each step that has a price, and each episode's return.
+        """
         visits = self.visits.priced(price)
         policy = self.best(visits)
         number = np.zeros(len(price))
@@ -172,15 +194,34 @@ class _Kind:
             robot = policy.choose(team.x[:, 0], team.belief[:, 0])  # type: ignore[index]
             if team.step < len(price):
                 # On its way the robot has no other choice than to go on.
-                number[team.step] = np.sum((robot > 0) | (visits.position[team.x[:, 0]] > HERE))
+                number[team.step] += np.sum((robot > 0) | (visits.position[team.x[:, 0]] > HERE))
             return TeamAction(np.zeros_like(robot), robot)
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.x)))
         # The way is part of the problem, so that none is left to the simulation.
-        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=len(price))
+        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps)
         pool = Pool(setting, (human,), (policy,), np.zeros(1, dtype=np.int64))
-        simulate(pool, act, humans=[0], episodes=SAMPLE, seed=seed, world="model")
-        return number / SAMPLE
+        run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
+        return number / episodes, run.discounted_return
+
+
+def _kinds(pool: Pool, team: tuple[int, ...], travel: Travel, window: int, tell: Tell) -> list[_Kind]:
+    """Give a team's kinds, with prices of 0 on so many steps."""
+    members = Counter(
+        (int(pool.model[person]), float(travel.entry[k]), int(travel.entry_steps[k])) for k, person in enumerate(team)
+    )
+    kinds = []
+    for done, ((model, entry, steps), count) in enumerate(members.items()):
+        tell("setting people's problems up", done, len(members))
+        alone = pool.policies[model].pomdp
+        tail = qmdp(Visits.of(alone, entry, steps).pomdp, tolerance=1e-5)
+        kinds.append(_Kind(pool, Visits.of(alone, entry, steps, np.zeros(window)), tail, count))
+    return kinds
+
+
+def _horizon(gamma: float) -> int:
+    """Give the step beyond which episodes are cut off."""
+    return math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma))
 
 
 def _window(pool: Pool, team: tuple[int, ...], seed: int) -> int:
@@ -201,7 +242,7 @@ def upper_bound(
     time_limit: float | None = None,
     seed: int = 0,
     jobs: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Tell | None = None,
 ) -> TeamBound:
     """Bound from above what any policy gets with a team in which all work from the beginning.
 
@@ -222,7 +263,7 @@ def upper_bound(
     jobs : int, optional
         Problems that are solved at a time; as many as there are processors unless given.
     progress : callable, optional
-        Called with what is being done, how much of it has been, and of how much.
+        As `Tell` says.
     """
     start = time.perf_counter()
     team = tuple(range(len(pool.people))) if team is None else team
@@ -230,21 +271,15 @@ def upper_bound(
     gamma, tell = pool.setting.gamma, progress or (lambda *_: None)
     if window is None:
         window = _window(pool, team, seed)
-    members = Counter(
-        (int(pool.model[person]), float(travel.entry[k]), int(travel.entry_steps[k])) for k, person in enumerate(team)
-    )
-    kinds = []
-    for done, ((model, entry, steps), count) in enumerate(members.items()):
-        tell("setting people's problems up", done, len(members))
-        alone = pool.policies[model].pomdp
-        tail = qmdp(Visits.of(alone, entry, steps).pomdp, tolerance=1e-5)
-        kinds.append(_Kind(pool, Visits.of(alone, entry, steps, np.zeros(window)), tail, count))
+    kinds = _kinds(pool, team, travel, window, tell)
 
     price, mean, past = np.zeros(window), np.zeros(window), np.zeros(window)
     for round_ in range(ROUNDS if len(team) > 1 else 0):
         tell("looking for prices", round_, ROUNDS)
         # Other luck in every round, so that prices fit people and not a sample of them.
-        busy = sum((kind.count * kind.attention(price, seed + round_) for kind in kinds), np.zeros(window))
+        busy = np.zeros(window)
+        for kind in kinds:
+            busy += kind.count * kind.simulated(price, window, SAMPLE, seed + round_)[0]
         # A subgradient step, for each price as long as its past ones have been short (AdaGrad: Duchi, Hazan and
         # Singer, 2011): where two persons need the robot every now and then, a price has far to go on a slight slope.
         # Relative to how many robots are busy: a crowd's first steps, with dozens, would leave all others too short.

@@ -108,7 +108,7 @@ def _picture(found: re.Match[str]) -> str:
 
 
 def _draw_all(pictures: Sequence[Picture], folder: Path, jobs: int) -> None:
-    if jobs == 1:
+    if jobs == 1:  # another process takes longer to start than a picture to draw
         for picture in pictures:
             _draw(picture, folder)
         return

@@ -16,8 +16,8 @@ the end: any that keep the two conditions give a bound. So the bound that the se
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
 `trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
-the result on. All compiled functions of the search are
-in this one file, since numba keeps compiled code for as long as the file of the function itself is unchanged.
+the result on. All compiled functions of the search are in this one file, since numba keeps compiled code for as long as
+the file of the function itself is unchanged.
 """
 
 from __future__ import annotations
@@ -574,6 +574,40 @@ def _plan(x, r, picked, vector, plans, m):
             vector[b * thetas + t] = v - ROUNDING * abs(v)
 
 
+@numba.njit(cache=True)
+def new_plan(size, slots):
+    """Make room for a plan: the vectors picked after each slot, those of the best robot action, and its own vector."""
+    return np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
+
+
+@numba.njit(cache=True)
+def _raise(d, step, work, path, plan, plans, m):
+    """Back the lower bound up at a depth of the path; return whether it gained more than `step`."""
+    x, belief = path.state[d], path.belief[d]
+    picked, kept, vector = plan
+    best, robot = -np.inf, NONE
+    for r in range(m.robots[x]):
+        if path.q[d, r] > best:
+            value = _look_down(d, r, work, path, picked, plans, m)
+            if value > best:
+                best, robot = value, r
+                kept[:] = picked
+    if not best > lower(x, belief, plans)[0] + step + 4 * ROUNDING * abs(best):
+        return False
+    _plan(x, robot, kept, vector, plans, m)
+    add_plan(x, robot, vector, belief, plans)
+    return True
+
+
+@numba.njit(cache=True)
+def _begin(d, belief, q, path, m):
+    """Put a belief on the path, with what is known of each robot action before its children are looked at."""
+    x = path.state[d]
+    path.belief[d] = belief
+    for r in range(m.robots[x]):
+        path.q[d, r], path.known[d, r] = dot(q[x, r], belief), False
+
+
 @numba.njit(cache=True, nogil=True)
 def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
@@ -583,9 +617,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
     Without [1] a trial would follow people who err for hundreds of steps, to where hardly anybody ever gets.
     """
     work, room = np.empty((3, len(prior))), new_room(len(prior))
-    slots = m.targets.shape[1]
-    picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(len(prior))
-    done = 0
+    plan, done = new_plan(len(prior), m.targets.shape[1]), 0
     while done < backups:
         path.bound[0] = upper(x0, prior, hull, room)
         gap = path.bound[0] - lower(x0, prior, plans)[0]
@@ -640,17 +672,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                     add_point(x, belief, value, hull)
                     improved = True
                 lowered = path.bound[d] - min(value, now)
-            best, at = -np.inf, NONE
-            for k in range(m.robots[x]):
-                if path.q[d, k] > best:
-                    v = _look_down(d, k, work, path, picked, plans, m)
-                    if v > best:
-                        best, at = v, k
-                        kept[:] = picked
-            if best > lower(x, belief, plans)[0] + step + 4 * ROUNDING * abs(best):
-                _plan(x, at, kept, vector, plans, m)
-                add_plan(x, at, vector, belief, plans)
-                improved = True
+            improved |= _raise(d, step, work, path, plan, plans, m)
         if not improved:
             fineness[1 if cut else 0] *= 0.1
         done += depth + 1
@@ -666,9 +688,7 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
     """
     size = hull.corner.shape[1]
     work, room = np.empty((3, size)), new_room(size)
-    slots = m.targets.shape[1]
-    picked, kept, vector = np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
-    done = 0
+    plan, done = new_plan(size, m.targets.shape[1]), 0
     for at in range(start, len(order)):
         x = order[at]
         if hull.head[x] == NONE:  # no trial has been there
@@ -693,23 +713,6 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
             if plans.state[i] != x:  # one of those before has shown it to be superfluous
                 continue
             _begin(0, plans.witness[i], q, path, m)
-            best, robot = -np.inf, NONE
-            for r in range(m.robots[x]):
-                value = _look_down(0, r, work, path, picked, plans, m)
-                if value > best:
-                    best, robot = value, r
-                    kept[:] = picked
-            if best > lower(x, path.belief[0], plans)[0] + step + 4 * ROUNDING * abs(best):
-                _plan(x, robot, kept, vector, plans, m)
-                add_plan(x, robot, vector, path.belief[0], plans)
+            _raise(0, step, work, path, plan, plans, m)
             done += 1
     return len(order), done
-
-
-@numba.njit(cache=True)
-def _begin(d, belief, q, path, m):
-    """Put a belief on the path, with what is known of each robot action before its children are looked at."""
-    x = path.state[d]
-    path.belief[d] = belief
-    for r in range(m.robots[x]):
-        path.q[d, r], path.known[d, r] = dot(q[x, r], belief), False

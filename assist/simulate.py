@@ -8,7 +8,7 @@ the same luck (common random numbers), and results do not depend on how episodes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal
@@ -21,7 +21,7 @@ from .episodes import Episodes, Trace
 from .human import NOTHING, Floats, perceived_cost, perceived_value
 from .mdp import Arrays
 from .pool import Pool
-from .team import BASE, NOBODY, TeamAction, TeamPolicy, TeamState, Travel
+from .team import BASE, NOBODY, TeamAction, TeamPolicy, TeamState, Travel, by_model
 
 World = Literal["people", "model"]
 
@@ -186,12 +186,9 @@ class _Run:
         # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
         self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
-        self.groups = [
-            _Group.of(pool, group, self.on_grid) if (self.model == group).any() else None
-            for group in range(len(pool.policies))
-        ]
+        self.groups = {number: _Group.of(pool, number, self.on_grid) for number in np.unique(self.model).tolist()}
         # Each person is of one group, and has row 0 in the others.
-        row = np.sum([group.row for group in self.groups if group is not None], axis=0)
+        row = np.sum([group.row for group in self.groups.values()], axis=0)
         self.who = row[self.people].reshape(-1)
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
@@ -260,7 +257,8 @@ class _Run:
             self.x.reshape(-1), robot.reshape(-1), self.who, self.beta.reshape(-1), self.theta.reshape(-1),
             luck.reshape(-1, 2), belief, slot, spent, self.erred.reshape(-1),
         )  # fmt: skip
-        for group, rows in self._by_group(self.model.reshape(-1), active.reshape(-1)):
+        for number, rows in by_model(self.model.reshape(-1), flat, len(self.pool.policies)):
+            group = self.groups[number]
             act(rows, people, group.minds, group.arrays)
             self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
         cost = spent.reshape(self.x.shape)
@@ -296,9 +294,9 @@ class _Run:
         self.moves[teams] += origin != to
         self.location[teams] = to
         robot[teams, to] = does
-        for group, rows in self._by_group(self.model[teams, to], does > 0):
+        for number, rows in by_model(self.model[teams, to], np.flatnonzero(does > 0), len(self.pool.policies)):
             at = (teams[rows], to[rows])
-            charged[at] += group.arrays.charge[self.x[at], does[rows]]
+            charged[at] += self.groups[number].arrays.charge[self.x[at], does[rows]]
         self.helped[teams, to] += does > 0
         return robot, charged
 
@@ -319,22 +317,10 @@ class _Run:
             raise ValueError(f"step {step}: the policy goes to a person who has finished or is not there")
         if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
             raise ValueError(f"step {step}: the policy speaks to a person before the robot has arrived")
-        for group, rows in self._by_group(self.model[teams, to], robot != 0):
-            count = group.arrays.robots[self.x[teams[rows], to[rows]]]
+        for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.pool.policies)):
+            count = self.groups[number].arrays.robots[self.x[teams[rows], to[rows]]]
             if ((robot[rows] < 0) | (robot[rows] >= count)).any():
                 raise ValueError(f"step {step}: the policy makes a suggestion that the person's state does not have")
-
-    def _by_group(
-        self, model: NDArray[np.int64], among: NDArray[np.bool_]
-    ) -> Iterator[tuple[_Group, NDArray[np.int64]]]:
-        """Give each group that somebody is of, and the numbers of those people, of the people `among`."""
-        numbers = np.flatnonzero(among)
-        one = len(self.groups) == 1
-        own = model[numbers]
-        for number in [0] if one else np.unique(own).tolist():
-            group = self.groups[number]
-            assert group is not None  # somebody is of it
-            yield group, numbers if one else numbers[own == number]
 
     def _record(
         self,

@@ -258,7 +258,8 @@ class _Search:
             np.empty((search.DEPTH, robots, slots, size)), np.empty((search.DEPTH, robots, slots)),
         )  # fmt: skip
         self.order = sweep_order(pomdp)
-        self.place, self.since = len(self.order), 0  # of a renewal in the order; and backups of trials since the last
+        self.renewed = len(self.order)  # how far in this order the present renewal has come
+        self.tried = 0  # backups of trials since it began
         self.fineness = np.array([0.001, 0.01])  # as `search.trials` has it; refined where nothing more is found
 
     def begin(self, robot: NDArray[np.int64], max_sweeps: int = 100_000) -> float:
@@ -306,19 +307,19 @@ class _Search:
 
     def improve(self, x: int, belief: Floats, target: float, gap: float) -> int:
         """Do some backups, and return how many: of trials, and of all there is once trials have done as many."""
-        if self.place == len(self.order) and self.since > self.hull.space[0]:
-            self.place = self.since = 0
+        if self.renewed == len(self.order) and self.tried > self.hull.space[0]:
+            self.renewed = self.tried = 0
         done = self.renew(self.fineness[0] * gap)
         if done:
             return done
         done = self.trials(x, belief, target)
-        self.since += done
+        self.tried += done
         return done
 
     def renew(self, step: float) -> int:
         """Go on with backing everything up again; gains up to `step` are no reason for another vector."""
-        self.place, done = search.renew(
-            self.place, self.order, step, BACKUPS, self.path, self.plans, self.hull, self.q, self.arrays
+        self.renewed, done = search.renew(
+            self.renewed, self.order, step, BACKUPS, self.path, self.plans, self.hull, self.q, self.arrays
         )
         return done
 

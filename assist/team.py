@@ -111,6 +111,23 @@ class TeamAction:
     robot: NDArray[np.int64]
 
 
+def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
+    """Sort some people by their models, of which there are so many; give each that one of them has, and who that is.
+
+    Parameters
+    ----------
+    model : int array, shape (N,)
+        Everybody's.
+    rows : int array, shape (m,)
+        Who is asked about.
+    models : int
+    """
+    if models == 1:  # nothing to sort
+        return [(0, rows)]
+    own = model[rows]
+    return [(number, rows[own == number]) for number in np.unique(own).tolist()]
+
+
 @dataclass(frozen=True)
 class TeamState:
     """What the robot knows about N teams of K people each, where it is free to choose.
@@ -148,11 +165,7 @@ class TeamState:
 
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Give each model that somebody active has, and who that is: places in the arrays if they were flat."""
-        rows = np.flatnonzero(self.active)
-        if len(self.policies) == 1:
-            return [(0, rows)]
-        model = self.model.ravel()[rows]
-        return [(group, rows[model == group]) for group in np.unique(model).tolist()]
+        return by_model(self.model.ravel(), np.flatnonzero(self.active), len(self.policies))
 
     def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
         """Give state, shape (m,), and belief, shape (m, B, T), of people, as `groups` names them."""

@@ -17,7 +17,6 @@ import os
 import resource
 import statistics
 import time
-from collections import Counter
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -32,17 +31,17 @@ from rich.table import Table
 
 from assist.acting import Minds, People, act
 from assist.belief import Grid
-from assist.bounds import TeamBound, upper_bound
+from assist.bounds import upper_bound
 from assist.choices import Choices
 from assist.human import HumanModel, Population, perceived_value
 from assist.joint import joint_bounds
-from assist.mdp import QMDP, Arrays, qmdp
+from assist.mdp import Arrays, qmdp
 from assist.pomdp import AssistPOMDP
 from assist.pool import Pool, Setting
 from assist.priority import Priority
 from assist.simulate import simulate
 from assist.team import TeamAction, TeamPolicy, TeamState
-from assist.visits import HERE, Visits
+from assist.visits import HERE
 from planner import load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
@@ -223,7 +222,7 @@ def gap(
                     label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
                     for label in ("none", "reactive", "attention", "priority")
                 }
-                best, (relaxed, error) = certified["priority"], _relaxed(pool, found)
+                best, (relaxed, error) = certified["priority"], found.relaxed()
                 rows.append(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
@@ -254,35 +253,6 @@ def gap(
         axis.legend(frameon=False, fontsize=8)
 
     draw(out, "team_gap", 7.5, plot)
-
-
-def _relaxed(pool: Pool, found: TeamBound, episodes: int = 20_000) -> tuple[float, float]:
-    """Simulate QMDP's policies in the relaxed problem, a robot for everybody at the bound's prices.
-
-    Return the mean and its standard error. No more than the rest of the bound above it can be the solver's; what is
-    between it and a team policy is not the solver's at all, but the relaxation's and the policy's.
-    """
-    travel, total, variance = found.travel, 0.0, 0.0
-    kinds = Counter(
-        (int(pool.model[person]), float(travel.entry[k]), int(travel.entry_steps[k]))
-        for k, person in enumerate(found.team)
-    )
-    for (model, entry, steps), count in kinds.items():
-        visits = Visits.of(pool.policies[model].pomdp, entry, steps, found.price)
-        policy = qmdp(visits.pomdp, tolerance=1e-5)
-        human = replace(pool.people[0], h=np.zeros(len(visits.x)))
-        setting = replace(pool.setting, c_move=0.0, travel_time=0.0, max_steps=2000)  # the way is part of the problem
-        alone = Pool(setting, (human,), (policy,), np.zeros(1, dtype=np.int64))
-
-        def act(team: TeamState, policy: QMDP = policy) -> TeamAction:
-            robot = policy.choose(team.x[:, 0], team.belief[:, 0])  # type: ignore[index]
-            return TeamAction(np.zeros_like(robot), robot)
-
-        value = simulate(alone, act, humans=[0], episodes=episodes, seed=model, world="model").discounted_return
-        total += count * float(value.mean())
-        variance += count**2 * float(value.var(ddof=1)) / episodes
-    paid = float(found.price @ pool.setting.gamma ** np.arange(len(found.price)))
-    return total + paid, variance**0.5
 
 
 @main.command()

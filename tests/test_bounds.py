@@ -117,6 +117,18 @@ def test_the_bound_holds_where_the_way_takes_time(pool: Pool, time: float) -> No
     assert certificate.gap_percent < 4
 
 
+def test_a_robot_for_everybody_gets_more_than_one_robot_and_no_more_than_the_bound(pool: Pool) -> None:
+    found = upper_bound(pool)
+    shared = found.certify(pool.policy("priority"), episodes=4000)
+    mean, error = found.relaxed(episodes=4000)
+    assert 0 < error < 0.1
+    assert shared.value + 3 * shared.value_stderr < mean <= found.upper + 3 * error
+    alone = upper_bound(pool, (0,))
+    mean, error = alone.relaxed(episodes=4000)  # nothing is relaxed where there is nobody else
+    best = alone.certify(pool.policy("priority"), episodes=4000)
+    assert mean == pytest.approx(best.value, abs=4 * (error + best.value_stderr))
+
+
 def test_prices_make_the_bound_tighter(pool: Pool) -> None:
     """Three people, one robot: that it cannot be everywhere is worth something."""
     apart = sum(upper_bound(pool, (person,)).upper for person in range(3))

@@ -445,8 +445,8 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
         return work.solution(**none, backups=0, stopped="")
 
     before = found()
-    work.place, done = 0, 0
-    while work.place < len(work.order):
+    work.renewed, done = 0, 0
+    while work.renewed < len(work.order):
         assert work.make_room(None)
         done += work.renew(0.0)
     after = found()
