@@ -23,17 +23,17 @@ from rich.console import Console
 from rich.table import Table as Grid
 from scipy.stats import spearmanr
 
-from assist.belief import Grid as BeliefGrid
-from assist.choices import Choices
-from assist.crowd import fit_crowd
-from assist.diagnostics import check
-from assist.figures import BLUE, ORANGE, save
-from assist.fit import Method, Observations, fit, largest_beta, log_likelihood, observe
-from assist.fit_figures import calibration_figure, expertise_figure
-from assist.human import NOTHING, HumanModel, choice, influence, trust
-from assist.log import Entry, replay
-from assist.misconception import MarginalLikelihood, fit_misconception
-from assist.pomdp import AssistPOMDP
+from assist.learning.diagnostics import check
+from assist.learning.fit import Method, Observations, fit, largest_beta, log_likelihood, observe
+from assist.learning.log import Entry, replay
+from assist.learning.misconception import MarginalLikelihood, fit_misconception
+from assist.learning.population import fit_crowd
+from assist.people.belief import Grid as BeliefGrid
+from assist.people.choices import Choices
+from assist.people.human import NOTHING, HumanModel, choice, influence, trust
+from assist.person.pomdp import AssistPOMDP
+from assist.plots.episode import BLUE, ORANGE, save
+from assist.plots.people import calibration_figure, expertise_figure
 from planner import Cache, CostToGo, OnDemand, Table, Task, load, sweep
 from planner.storage import write_records
 

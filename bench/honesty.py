@@ -20,10 +20,10 @@ from pathlib import Path
 import click
 import numpy as np
 
-from assist.choices import Choices
-from assist.human import Human, HumanModel, Population, perceived_cost_to_go
-from assist.pomdp import AssistPOMDP, Suggestions
-from assist.solver import solve
+from assist.people.choices import Choices
+from assist.people.human import Human, HumanModel, Population, perceived_cost_to_go
+from assist.person.pomdp import AssistPOMDP, Suggestions
+from assist.person.solver import solve
 from planner import Instance, load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"

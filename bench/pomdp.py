@@ -3,10 +3,10 @@
     python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--out DIR]
 
 A case is a kitting instance, gamma, c_suggest, sigma and the seed of the person's misconception, which the robot knows.
-Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.exchange` writes:
+Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.interop.exchange` writes:
 
-- `kitassist`: `assist.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is also run
-  cold, with nothing compiled yet;
+- `kitassist`: `assist.person.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is
+  also run cold, with nothing compiled yet;
 - `sarsop`: APPL's `pomdpsol`, the program that the environment variable SARSOP names;
 - `pomdp-py`: what its POUCT and POMCP get in simulation, by the time of a decision. They give no bounds, so that they
   have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
@@ -41,8 +41,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from assist.exchange import write_pomdpx
-from assist.mdp import evaluate, qmdp
+from assist.interop.exchange import write_pomdpx
+from assist.person.qmdp import evaluate, qmdp
 
 HERE = Path(__file__).resolve().parent
 OUT = Path("build/bench/pomdp")

@@ -24,24 +24,24 @@ from typing import Any
 
 import click
 import numpy as np
+from joint import joint_bounds
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from assist.acting import Minds, People, act
-from assist.belief import Grid
-from assist.bounds import upper_bound
-from assist.choices import Choices
-from assist.human import HumanModel, Population, perceived_value
-from assist.joint import joint_bounds
-from assist.mdp import Arrays, qmdp
-from assist.pomdp import AssistPOMDP
-from assist.pool import Pool, Setting
-from assist.priority import Priority
-from assist.simulate import simulate
-from assist.team import TeamAction, TeamPolicy, TeamState
-from assist.visits import HERE
+from assist.certify.bounds import upper_bound
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import HumanModel, Population, perceived_value
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import Arrays, qmdp
+from assist.simulation.dynamics import Minds, People, act
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool, Setting
+from assist.team.priority import Priority
+from assist.team.state import TeamAction, TeamPolicy, TeamState
+from assist.team.subproblem import HERE
 from planner import load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"

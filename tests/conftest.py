@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from assist.choices import Choices
+from assist.people.choices import Choices
 from planner import Instance, Table, find_instances, load, sweep
 
 ROOT = Path(__file__).parent.parent

@@ -8,23 +8,25 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-ORDER = [
-    "planner.errors", "planner.storage", "planner.workers", "planner.pddl", "planner.fast_downward", "planner.task",
-    "planner.budget",
-    "planner.successors", "planner.statespace", "planner.costtogo", "planner.moves", "planner.kernels",
-    "planner.coding", "planner.sweep", "planner.ondemand", "planner.methods", "planner.solving", "planner.batch",
-    "assist.choices", "assist.human", "assist.belief", "assist.archive", "assist.pomdp", "assist.region",
-    "assist.mdp", "assist.vectors", "assist.search", "assist.envelope", "assist.solver", "assist.exchange",
-    "assist.team", "assist.attention", "assist.visits", "assist.priority", "assist.pool", "assist.acting",
-    "assist.episodes", "assist.simulate", "assist.watching", "assist.bounds", "assist.joint",
-    "assist.log", "assist.fit", "assist.misconception", "assist.crowd", "assist.diagnostics",
-    "assist.profile", "assist.figures", "assist.fit_figures", "assist.study_figures",
-    "assist.statistics", "assist.study", "assist.protocol", "assist.running", "assist.summary", "assist.report",
-    "assist.cli.console", "assist.cli.task", "assist.cli.person", "assist.cli.team", "assist.cli.solve",
-    "assist.cli.simulate", "assist.cli.policy", "assist.cli.bound", "assist.cli.export", "assist.cli.fit",
-    "assist.cli.study", "assist.cli",
-]  # fmt: skip
-MAY_READ_PDDL = ("assist.study", "assist.protocol", "assist.cli")  # with all that is in them
+ROOMS = {
+    "planner": """errors storage workers pddl fast_downward task budget successors statespace costtogo moves kernels
+        coding sweep ondemand methods solving batch""",
+    "assist.people": "choices human belief",
+    "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
+    "assist.learning": "log fit misconception population diagnostics record",
+    "assist.team": "state attention subproblem priority pool",
+    "assist.interop": "exchange",
+    "assist.simulation": "dynamics episodes simulate belief_trace",
+    "assist.certify": "bounds",
+    "assist.plots": "episode people study",
+    "assist.study": "statistics study protocol runner summary report",
+    "assist.cli": "console task person team solve simulate policy bound export fit study",
+}
+"""The folders in the order in which they build on each other, and the files of each likewise."""
+
+ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
+ORDER.remove("planner")
+MAY_READ_PDDL = ("assist.study.study", "assist.study.protocol", "assist.cli")  # with all that is in them
 ARRAYS = {"planner", "planner.errors", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
@@ -90,14 +92,14 @@ def test_import_direction(module: str) -> None:
     ("module", "line"),
     [
         ("planner.task", "from .costtogo import Table"),
-        ("planner.pddl", "import assist.human"),
-        ("assist.human", "from .simulate import Episode"),
-        ("assist.pomdp", "from planner import load"),
-        ("assist.mdp", "from planner.pddl import read"),
-        ("assist.running", "from planner import sweep"),
-        ("assist.simulate", "from .study import Study"),
-        ("assist.profile", "from .cli import main"),
-        ("assist.figures", "from .cli.console import fail"),
+        ("planner.pddl", "import assist.people.human"),
+        ("assist.people.human", "from ..simulation.episodes import Episode"),
+        ("assist.person.pomdp", "from planner import load"),
+        ("assist.person.qmdp", "from planner.pddl import read"),
+        ("assist.study.runner", "from planner import sweep"),
+        ("assist.simulation.simulate", "from ..study.study import Study"),
+        ("assist.learning.record", "from ..cli import main"),
+        ("assist.plots.episode", "from ..cli.console import fail"),
         ("assist.cli.console", "from .task import one_instance"),
         ("assist.cli.solve", "from .fit import fit"),
         ("assist.cli.person", "from . import policy"),

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.belief import Grid, ImpossibleObservationError, update
-from assist.choices import Choices
-from assist.human import Human, HumanModel, Population, choice, influence, lapse, perceived_cost_to_go, trust
-from assist.pomdp import AssistPOMDP
+from assist.people.belief import Grid, ImpossibleObservationError, update
+from assist.people.choices import Choices
+from assist.people.human import Human, HumanModel, Population, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.person.pomdp import AssistPOMDP
 from planner import Table
 
 GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))

@@ -11,14 +11,14 @@ from conftest import KITTING, kitassist
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.bounds import upper_bound
-from assist.choices import Choices
-from assist.mdp import evaluate, qmdp
-from assist.pool import POLICIES, Pool, Setting
-from assist.simulate import simulate
-from assist.solver import solve
-from assist.team import NOBODY, TeamAction, TeamState
-from assist.visits import AWAY, HERE, Visits
+from assist.certify.bounds import upper_bound
+from assist.people.choices import Choices
+from assist.person.qmdp import evaluate, qmdp
+from assist.person.solver import solve
+from assist.simulation.simulate import simulate
+from assist.team.pool import POLICIES, Pool, Setting
+from assist.team.state import NOBODY, TeamAction, TeamState
+from assist.team.subproblem import AWAY, HERE, Visits
 
 
 @pytest.fixture(scope="module")

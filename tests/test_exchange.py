@@ -16,8 +16,7 @@ from scipy.sparse import csr_array
 from test_mdp import make
 from test_vectors import lockers, problems
 
-from assist.choices import Choices
-from assist.exchange import (
+from assist.interop.exchange import (
     FORBIDDEN,
     Observed,
     PolicyFileError,
@@ -27,8 +26,9 @@ from assist.exchange import (
     write_pomdp,
     write_pomdpx,
 )
-from assist.mdp import evaluate, qmdp
-from assist.pomdp import AssistPOMDP, Frontier
+from assist.people.choices import Choices
+from assist.person.pomdp import AssistPOMDP, Frontier
+from assist.person.qmdp import evaluate, qmdp
 from planner.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy

@@ -18,16 +18,25 @@ from conftest import KITTING, kitassist
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.belief import Grid
-from assist.choices import Choices
 from assist.cli import main
-from assist.crowd import fit_crowd, mixture
-from assist.diagnostics import calibrate, check
-from assist.fit import Method, Observations, fit, log_likelihood, observe
-from assist.human import HumanModel, Mixture, Population, choice, influence, perceived_cost, perceived_value, trust
-from assist.log import Entry, read, replay
-from assist.misconception import MarginalLikelihood, fit_misconception
-from assist.pomdp import AssistPOMDP
+from assist.learning.diagnostics import calibrate, check
+from assist.learning.fit import Method, Observations, fit, log_likelihood, observe
+from assist.learning.log import Entry, read, replay
+from assist.learning.misconception import MarginalLikelihood, fit_misconception
+from assist.learning.population import fit_crowd, mixture
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import (
+    HumanModel,
+    Mixture,
+    Population,
+    choice,
+    influence,
+    perceived_cost,
+    perceived_value,
+    trust,
+)
+from assist.person.pomdp import AssistPOMDP
 from planner import Cache, LimitError, Table, Task, load, ondemand, sweep
 
 RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
@@ -138,7 +147,7 @@ def test_the_likelihood_by_hand(tiny: Table) -> None:
 
 
 def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[Observations]) -> None:
-    """Step by step with `assist.human`, for people of many actions."""
+    """Step by step with `assist.people.human`, for people of many actions."""
     c = paper_choices
     v = perceived_value(c, perceived_cost(c, c.h))
     for o in team[:2]:

@@ -11,8 +11,8 @@ from conftest import write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.choices import WAIT, Choices
-from assist.human import (
+from assist.people.choices import WAIT, Choices
+from assist.people.human import (
     NOTHING,
     HumanModel,
     Population,

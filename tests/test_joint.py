@@ -9,19 +9,19 @@ from itertools import product
 import numpy as np
 import pytest
 from conftest import KITTING, table_of
+from joint import JointBounds, joint_bounds
 
-from assist.belief import Grid
-from assist.bounds import upper_bound
-from assist.choices import Choices
-from assist.human import Floats, HumanModel, Population
-from assist.joint import JointBounds, joint_bounds
-from assist.mdp import evaluate, qmdp
-from assist.pomdp import AssistPOMDP
-from assist.pool import Pool, Setting
-from assist.simulate import simulate
-from assist.solver import solve
-from assist.team import NOBODY, Travel
-from assist.visits import Visits
+from assist.certify.bounds import upper_bound
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import Floats, HumanModel, Population
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import evaluate, qmdp
+from assist.person.solver import solve
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool, Setting
+from assist.team.state import NOBODY, Travel
+from assist.team.subproblem import Visits
 from planner import Instance
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]

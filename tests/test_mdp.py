@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from assist.belief import Grid
-from assist.choices import Choices
-from assist.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
-from assist.mdp import QMDP, qmdp
-from assist.pomdp import AssistPOMDP
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import QMDP, qmdp
 from planner import Table
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))

@@ -11,13 +11,13 @@ from conftest import KITTING, kitassist, table_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.archive import ArchiveError
-from assist.choices import Choices
-from assist.human import HumanModel
-from assist.mdp import qmdp
-from assist.pomdp import AssistPOMDP
-from assist.region import Region
-from assist.solver import Solution, solve
+from assist.people.choices import Choices
+from assist.people.human import HumanModel
+from assist.person.archive import ArchiveError
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
+from assist.person.region import Region
+from assist.person.solver import Solution, solve
 from planner import Instance, OnDemand, Table, load
 
 SETTING = {"gamma": 0.97, "c_suggest": 0.3}

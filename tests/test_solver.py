@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from test_mdp import GRID, make
 
-from assist import envelope, search
-from assist.belief import Grid
-from assist.choices import Choices
-from assist.human import (
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import (
     Human,
     HumanModel,
     Population,
@@ -26,9 +25,10 @@ from assist.human import (
     perceived_value,
     trust,
 )  # fmt: skip  # isort: skip
-from assist.mdp import evaluate, qmdp
-from assist.pomdp import AssistPOMDP, Policy
-from assist.solver import Solution, _Search, relative_gap, solve
+from assist.person import hsvi, upper_hull
+from assist.person.pomdp import AssistPOMDP, Policy
+from assist.person.qmdp import evaluate, qmdp
+from assist.person.solver import Solution, _Search, relative_gap, solve
 from planner import Instance, Table
 
 
@@ -283,9 +283,9 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
     belief[0] = point[0]
     x, first, before = np.zeros(people, dtype=np.int64), np.array([0, count]), np.full(people, np.inf)
     least = np.array([hull_and_sawtooth(corner[0], point, drop, b)[0] for b in belief])
-    for pivots in (0, 1, 2, 5, 20, envelope.PIVOTS):
+    for pivots in (0, 1, 2, 5, 20, upper_hull.PIVOTS):
         value = np.empty(people)
-        envelope.uppers(value, x, belief, corner, point, drop, first, pivots)
+        upper_hull.uppers(value, x, belief, corner, point, drop, first, pivots)
         assert (value >= least - 1e-7).all()
         assert (value <= before + 1e-9).all()
         before = value
@@ -293,15 +293,15 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
 
 
 @cache
-def searched(name: str) -> search.Hull:
+def searched(name: str) -> hsvi.Hull:
     """The points of a solution in the form that the search works with."""
     solution = solution_of(name)
     size = solution.pomdp.prior.size
-    hull = search.empty_hull(solution.corner.reshape(-1, size).copy(), len(solution.drop) + 1)
+    hull = hsvi.empty_hull(solution.corner.reshape(-1, size).copy(), len(solution.drop) + 1)
     for x in range(len(solution.corner)):
         corner, point, drop = of_state(solution, x)
         for b, d in zip(point, drop, strict=True):
-            search.add_point(x, b.copy(), float(corner @ b + d), hull)
+            hsvi.add_point(x, b.copy(), float(corner @ b + d), hull)
     return hull
 
 
@@ -314,7 +314,7 @@ def test_search_works_with_a_bound_between_the_convex_hull_and_the_sawtooth(name
     x, belief = some_beliefs(solution, seed, 10)
     for y, b in zip(x, belief.reshape(len(x), -1), strict=True):
         least, most = hull_and_sawtooth(*of_state(solution, y), b)
-        upper = search.upper(int(y), b, hull, search.new_room(b.size))
+        upper = hsvi.upper(int(y), b, hull, hsvi.new_room(b.size))
         assert least - 1e-7 * abs(least) <= upper <= most + 1e-9 * abs(most)
 
 
@@ -322,12 +322,12 @@ def test_weights_of_the_search_are_checked() -> None:
     """A belief's entry of 1e-13 is too small for the pivots, and yet decides how much weight the second point has."""
     point, drop, corner = np.array([[0.9, 0.1, 0.0], [0.1, 0.9, 5e-13]]), np.array([-1.0, -1.0]), np.full(3, -5.0)
     belief = np.array([0.5, 0.5, 1e-13])
-    hull = search.empty_hull(corner[None], 3)
+    hull = hsvi.empty_hull(corner[None], 3)
     for b, d in zip(point, drop, strict=True):
-        search.add_point(0, b, float(corner @ b + d), hull)
+        hsvi.add_point(0, b, float(corner @ b + d), hull)
     least, most = hull_and_sawtooth(corner, point, drop, belief)
     assert least == pytest.approx(-5 - 0.2 - 0.48 / 0.9)  # the second point cannot have more than 0.2
-    assert least - 1e-9 <= search.upper(0, belief, hull, search.new_room(3)) <= most + 1e-9
+    assert least - 1e-9 <= hsvi.upper(0, belief, hull, hsvi.new_room(3)) <= most + 1e-9
 
 
 ROUNDING_CASES = {
@@ -487,7 +487,7 @@ def test_gap_is_checked(tiny_choices: Choices, gap: float) -> None:
 def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarray:
     """Let a policy help people who are as the robot's model says, one drawn from the prior for each episode.
 
-    What they do comes from the equations of `assist.human`, not from the arrays that the solver reads.
+    What they do comes from the equations of `assist.people.human`, not from the arrays that the solver reads.
     """
     pomdp, grid = policy.pomdp, policy.pomdp.grid
     model, choices = pomdp.model, pomdp.model.choices

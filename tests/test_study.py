@@ -17,17 +17,18 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT, kitassist
 from scipy import stats
 
-from assist import mdp, protocol, statistics
-from assist.choices import Choices
-from assist.human import Human, HumanModel, Population, perceived_cost
-from assist.pomdp import AssistPOMDP
-from assist.pool import Pool, Setting
-from assist.protocol import read
-from assist.report import profile, write_report
-from assist.running import load_study, run_study
-from assist.simulate import simulate
-from assist.study import Study, StudyError, check
-from assist.summary import Found
+from assist.people.choices import Choices
+from assist.people.human import Human, HumanModel, Population, perceived_cost
+from assist.person import qmdp as mdp
+from assist.person.pomdp import AssistPOMDP
+from assist.simulation.simulate import simulate
+from assist.study import protocol, statistics
+from assist.study.protocol import read
+from assist.study.report import profile, write_report
+from assist.study.runner import load_study, run_study
+from assist.study.study import Study, StudyError, check
+from assist.study.summary import Found
+from assist.team.pool import Pool, Setting
 
 TINY = f"""
 title = "small"

@@ -12,15 +12,15 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from assist import study_figures
-from assist.attention import AttentionSwitching, NoAssistance
-from assist.choices import Choices
-from assist.episodes import Trace
-from assist.human import Population
-from assist.pool import Pool, Setting
-from assist.simulate import simulate
-from assist.study_figures import CATEGORIES, COMPARISONS, LOOKS, PAPER_SAVINGS, Look, looks
-from assist.watching import beliefs_of_episode
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.plots import study as study_figures
+from assist.plots.study import CATEGORIES, COMPARISONS, LOOKS, PAPER_SAVINGS, Look, looks
+from assist.simulation.belief_trace import beliefs_of_episode
+from assist.simulation.episodes import Trace
+from assist.simulation.simulate import simulate
+from assist.team.attention import AttentionSwitching, NoAssistance
+from assist.team.pool import Pool, Setting
 
 POLICIES = ("none", "reactive", "attention", "our-own")
 INSTANCES = ("paper", "paper-fixed")

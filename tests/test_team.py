@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.acting import Minds, People, act
-from assist.attention import AttentionSwitching, NoAssistance, Reactive
-from assist.choices import Choices
-from assist.episodes import Episodes, Trace, illustrative, summarise
-from assist.human import HumanModel, Population, choice, influence, lapse, perceived_value, trust
-from assist.mdp import Arrays, evaluate
-from assist.pomdp import AssistPOMDP
-from assist.pool import POLICIES, Pool, Setting
-from assist.simulate import BLOCK, Presence, simulate
-from assist.team import BASE, NOBODY, TeamAction, TeamState, Travel
+from assist.people.choices import Choices
+from assist.people.human import HumanModel, Population, choice, influence, lapse, perceived_value, trust
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import Arrays, evaluate
+from assist.simulation.dynamics import Minds, People, act
+from assist.simulation.episodes import Episodes, Trace, illustrative, summarise
+from assist.simulation.simulate import BLOCK, Presence, simulate
+from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.pool import POLICIES, Pool, Setting
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState, Travel
 from planner import Table
 
 

@@ -9,12 +9,12 @@ import pytest
 from conftest import DOMAINS, table_of
 from test_mdp import GRID, make
 
-from assist.belief import Grid
-from assist.choices import Choices
-from assist.human import HumanModel
-from assist.mdp import evaluate, qmdp
-from assist.pomdp import AssistPOMDP
-from assist.vectors import VectorPolicy
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import HumanModel
+from assist.person.alpha_vectors import VectorPolicy
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import evaluate, qmdp
 from planner import Instance
 
 

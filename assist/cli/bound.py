@@ -14,7 +14,7 @@ from rich.table import Table
 
 from planner.solving import versions
 
-from ..pool import POLICIES
+from ..team.pool import POLICIES
 from .console import one_line_errors, print_json, print_table
 from .team import team_of, team_options
 
@@ -56,7 +56,7 @@ def bound(
     **team: Any,
 ) -> None:
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
-    from ..bounds import upper_bound
+    from ..certify.bounds import upper_bound
 
     humans, seed = team["humans"], team["seed"]
     with one_line_errors():

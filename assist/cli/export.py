@@ -22,7 +22,7 @@ from .person import person_options, person_problem
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
 def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
     """Write the problem of assisting one person, for other solvers."""
-    from .. import exchange
+    from ..interop import exchange
 
     if out.suffix != f".{form}":  # solvers choose the parser by it
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")

@@ -95,10 +95,12 @@ def fit(
     """
     from planner import storage
 
-    from .. import crowd, figures, fit_figures
-    from .. import fit as fitting
-    from .. import log as logs
-    from ..profile import failed, profiles
+    from ..learning import fit as fitting
+    from ..learning import log as logs
+    from ..learning import population as populations
+    from ..learning.record import failed, profiles
+    from ..plots import episode as figures
+    from ..plots import people as fit_figures
 
     jobs = jobs or os.cpu_count() or 1
     wrong = next((pair for pair in rename if not all(part.strip() for part in pair.partition("=")[::2])), None)
@@ -168,8 +170,8 @@ def fit(
         records.sort(key=lambda record: logs.in_order(record["person"]))
         general = None
         if crowd_file or (not as_json and len(people) >= FEWEST_FOR_CROWD):
-            with progress_bar("fitting the population", crowd.ETAS) as advance:
-                general = crowd.fit_crowd(observations, method, family=family, progress=advance)
+            with progress_bar("fitting the population", populations.ETAS) as advance:
+                general = populations.fit_crowd(observations, method, family=family, progress=advance)
         if crowd_file and general:
             sigmas = [p.misconception.sigma for p in people if p.misconception is not None]
             sigma = tuple(np.quantile(sigmas, (0.1, 0.9)).tolist()) if sigmas else (0.0, 0.0)

@@ -18,7 +18,7 @@ from .task import one_instance, require_goal, table_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ..pomdp import AssistPOMDP, Suggestions
+    from ..person.pomdp import AssistPOMDP, Suggestions
 
 
 def model_options() -> tuple[Callable[[Callable[..., None]], Callable[..., None]], ...]:
@@ -121,10 +121,10 @@ def person_problem(
 
     With `part` a task that is too large is cut down to the states that matter.
     """
-    from ..choices import Choices
-    from ..human import HumanModel, Population, perceived_cost, perceived_cost_to_go
-    from ..pomdp import AssistPOMDP
-    from ..region import Region
+    from ..people.choices import Choices
+    from ..people.human import HumanModel, Population, perceived_cost, perceived_cost_to_go
+    from ..person.pomdp import AssistPOMDP
+    from ..person.region import Region
 
     found = one_instance(instance, domain)
     if not 0 <= sigma < math.inf:

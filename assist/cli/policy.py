@@ -55,7 +55,7 @@ def policy(
     **person: Any,
 ) -> None:
     """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
-    from ..solver import solve as solve_person
+    from ..person.solver import solve as solve_person
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from planner.solving import versions
 
-from ..pool import POLICIES
+from ..team.pool import POLICIES
 from .console import one_line_errors, print_json, print_table, progress_bar
 from .team import team_of, team_options
 
@@ -62,9 +62,9 @@ def simulate(
     """Simulate a team of people and a robot that assists them."""
     from planner import storage
 
-    from .. import figures
-    from ..episodes import Episodes, Trace, illustrative, summarise
-    from ..simulate import simulate as run_episodes
+    from ..plots import episode as figures
+    from ..simulation.episodes import Episodes, Trace, illustrative, summarise
+    from ..simulation.simulate import simulate as run_episodes
 
     humans, seed = team["humans"], team["seed"]
     with one_line_errors():

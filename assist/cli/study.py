@@ -40,10 +40,10 @@ def study(
 
     Without --protocol it is section V of the paper.
     """
-    from ..protocol import read
-    from ..report import require, write_report
-    from ..running import run_study
-    from ..study import StudyError, check
+    from ..study.protocol import read
+    from ..study.report import require, write_report
+    from ..study.runner import run_study
+    from ..study.study import StudyError, check
 
     with one_line_errors("interrupted; what was finished is kept, --resume continues"):
         require()

@@ -6,7 +6,7 @@ import math
 
 from planner import Instance, InstanceError, LimitError, Table, find_instances, load, sweep
 
-from ..pool import SIMULATED_STATES
+from ..team.pool import SIMULATED_STATES
 from .console import EXIT_FAILED, fail
 
 

@@ -17,9 +17,9 @@ from .person import model_options
 from .task import one_instance, table_of
 
 if TYPE_CHECKING:
-    from ..human import Mixture, Population
-    from ..pool import Pool
-    from ..team import Travel
+    from ..people.human import Mixture, Population
+    from ..team.pool import Pool
+    from ..team.state import Travel
 
 
 def team_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -84,9 +84,9 @@ def team_of(
     click.UsageError
         An option that cannot be.
     """
-    from ..choices import Choices
-    from ..human import Population
-    from ..pool import Pool, Setting
+    from ..people.choices import Choices
+    from ..people.human import Population
+    from ..team.pool import Pool, Setting
 
     if humans > size:
         raise click.UsageError(f"--humans {humans} is more than --pool {size}")
@@ -109,10 +109,10 @@ def team_of(
 
 def _population(file: Path) -> Mixture:
     """Read a population that `fit` has written."""
-    from .. import crowd
+    from ..learning import population as populations
 
     try:
-        return crowd.mixture(json.loads(file.read_text(encoding="utf-8")))
+        return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
     except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}") from None
 

@@ -1,0 +1,1 @@
+"""Bounds on what any team policy can get."""

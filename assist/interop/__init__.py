@@ -1,0 +1,1 @@
+"""Problems and policies in other programs' formats."""

@@ -1,0 +1,1 @@
+"""What recorded actions tell about people."""

@@ -1,0 +1,151 @@
+"""Whether the model fits: predicted against observed choices, and a test of what it leaves unsaid.
+
+`calibrate` compares probabilities with frequencies. `check` asks whether a person's choices carry a regularity that
+Boltzmann choice on h* does not have, each as an additional term in the exponent of the choice (Rao 1948):
+
+repetition        they choose again what they chose here before: habits, or misconceptions (sigma)
+large_mistakes    they avoid costly mistakes more, or less, than beta says: lapses, another form of noise
+learning          they err more in the beginning of what is recorded, or in the end: beta is not constant
+
+Each score is compared with those of actions that are drawn from the fitted model in the same states, after the part
+that the fitted beta and theta absorb is taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from ..people.human import Floats
+from .fit import Fit
+
+TERMS = ("repetition", "large_mistakes", "learning")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Choices in bins of their predicted probability.
+
+    Attributes
+    ----------
+    predicted : float array, shape (n,)
+        Mean predicted probability in each bin that is not empty.
+    observed : float array, shape (n,)
+        Share of these that were chosen.
+    low, high : float arrays, shape (n,)
+        95 % interval of the share (Wilson 1927).
+    count : int array, shape (n,)
+        Choices that could have been made.
+    """
+
+    predicted: Floats
+    observed: Floats
+    low: Floats
+    high: Floats
+    count: Floats
+
+
+def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
+    """Compare predicted probabilities with observed frequencies, over all people and all choices they had."""
+    p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
+    hit = np.concatenate(
+        [
+            (np.arange(f.observations.excess.shape[1]) == f.observations.chosen[:, None])[f.observations.applicable]
+            for f in fits
+        ]
+    )
+    number = np.minimum((p * bins).astype(int), bins - 1)
+    count = np.bincount(number, minlength=bins).astype(float)
+    kept = count > 0
+    count = count[kept]
+    predicted = np.bincount(number, p, bins)[kept] / count
+    observed = np.bincount(number, hit, bins)[kept] / count
+    z = float(ndtri(0.975))
+    middle = (observed + z * z / (2 * count)) / (1 + z * z / count)
+    half = z * np.sqrt(observed * (1 - observed) / count + z * z / (4 * count**2)) / (1 + z * z / count)
+    return Calibration(predicted, observed, middle - half, middle + half, count)
+
+
+@dataclass(frozen=True)
+class Check:
+    """Whether the Boltzmann model fits one person.
+
+    Attributes
+    ----------
+    p : float or None
+        Probability that people for whom the model holds look at least as odd, over all terms; None where there is
+        nothing that could look odd (next to no mistakes, or hardly any choice).
+    scores : dict of str to (float or None)
+        Of each term, in standard deviations; above 0: they repeat themselves more, make more of the large
+        mistakes, get better.
+    """
+
+    p: float | None
+    scores: dict[str, float | None]
+
+    @property
+    def striking(self) -> str | None:
+        """The term of the largest score; None without any."""
+        known = {term: abs(score) for term, score in self.scores.items() if score is not None}
+        return max(known, key=lambda term: known[term]) if known else None
+
+
+def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
+    """Test the model on one person's actions.
+
+    Parameters
+    ----------
+    fitted : Fit
+    rng : numpy.random.Generator
+    draws : int
+        Simulated people; p is at least 1 / (draws + 1).
+    """
+    o = fitted.observations
+    p = fitted.probabilities()
+    p = np.where(np.isfinite(o.excess), p, 0.0)  # into a dead end: a lapse, of which these terms say nothing
+    kept = np.isfinite(o.regret) & (o.applicable.sum(axis=1) > 1)
+    if not kept.any():
+        return Check(None, dict.fromkeys(TERMS))
+    p = p[kept] / p[kept].sum(axis=1, keepdims=True)
+    gap = np.where(np.isfinite(o.excess), o.excess, 0.0)[kept]
+    features = _features(fitted, gap, kept)
+    told = (np.arange(gap.shape[1]) == o.suggested[kept][:, None]).astype(float)
+    absorbed = np.stack([gap, told]) if told.any() else gap[None]
+    f, g = (array - (array * p).sum(axis=2, keepdims=True) for array in (features, absorbed))
+    cross, own = np.einsum("fna,gna,na->fg", f, g, p), np.einsum("fna,gna,na->fg", g, g, p)
+    f = f - np.einsum("fg,gna->fna", cross @ np.linalg.pinv(own), g)
+    spread = np.sqrt(np.einsum("fna,fna,na->f", f, f, p))
+    total = np.sqrt(np.einsum("fna,fna,na->f", features, features, p))
+    usable = spread > 1e-3 * np.maximum(total, 1e-9)
+    mistakes = float((p * (gap > 0)).sum())
+    if not usable.any() or mistakes < 1:
+        return Check(None, dict.fromkeys(TERMS))
+    f = f[usable] / spread[usable][:, None, None]
+    rows = np.arange(len(p))
+    observed = f[:, rows, o.chosen[kept]].sum(axis=1)
+    cumulated = p.cumsum(axis=1)
+    drawn = np.empty((draws, len(f)))
+    for i in range(draws):
+        slots = (cumulated < rng.random((len(p), 1)) * cumulated[:, -1:]).sum(axis=1)
+        drawn[i] = f[:, rows, slots].sum(axis=1)
+    inverse = np.linalg.pinv(np.einsum("fna,gna,na->fg", f, f, p))
+    distance = np.einsum("df,fg,dg->d", drawn, inverse, drawn)
+    own_distance = float(observed @ inverse @ observed)
+    scores: dict[str, float | None] = dict.fromkeys(TERMS)
+    scores.update(zip(np.array(TERMS)[usable].tolist(), observed.tolist(), strict=True))
+    return Check((1 + int((distance >= own_distance).sum())) / (draws + 1), scores)
+
+
+def _features(fitted: Fit, gap: Floats, kept: np.ndarray) -> Floats:
+    """Give what each term adds to the exponent, shape (terms, n, A)."""
+    o = fitted.observations
+    habit = np.zeros(o.excess.shape)
+    before: dict[int, Floats] = {}
+    for i, (state, slot) in enumerate(zip(o.state.tolist(), o.chosen.tolist(), strict=True)):
+        counts = before.setdefault(state, np.zeros(o.excess.shape[1]))
+        habit[i] = counts > 0
+        counts[slot] += 1
+    time = np.linspace(-0.5, 0.5, len(o))[kept]
+    return np.stack([habit[kept], gap**2, -gap * time[:, None]])

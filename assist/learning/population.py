@@ -1,0 +1,332 @@
+"""What people are like in general: the distribution of beta and theta that their actions speak for.
+
+Empirical Bayes. Each person's likelihood is evaluated in the cells of a grid over (beta, theta); a distribution of
+people is a share of each cell, and the one is sought under which all that was recorded is most likely:
+
+    sum over people k of log( sum over cells g of share(g) L_k(g) ).
+
+Within families: beta uniform or log-uniform on a range or log-normal, theta uniform on a range or normal, all cut
+off at the ends of the grid; or free of any family ("histogram", Laird 1978). The result is a `Mixture`, from which
+people can be drawn and simulated.
+
+The people who were recorded are a sample, and by chance differ from those whom they stand for. `Margin.mean` and
+`spread` are those of the distribution; `Margin.recorded` are those of the sample, from what each of them did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import ndtr
+
+from ..people.human import NOTHING, Floats, Mixture, Population, Range
+from .fit import Method, Observations, largest_beta, log_likelihood
+
+BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
+THETA_FAMILIES = ("uniform", "normal")
+CELLS = (48, 25)  # of beta and theta
+ETAS = 21  # values of eta that are tried from 0 to 1
+
+
+@dataclass(frozen=True)
+class Margin:
+    """The distribution of one parameter over people.
+
+    Attributes
+    ----------
+    family : str
+    parameters : tuple of float
+        Of the family: ends of the range, or location and scale (of the logarithm, where log-normal).
+    edges : tuple of float
+        Of the cells.
+    shares : tuple of float
+        The probability of each cell.
+    mean, spread : float
+        Mean and standard deviation of the distribution.
+    recorded : (float, float)
+        Mean and standard deviation among the people who were recorded: each may be in any cell, by what they did and
+        how common that cell is.
+    """
+
+    family: str
+    parameters: tuple[float, ...]
+    edges: tuple[float, ...]
+    shares: tuple[float, ...]
+    mean: float
+    spread: float
+    recorded: tuple[float, float]
+
+    @classmethod
+    def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
+        """Work out means and spreads from the shares of the cells; within a cell people are spread evenly."""
+        low, high = edges[:-1], edges[1:]
+        if family.endswith("uniform"):  # the ends of the range lie within cells
+            ends = np.exp(parameters) if family == "log-uniform" else parameters
+            low, high = np.clip(low, *ends), np.clip(high, *ends)
+
+        def moments(weights: Floats) -> tuple[float, float]:
+            mean = float(weights @ (low + high) / 2)
+            square = float(weights @ (low * low + low * high + high * high) / 3)
+            return mean, float(np.sqrt(max(square - mean**2, 0.0)))
+
+        return cls(
+            family, parameters, tuple(edges.tolist()), tuple(shares.tolist()), *moments(shares), moments(recorded)
+        )
+
+    def pieces(self) -> list[tuple[float, Range]]:
+        """Give the cells that hold anybody, each with its share; rare ones (together a thousandth) are left out."""
+        if self.family == "uniform":
+            return [(1.0, (self.parameters[0], self.parameters[1]))]
+        order = np.argsort(self.shares)
+        rare = set(order[np.cumsum(np.asarray(self.shares)[order]) < 1e-3].tolist())
+        cells = zip(self.shares, self.edges, self.edges[1:], strict=False)
+        kept = [(share, (low, high)) for i, (share, low, high) in enumerate(cells) if i not in rare]
+        total = sum(share for share, _ in kept)
+        return [(share / total, piece) for share, piece in kept]
+
+
+@dataclass(frozen=True)
+class Crowd:
+    """A population fit.
+
+    Attributes
+    ----------
+    people : int
+        From how many people it was learned.
+    beta : Margin
+    theta : Margin or None
+        None where nothing was ever suggested.
+    eta : float or None
+        Rate of the trust update, the same for all people; None where nothing was ever suggested.
+    log_likelihood : float
+        Of all that was recorded.
+    shares : float array, shape (B, T)
+        The probability of each cell of (beta, theta).
+    """
+
+    people: int
+    beta: Margin
+    theta: Margin | None
+    eta: float | None
+    log_likelihood: float
+    shares: Floats
+
+    def __post_init__(self) -> None:
+        self.shares.flags.writeable = False
+
+    def population(self, sigma: Range = (0.0, 0.0), theta: Range = (0.5, 0.95)) -> Mixture:
+        """Give the population to draw people from.
+
+        Parameters
+        ----------
+        sigma : (float, float)
+            Range of people's misconceptions.
+        theta : (float, float)
+            Range of influence where nothing was learned about it; the paper's unless given.
+        """
+        heard = [(1.0, theta)] if self.theta is None else self.theta.pieces()
+        if self.beta.family == "histogram" and self.theta is not None:  # beta and theta may depend on each other
+            pieces = [
+                (float(self.shares[b, t]), beta, (self.theta.edges[t], self.theta.edges[t + 1]))
+                for b, beta in enumerate(zip(self.beta.edges, self.beta.edges[1:], strict=False))
+                for t in range(self.shares.shape[1])
+                if self.shares[b, t] > 1e-6
+            ]
+        else:
+            pieces = [(a * b, beta, span) for a, beta in self.beta.pieces() for b, span in heard]
+        total = sum(share for share, _, _ in pieces)
+        parts = tuple(Population(beta, span, sigma) for _, beta, span in pieces)
+        return Mixture(parts, tuple(share / total for share, _, _ in pieces))
+
+    def record(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
+        """Give all of it as plain data, the population included."""
+        mixture = self.population(sigma)
+        return {
+            "people": self.people,
+            "beta": asdict(self.beta),
+            "theta": None if self.theta is None else asdict(self.theta),
+            "eta": self.eta,
+            "log_likelihood": self.log_likelihood,
+            "parts": [
+                {"share": share, **asdict(part)} for share, part in zip(mixture.shares, mixture.parts, strict=True)
+            ],
+        }
+
+
+def mixture(record: dict[str, Any]) -> Mixture:
+    """Read the population of a `Crowd.record` back.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    try:
+        parts, shares = [], []
+        for part in record["parts"]:
+            (b, c), (t, u), (v, w) = (part[name] for name in ("beta", "theta", "sigma"))
+            parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w))))
+            shares.append(float(part["share"]))
+        return Mixture(tuple(parts), tuple(shares))
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"expected a population as `kitassist fit --population` writes it ({error!r})") from None
+
+
+def fit_crowd(
+    observations: Sequence[Observations],
+    method: Method | None = None,
+    *,
+    family: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Crowd:
+    """Estimate the distribution of beta and theta over people.
+
+    Parameters
+    ----------
+    observations : sequence of Observations
+        One for each person.
+    method : Method, optional
+        Where its eta is None, the one rate is estimated that fits all people together best.
+    family : str, optional
+        "histogram", or one of beta's families; otherwise the family that fits best.
+    progress : callable, optional
+        Called with how many of `ETAS` rates have been tried since the last call.
+    """
+    method = method or Method()
+    if not observations:
+        raise ValueError("a population needs people; there are no observations")
+    if family not in (None, "histogram", *BETA_FAMILIES):
+        raise ValueError(f"unknown family '{family}'; expected histogram or one of {', '.join(BETA_FAMILIES)}")
+    largest = largest_beta(observations, method)
+    told = any((o.suggested != NOTHING).any() for o in observations)
+    edges_beta = largest * np.expm1(np.linspace(0, np.log1p(100.0), CELLS[0] + 1)) / 100.0
+    edges_theta = np.linspace(0.0, 1.0, CELLS[1] + 1)
+    beta = (edges_beta[1:] + edges_beta[:-1]) / 2
+    theta = (edges_theta[1:] + edges_theta[:-1]) / 2 if told else np.array([0.5])
+
+    def likelihoods(eta: float) -> tuple[Floats, float]:
+        """Give the likelihood of each person in each cell, up to a factor, and the factors' logarithm."""
+        values = np.array([log_likelihood(o, beta, theta, np.array([eta]), method)[:, :, 0] for o in observations])
+        top = values.max(axis=(1, 2), keepdims=True)
+        return np.exp(values - top), float(top.sum())
+
+    eta = method.eta if told else 0.0
+    if eta is None:
+        rates = np.linspace(0.0, 1.0, ETAS)
+        scores = []
+        for rate in rates:
+            table, top = likelihoods(float(rate))
+            scores.append(_free(table, 30)[1] + top)
+            if progress is not None:
+                progress(1)
+        eta = _summit(rates, np.array(scores))
+    table, top = likelihoods(eta)
+    if family == "histogram":
+        shares, score = _free(table, 2000)
+        names, values = ("histogram", "histogram"), np.empty(0)
+    else:
+        families = BETA_FAMILIES if family is None else (family,)
+        found = [
+            _families(table, (one, other), (edges_beta, edges_theta))
+            for one in families
+            for other in (THETA_FAMILIES if told else ("none",))
+        ]
+        score, names, values = max(found, key=lambda result: result[0])
+        parts = [_cells(names[0], values[:2], edges_beta), _cells(names[1], values[2:], edges_theta)]
+        shares = np.outer(parts[0], parts[1] if told else [1.0])
+    own = table * shares  # of each person
+    own /= own.sum(axis=(1, 2), keepdims=True)
+    recorded = own.mean(axis=0)
+    margins = [
+        Margin.of(
+            names[k], tuple(values[2 * k : 2 * k + 2].tolist()), (edges_beta, edges_theta)[k],
+            shares.sum(axis=1 - k), recorded.sum(axis=1 - k),
+        )
+        for k in range(1 + told)
+    ]  # fmt: skip
+    return Crowd(
+        len(observations), margins[0], margins[1] if told else None, eta if told else None, score + top, shares
+    )
+
+
+def _summit(x: Floats, y: Floats) -> float:
+    """The highest point of the parabola through the highest value and its neighbours."""
+    k = int(y.argmax())
+    if k in (0, len(x) - 1):
+        return float(x[k])
+    a, b, c = y[k - 1 : k + 2]
+    bend = a - 2 * b + c
+    return float(x[k] + (0.0 if bend == 0 else (a - c) / (2 * bend) * (x[1] - x[0])))
+
+
+def _free(table: Floats, rounds: int) -> tuple[Floats, float]:
+    """Maximise over all shares, shape (B, T), by the EM algorithm from equal ones; give them and the score."""
+    flat = table.reshape(len(table), -1)
+    shares = np.full(flat.shape[1], 1 / flat.shape[1])
+    for _ in range(rounds):
+        mixed = flat @ shares
+        shares = shares * ((1 / mixed) @ flat) / len(flat)
+    return shares.reshape(table.shape[1:]), float(np.log(flat @ shares).sum())
+
+
+def _cells(family: str, parameters: Floats, edges: Floats) -> Floats:
+    """Give the probability of each cell under a family, cut off at the ends of the cells."""
+    if family == "none":
+        return np.ones(1)
+    first, second = parameters
+    with np.errstate(divide="ignore"):
+        at = np.log(edges) if family.startswith("log-") else edges
+    if family.endswith("uniform"):
+        cumulated = np.clip((at - first) / max(second - first, 1e-9), 0.0, 1.0)
+    else:
+        cumulated = ndtr((at - first) / second)
+    shares = np.diff(cumulated)
+    return shares / max(shares.sum(), 1e-300)
+
+
+def _families(
+    table: Floats, families: tuple[str, str], edges: tuple[Floats, Floats]
+) -> tuple[float, tuple[str, str], Floats]:
+    """Maximise over the parameters of a pair of families; give score, families and parameters."""
+    free, _ = _free(table, 30)  # where to begin
+
+    def parameters(x: Floats) -> Floats:
+        result = np.zeros(4)
+        for k, family in enumerate(families):
+            first, second = x[2 * k : 2 * k + 2]
+            if family.endswith("uniform"):
+                span = np.log(edges[k][1:]) if family == "log-uniform" else edges[k]
+                ends = np.sort(np.clip([first, second], span[0], span[-1]))
+                result[2 * k : 2 * k + 2] = ends
+            else:
+                span = np.log(edges[k][1:]) if family == "log-normal" else edges[k]
+                result[2 * k : 2 * k + 2] = np.clip(first, span[0], span[-1]), np.clip(np.exp(second), 1e-3, 3.0)
+        return result
+
+    def cost(x: Floats) -> float:
+        values = parameters(x)
+        mixed = table @ _cells(families[1], values[2:], edges[1]) @ _cells(families[0], values[:2], edges[0])
+        return -float(np.log(np.maximum(mixed, 1e-300)).sum())
+
+    start = np.zeros(4)
+    for k, family in enumerate(families):
+        if family == "none":
+            continue
+        middle = (edges[k][1:] + edges[k][:-1]) / 2
+        at = np.log(middle) if family.startswith("log-") else middle
+        shares = free.sum(axis=1 - k)
+        mean = shares @ at
+        spread = max(np.sqrt(shares @ (at - mean) ** 2), 1e-2)
+        flat = family.endswith("uniform")
+        start[2 * k : 2 * k + 2] = (mean - 1.7 * spread, mean + 1.7 * spread) if flat else (mean, np.log(spread))
+    moves = np.vstack([np.zeros(4), np.diag([0.2 * max(abs(s), 0.3) for s in start])])
+    best = minimize(
+        cost, start, method="Nelder-Mead",
+        options={"initial_simplex": start + moves, "maxiter": 2000, "xatol": 1e-4, "fatol": 1e-4},
+    )  # fmt: skip
+    again = minimize(cost, best.x, method="Nelder-Mead", options={"maxiter": 2000, "xatol": 1e-4, "fatol": 1e-5})
+    return -float(again.fun), families, parameters(again.x)

@@ -1,0 +1,1 @@
+"""One person's assistance problem, and its solutions between proven bounds."""

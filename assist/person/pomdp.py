@@ -1,0 +1,257 @@
+"""One person's assistance problem as a mixed-observability POMDP.
+
+The task's state x is observed; (beta, theta) is hidden on a `Grid`. In each step the robot says nothing,
+suggests an action, or executes one itself; then the person acts, and x moves. An `AssistPOMDP` holds the
+arrays from which a solver works and gives the two functions that a filter needs: the likelihood of what a
+person did, and the belief after it. A `Policy` is what solvers hand on.
+
+The robot's actions in a state are numbered from 0: nothing, then the suggestions, then the executions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people import belief as beliefs
+from ..people.belief import Grid
+from ..people.human import NOTHING, Floats, HumanModel, Mixture, Population, choice, perceived_value, trust
+
+Suggestions = Literal["optimal", "all"]
+
+NEVER = 1e-290
+"""Chances below this count as 0: those of a person who always or never follows are divided by them."""
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """States at which a problem breaks off, with bounds on what any policy, and some policy, gets from there.
+
+    Attributes
+    ----------
+    states : int array, shape (m,)
+    lower : float array, shape (m, T)
+        What some policy gets at least, for each theta and whatever beta is.
+    upper : float array, shape (m,)
+        What no policy exceeds.
+    """
+
+    states: NDArray[np.int64]
+    lower: Floats
+    upper: Floats
+
+    def __post_init__(self) -> None:
+        for array in (self.states, self.lower, self.upper):
+            array.flags.writeable = False
+
+
+@dataclass(frozen=True)
+class AssistPOMDP:
+    """The problem of assisting one person.
+
+    Attributes
+    ----------
+    model : HumanModel
+    grid : Grid
+        The hidden values, B of beta and T of theta.
+    gamma : float
+        Discount factor per step, in (0, 1).
+    c_suggest, c_execute : float
+        Cost of a suggestion, and of executing an action, in the task's cost units.
+    prior : float array, shape (B, T)
+    robots : int array, shape (n,)
+        How many robot actions there are in each state.
+    suggested : int array, shape (n, R)
+        Slot that each robot action suggests; `NOTHING` in column 0, for executions, and in padding.
+    place : int array, shape (n, R)
+        The state in which the person then acts: that after an execution, else the state itself.
+    charge : float array, shape (n, R)
+        Cost of each robot action.
+    chosen : float array, shape (n, A, B)
+        The person's choice without a suggestion and without lapses.
+    rest : float array, shape (n, R, B)
+        The chance of all slots but the suggested one, summed: 1 - p would lose its digits where p is almost 1.
+    low, weight : int and float arrays, shape (n, R, T)
+        Where a robot action moves theta to, as `Grid.shares` gives it.
+    frontier : Frontier or None
+        Where the problem breaks off, if it covers a part of a task only.
+    order : int array, or None
+        The states that are not final, in the order in which values are best worked out; by cost-to-go unless given.
+    """
+
+    model: HumanModel
+    grid: Grid
+    gamma: float
+    c_suggest: float
+    c_execute: float
+    prior: Floats
+    robots: NDArray[np.int64]
+    suggested: NDArray[np.int64]
+    place: NDArray[np.int64]
+    charge: Floats
+    chosen: Floats
+    rest: Floats
+    low: NDArray[np.int64]
+    weight: Floats
+    frontier: Frontier | None = None
+    order: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        for array in (
+            self.prior, self.robots, self.suggested, self.place, self.charge, self.chosen, self.rest, self.low,
+            self.weight,
+        ):  # fmt: skip
+            array.flags.writeable = False
+
+    @classmethod
+    def of(
+        cls,
+        model: HumanModel,
+        *,
+        grid: Grid | None = None,
+        population: Population | Mixture | None = None,
+        gamma: float = 0.99,
+        c_suggest: float = 1.0,
+        suggestions: Suggestions = "optimal",
+        execute: bool = False,
+        c_execute: float = 1.0,
+        frontier: Frontier | None = None,
+    ) -> AssistPOMDP:
+        """Set up the problem for a person drawn from a population (the paper's, unless given).
+
+        Parameters
+        ----------
+        suggestions : "optimal" or "all"
+            Suggest only actions that begin a cheapest way to the goal, or any applicable action.
+        execute : bool
+            Whether the robot can also do such an action itself, after which the person acts.
+        frontier : Frontier, optional
+            Where the choices break off. Nothing can be executed there.
+        """
+        if not 0 < gamma < 1:
+            raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
+        for name, cost in (("c_suggest", c_suggest), ("c_execute", c_execute)):
+            if not 0 <= cost < np.inf:
+                raise ValueError(f"{name} {cost:g}: expected 0 or more")
+        if execute and frontier is not None:
+            raise ValueError("execute: expected a problem of all states, and this one breaks off at a frontier")
+        population = population or Population()
+        grid = grid or Grid.regular(population)
+        choices = model.choices
+        offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
+        offered = offered & ~choices.goal[:, None]
+        count = offered.sum(axis=1)
+        robots = 1 + count * (2 if execute else 1)
+        here = np.arange(len(choices))
+        shape = (len(choices), int(robots.max(initial=1)))
+        suggested = np.full(shape, NOTHING, dtype=np.int64)
+        place = np.repeat(here[:, None], shape[1], axis=1)
+        charge = np.zeros(shape)
+        state, slot = np.nonzero(offered)
+        column = np.cumsum(offered, axis=1)[state, slot]
+        suggested[state, column] = slot
+        charge[state, column] = c_suggest
+        if execute:
+            place[state, column + count[state]] = choices.targets[state, slot]
+            charge[state, column + count[state]] = c_execute
+
+        chosen = np.stack([choice(model.q, choices.applicable, beta) for beta in grid.beta], axis=-1)
+        chosen[chosen < NEVER] = 0.0
+        slots = np.arange(choices.applicable.shape[1])
+        rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
+        value = perceived_value(choices, model.q)
+        if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
+            value[frontier.states] = -choices.h[frontier.states]
+        # Without a suggestion the person expects to stay where they are, so that theta does not move.
+        after = np.where(
+            suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)
+        )
+        theta = trust(grid.theta, value[:, None, None], value[after][:, :, None], model.eta, model.utility_scale)
+        low, weight = grid.shares(theta)
+        return cls(
+            model, grid, gamma, c_suggest, c_execute, grid.prior(population), robots, suggested, place, charge, chosen,
+            rest, low, weight, frontier,
+        )  # fmt: skip
+
+    @cached_property
+    def final(self) -> NDArray[np.bool_]:
+        """Where the problem ends, shape (n,): at goals and on the frontier."""
+        final = self.model.choices.goal.copy()
+        if self.frontier is not None:
+            final[self.frontier.states] = True
+        return final
+
+    def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
+        """Give P(action | x, robot, beta, theta), shape (N, B, T).
+
+        Parameters
+        ----------
+        x, robot, action : int arrays, shape (N,)
+            State, the robot's action (0: nothing), and the slot of what the person did then.
+        """
+        suggestion, place = self.suggested[x, robot], self.place[x, robot]
+        p = self.chosen[place, action][:, :, None]
+        followed = self.chosen[place, np.maximum(suggestion, 0)][:, :, None]
+        theta = self.grid.theta
+        total = theta * followed + (1 - theta) * self.rest[x, robot][:, :, None]
+        weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
+        heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
+        influenced = np.divide(
+            weight * p, total, out=np.zeros(np.broadcast_shapes(p.shape, total.shape)), where=total > 0
+        )
+        likelihood = np.where(heard, influenced, p)
+        count = self.model.choices.applicable[place].sum(axis=1)[:, None, None]
+        return (1 - self.model.lapse) * likelihood + self.model.lapse / count
+
+    def update(
+        self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]
+    ) -> Floats:
+        """Give the beliefs, shape (N, B, T), after people's actions; arguments as in `likelihood`."""
+        return beliefs.update(belief, self.likelihood(x, robot, action), self.low[x, robot], self.weight[x, robot])
+
+    @cached_property
+    def suggests_optimal(self) -> NDArray[np.bool_]:
+        """Which robot actions suggest an optimal action, shape (n, R)."""
+        slot = np.maximum(self.suggested, 0)
+        return (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
+
+    @cached_property
+    def first_optimal(self) -> NDArray[np.int64]:
+        """The first robot action of each state that suggests an optimal action, shape (n,); 0: there is none."""
+        return self.suggests_optimal.argmax(axis=1)
+
+    def suggestion(self, x: int, robot: int) -> str | None:
+        """Name in PDDL what a robot action suggests; None for nothing."""
+        slot = int(self.suggested[x, robot])
+        return None if slot == NOTHING else self.model.choices.name(x, slot)
+
+
+class Policy(Protocol):
+    """A policy for one person's problem; the methods work on N people at a time."""
+
+    @property
+    def pomdp(self) -> AssistPOMDP:
+        """The problem."""
+        ...
+
+    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each robot action, shape (N, R); minus infinity in padding.
+
+        Parameters
+        ----------
+        x : int array, shape (N,)
+        belief : float array, shape (N, B, T)
+        """
+        ...
+
+    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each person's problem, shape (N,)."""
+        ...
+
+    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
+        """Give the best robot action for each person, shape (N,)."""
+        ...

@@ -1,0 +1,130 @@
+"""The upper bound of a solution at given beliefs: the least that its points prove.
+
+`search` says how points with known bounds bound the value at another belief b, and gives up the linear program
+
+    minimise  sum_i w_i d_i   where  sum_i w_i b_i <= b,  w >= 0
+
+after a few pivots. Here it is solved to the end, so that the bound is convex in the belief, up to rounding. In units of
+the weight that each point could carry alone, and of the entries of b, all numbers are between 0 and 1:
+
+    minimise  c . u   where  A u + s = 1,  u >= 0,  s >= 0
+
+The simplex method works on the table of that, condensed to the columns that are not in the basis. Whatever rounding
+does to the table, the weights are checked in the end: any that keep the two conditions give a bound.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import Floats
+from .qmdp import ROUNDING
+
+PIVOTS = (
+    5000  # hardly ever more than a hundred are needed; a bound that stops short, should they go in circles, is valid
+)
+NEGLIGIBLE = 1e-14  # share of the bound that a point, or a pivot, must be able to take off
+LEAST = 1e-12  # an entry of the table that is pivoted on
+SLANT = 1e-11  # the right-hand sides are moved apart by this, so that no two points leave the basis at once
+ABSENT = 1e-100  # share of the mass that is added to each entry of b, so that none is 0: far below rounding
+
+
+# Sums may be taken in any order: what that does to rounding is covered by the margin of each bound.
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+def uppers(
+    value: Floats,
+    x: NDArray[np.int64],
+    beliefs: Floats,
+    corner: Floats,
+    point: Floats,
+    drop: Floats,
+    first: NDArray[np.int64],
+    pivots: int,
+) -> None:
+    """Fill in the upper bounds, shape (N,), of states at unnormalised beliefs, shape (N, H).
+
+    The points of state s, shape (H,) each, are those from `first[s]` to `first[s + 1]`, and the bound there is by
+    `drop` below what the corners of s, shape (H,), give.
+    """
+    size = beliefs.shape[1]
+    most = 0
+    for s in x:
+        most = max(most, first[s + 1] - first[s])
+    table, left, inverse = np.empty((size + 1, most + 1)), np.empty(size), np.empty(size)
+    share, column = np.empty(most), np.empty(most, np.int64)
+    basic, free = np.empty(size, np.int64), np.empty(most, np.int64)
+    for n in range(len(x)):
+        base, mass = 0.0, 0.0
+        for h in range(size):
+            base += corner[x[n], h] * beliefs[n, h]
+            mass += beliefs[n, h]
+        for h in range(size):
+            left[h] = beliefs[n, h] + ABSENT * mass
+            inverse[h] = 1.0 / left[h] if left[h] > 0.0 else 0.0
+        count = 0
+        for i in range(first[x[n]], first[x[n] + 1]):
+            largest = 0.0
+            for h in range(size):
+                largest = max(largest, point[i, h] * inverse[h])
+            if largest > 0.0 and drop[i] < NEGLIGIBLE * base * largest:
+                share[count], column[count] = 1.0 / largest, i
+                count += 1
+        for c in range(count):
+            table[size, c], free[c] = share[c] * drop[column[c]], c
+        for h in range(size):
+            for c in range(count):
+                table[h, c] = share[c] * point[column[c], h] * inverse[h]
+            table[h, count], basic[h] = 1.0 - SLANT * (h + 1) / size, count + h
+        table[size, count] = 0.0
+        _minimise(table, basic, free, count, -NEGLIGIBLE * abs(base), pivots)
+        worth = 0.0
+        for h in range(size):
+            if basic[h] < count and table[h, count] > 0.0:
+                i, weight = column[basic[h]], share[basic[h]] * table[h, count]
+                worth += weight * drop[i]
+                for k in range(size):
+                    left[k] -= weight * point[i, k]
+        scale = 1.0
+        for h in range(size):
+            if left[h] < 0.0:  # then the weights are that much too large
+                entry = beliefs[n, h] + ABSENT * mass
+                scale = min(scale, entry / (entry - left[h]))
+        value[n] = base + scale * worth
+        value[n] += ROUNDING * abs(value[n])
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+def _minimise(
+    table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int
+) -> None:
+    """Pivot until no column can take off more than `enough`, or so many times.
+
+    The rows are the variables `basic` and the costs, the columns the variables `free` and the right-hand sides.
+    """
+    rows = len(basic)
+    for _ in range(pivots):
+        c = 0
+        for j in range(1, count):
+            if table[rows, j] < table[rows, c]:
+                c = j
+        if count == 0 or table[rows, c] >= enough:
+            return
+        r = -1
+        for h in range(rows):
+            if table[h, c] > LEAST and (r < 0 or table[h, count] * table[r, c] < table[r, count] * table[h, c]):
+                r = h
+        if r < 0:
+            return
+        pivot = 1.0 / table[r, c]
+        for j in range(count + 1):
+            table[r, j] *= pivot
+        table[r, c] = pivot
+        for h in range(rows + 1):
+            factor = table[h, c]
+            if h != r and factor != 0.0:
+                table[h, c] = 0.0
+                for j in range(count + 1):
+                    table[h, j] -= factor * table[r, j]
+        basic[r], free[c] = free[c], basic[r]

@@ -1,0 +1,168 @@
+"""Pictures of what was learned from people's actions. Needs the extra `plots`."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..learning.diagnostics import calibrate
+from ..learning.fit import Fit
+from ..people.human import NOTHING
+from .episode import BLUE, GREEN, GREY, ORANGE, require, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_PEOPLE = 60  # in a picture with a line or a panel for each
+MOST_PANELS = 12
+
+
+def draw(fits: list[Fit], folder: Path) -> list[Path]:
+    """Write the pictures into a folder; return their files.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require()
+    pictures = {
+        "calibration": calibration_figure(fits),
+        "expertise": expertise_figure(fits),
+        "errors": errors_figure(fits),
+        "episodes": episodes_figure(fits),
+    }
+    files = [folder / f"{name}.png" for name in pictures]
+    for file, figure in zip(files, pictures.values(), strict=True):
+        save(figure, file)
+    return files
+
+
+def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axis = figure.subplots()
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(alpha=0.3)
+    return figure, axis
+
+
+def calibration_figure(fits: list[Fit]) -> Figure:
+    """Draw how often choices of each predicted probability were made."""
+    figure, axis = _figure(6, 5.4)
+    c = calibrate(fits)
+    axis.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1.2, label="as predicted")
+    axis.errorbar(
+        c.predicted, c.observed, yerr=np.abs(np.array([c.observed - c.low, c.high - c.observed])),
+        fmt="o", color=BLUE, capsize=3, label="observed, with 95 % interval",
+    )  # fmt: skip
+    for x, y, count in zip(c.predicted, c.observed, c.count, strict=True):
+        axis.annotate(f"{count:.0f}", (x, y), xytext=(7, -11), textcoords="offset points", fontsize=8, color="#555555")
+    axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of a choice", ylabel="share chosen")
+    axis.set_title("Predicted and observed choices (numbers: choices that could be made)", fontsize=10)
+    axis.legend(frameon=False, loc="upper left")
+    return figure
+
+
+def expertise_figure(fits: list[Fit]) -> Figure:
+    """Draw beta with its interval for each person, and theta where it is known."""
+    from matplotlib.figure import Figure
+
+    shown = sorted(fits, key=lambda f: (f.beta.value, f.beta.interval[0]))
+    if len(shown) > MOST_PEOPLE:  # evenly over all
+        shown = [shown[i] for i in np.linspace(0, len(shown) - 1, MOST_PEOPLE).astype(int)]
+    columns = 2 if any(f.theta is not None for f in shown) else 1
+    figure = Figure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
+    axes = figure.subplots(1, columns, sharey=True, squeeze=False)[0]
+    rows = np.arange(len(shown))
+    for axis, name, color in zip(axes, ("beta", "theta"), (BLUE, GREEN), strict=False):
+        for row, f in zip(rows, shown, strict=True):
+            estimate = f.beta if name == "beta" else f.theta
+            if estimate is None:
+                continue
+            axis.plot(estimate.interval, (row, row), color=color, linewidth=2.2, solid_capstyle="butt", alpha=0.6)
+            end = name == "beta" and estimate.open_above
+            axis.plot(
+                estimate.value, row, marker=">" if end else "o", color=color, markersize=6 if end else 5,
+                markerfacecolor="white" if end else color, clip_on=False,
+            )  # fmt: skip
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="x", alpha=0.3)
+    axes[0].set_xscale("symlog", linthresh=0.1)
+    axes[0].set_xlim(left=0)
+    axes[0].set_xlabel("expertise β, per cost unit (arrow: not bounded above)")
+    axes[0].set_yticks(rows, [f.observations.person for f in shown], fontsize=8)
+    if columns == 2:
+        axes[1].set(xlim=(0, 1), xlabel="influence θ at the beginning")
+    number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else f"{len(fits)} people"
+    figure.suptitle(f"Estimates with {100 * fits[0].method.level:g} % intervals, {number}", fontsize=10)
+    return figure
+
+
+def errors_figure(fits: list[Fit]) -> Figure:
+    """Draw beta against the share of suboptimal actions."""
+    figure, axis = _figure(6.4, 4.6)
+    for is_open, marker, label in ((False, "o", "estimate"), (True, "^", "not bounded above")):
+        own = [f for f in fits if f.beta.open_above == is_open]
+        if own:
+            x = np.array([100 * f.observations.suboptimal / len(f.observations) for f in own])
+            y = np.array([f.beta.value for f in own])
+            ends = np.array([f.beta.interval for f in own]).T
+            axis.errorbar(
+                x, y, yerr=np.abs(np.array([y - ends[0], ends[1] - y])), fmt=marker, color=ORANGE if is_open else BLUE,
+                markersize=5, linewidth=1, alpha=0.75, label=label, markerfacecolor="white" if is_open else BLUE,
+            )  # fmt: skip
+    axis.set_yscale("symlog", linthresh=0.1)
+    axis.set_ylim(bottom=0)
+    axis.set(xlabel="suboptimal actions, % of all", ylabel="expertise β, per cost unit")
+    axis.set_title("Expertise and mistakes, one mark per person", fontsize=10)
+    axis.legend(frameon=False)
+    return figure
+
+
+def episodes_figure(fits: list[Fit]) -> Figure:
+    """Draw the cost-to-go along each person's episodes, and the suggestions."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    shown = fits
+    if len(fits) > MOST_PANELS:  # from the least to the most expert
+        order = sorted(fits, key=lambda f: f.beta.value)
+        shown = [order[i] for i in np.linspace(0, len(order) - 1, MOST_PANELS).astype(int)]
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = Figure(figsize=(3.6 * columns, 0.6 + 2.3 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    for axis in axes[len(shown) :]:
+        axis.set_visible(False)
+    for axis, f in zip(axes, shown, strict=False):
+        o = f.observations
+        bounds = [*np.flatnonzero(o.begins).tolist(), len(o)]
+        for begin, end in pairwise(bounds):
+            last = o.ahead[end - 1, o.chosen[end - 1]]
+            h = np.append(o.cost_to_go[begin:end], last)
+            axis.plot(
+                np.arange(end - begin + 1), np.where(np.isfinite(h), h, np.nan), color=BLUE, linewidth=1.2, alpha=0.7
+            )
+            told = np.flatnonzero(o.suggested[begin:end] != NOTHING)
+            for took in (True, False):
+                at = told[(o.chosen[begin:end] == o.suggested[begin:end])[told] == took]
+                axis.plot(
+                    at, h[at], linestyle="none", marker="v", markersize=4.5, color=GREEN,
+                    markerfacecolor=GREEN if took else "white",
+                )  # fmt: skip
+        axis.set_title(f"{o.person}: β = {f.beta.value:.2g}, {o.suboptimal} of {len(o)} suboptimal", fontsize=9)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="y", alpha=0.3)
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axes[0].set_ylim(bottom=0)  # shared, and only now: a limit stops the scaling
+    number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else "all people"
+    figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled where taken", fontsize=10)
+    figure.supxlabel("action", fontsize=9)
+    figure.supylabel("cost still to go, at best", fontsize=9)
+    return figure

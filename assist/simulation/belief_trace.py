@@ -1,0 +1,104 @@
+"""What the robot believed in the course of an episode, beside what was true."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..people.human import Floats
+from ..team.pool import Pool
+from ..team.state import TeamAction, TeamPolicy, TeamState, Travel
+from .episodes import Episode, Trace
+from .simulate import Presence, World, simulate
+
+ENDS = (0.05, 0.95)
+"""The quantiles between which nine tenths of a belief lie."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A policy for one team that notes what the robot believes whenever it is asked.
+
+    Attributes
+    ----------
+    policy : TeamPolicy
+        Whose choices it makes.
+    beliefs : dict of float arrays, shape (K, B, T)
+        By step.
+    """
+
+    policy: TeamPolicy
+    beliefs: dict[int, Floats] = field(default_factory=dict)
+    uses_belief = True  # whether the policy does or not
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Choose as the policy does."""
+        assert team.belief is not None
+        self.beliefs[team.step] = team.belief[0].copy()  # the simulation goes on in the same array
+        return self.policy(team)
+
+
+def beliefs_of_episode(
+    pool: Pool,
+    policy: TeamPolicy,
+    *,
+    humans: int | Sequence[int],
+    episode: int,
+    seed: int,
+    name: str = "policy",
+    travel: Travel | None = None,
+    presence: Presence | None = None,
+    world: World = "people",
+) -> tuple[Episode, list[dict[str, Any]]]:
+    """Simulate one episode, and give what the robot believed about each person before each of their actions.
+
+    Parameters
+    ----------
+    episode : int
+        Its number. The parameters are those of `simulate`, and with the same ones it is the same episode.
+
+    Returns
+    -------
+    Episode
+    list of dict
+        For each person and step: `place`, `step`; mean and quantiles (`ENDS`) of beta and theta, as `beta_mean`,
+        `beta_low`, `beta_high` and so on; `beta_true` and `theta_true`, the latter at that time; `suggestion`,
+        whether one was made to them then; `robot_here`. What is believed while the robot is under way is not
+        known (NaN), since no policy is asked then.
+    """
+    watched, trace = Watched(policy), Trace()
+    episodes = simulate(
+        pool, watched, humans=humans, episodes=[episode], seed=seed, name=name, travel=travel, presence=presence,
+        world=world, trace=trace,
+    )  # fmt: skip
+    found, models = episodes[0], pool.model[episodes.people[0]]
+    grids = [pool.policies[model].pomdp.grid for model in models]
+    rows = []
+    for action in trace:
+        place, step = action["place"], action["step"]
+        belief = watched.beliefs[step][place] if step in watched.beliefs else np.full(grids[place].shape, np.nan)
+        rows.append(
+            {
+                "place": place,
+                "step": step,
+                **_described("beta", grids[place].beta, belief.sum(axis=1)),
+                **_described("theta", grids[place].theta, belief.sum(axis=0)),
+                "beta_true": found.beta[place],
+                "theta_true": action["theta"],
+                "suggestion": action["suggestion"] is not None,
+                "robot_here": action["robot_place"] == place,
+            }
+        )
+    return found, rows
+
+
+def _described(name: str, values: Floats, chances: Floats) -> dict[str, float]:
+    """Give the mean and the quantiles of a distribution over ascending values."""
+    if np.isnan(chances).any():
+        return dict.fromkeys((f"{name}_mean", f"{name}_low", f"{name}_high"), np.nan)
+    # A cumulated chance of 0.95 may have been rounded down.
+    low, high = values[np.searchsorted(chances.cumsum(), np.array(ENDS) - 1e-9)].tolist()
+    return {f"{name}_mean": float(values @ chances), f"{name}_low": low, f"{name}_high": high}

@@ -1,0 +1,185 @@
+"""One step of many people, compiled: they choose, their tasks and trust move on, and so does the belief in them.
+
+The same equations as in `assist.people.human` and `assist.people.belief`, one person at a time instead of one array
+at a time, so that nothing is computed that is not needed: without a suggestion trust stays as it is, and what a person
+does tells of beta only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import Floats
+from ..person.qmdp import Arrays
+
+
+class People(NamedTuple):
+    """Many people in whatever state their task is; one entry for each in every array, changed in place.
+
+    Attributes
+    ----------
+    x : int array, shape (N,)
+    robot : int array, shape (N,)
+        What the robot does to each: a robot action, 0 is nothing.
+    who : int array, shape (N,)
+        The row of `Minds` that holds what they take for the cost-to-go.
+    beta, theta : float arrays, shape (N,)
+    luck : float array, shape (N, 2)
+        Uniform in [0, 1): the first decides what they choose, the second to which point of a grid theta moves.
+    belief : float array, shape (N, B, T)
+        Of no rows where nobody keeps one.
+    slot : int array, shape (N,)
+        What they did; -1 where the robot's execution reached the goal and nothing was left to do.
+    cost : float array, shape (N,)
+        What they spent.
+    erred : bool array, shape (N,)
+        Whether their action did not lower the exact cost-to-go.
+    """
+
+    x: NDArray[np.int64]
+    robot: NDArray[np.int64]
+    who: NDArray[np.int64]
+    beta: Floats
+    theta: Floats
+    luck: Floats
+    belief: Floats
+    slot: NDArray[np.int64]
+    cost: Floats
+    erred: NDArray[np.bool_]
+
+
+class Minds(NamedTuple):
+    """What people take for the cost-to-go, and by what rule they choose.
+
+    Attributes
+    ----------
+    q : float array, shape (m, n, A)
+        Perceived costs.
+    value : float array, shape (m, n)
+        Perceived values.
+    h : float array, shape (n,)
+        The exact cost-to-go.
+    eta : float
+        Rate of the trust update, divided by the unit of value.
+    lapse : float
+        Weight of a uniform choice.
+    on_grid : bool
+        Theta moves between points of the grid, by chance, as the robot's model has it.
+    """
+
+    q: Floats
+    value: Floats
+    h: Floats
+    eta: float
+    lapse: float
+    on_grid: bool
+
+
+@numba.njit(cache=True, nogil=True)
+def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> None:
+    """Let the people of some rows, all of one model, act once."""
+    p = np.empty(m.chosen.shape[1])
+    after = np.empty((m.chosen.shape[2], len(m.theta)))
+    believed = len(people.belief) > 0
+    for i in rows:
+        x, robot, theta = people.x[i], people.robot[i], people.theta[i]
+        place, suggestion = m.place[x, robot], m.suggested[x, robot]
+        if m.goal[place]:
+            people.x[i], people.slot[i], people.cost[i], people.erred[i] = place, -1, 0.0, False
+            continue
+        count = m.counts[place]
+        _choice(p, minds.q[people.who[i], place], count, people.beta[i])
+        if suggestion >= 0:
+            _influence(p, count, suggestion, theta)
+        slot = _draw(p, count, minds.lapse, people.luck[i, 0])
+        y = m.targets[place, slot]
+        people.slot[i], people.cost[i] = slot, m.costs[place, slot]
+        people.erred[i] = not minds.h[y] < minds.h[place]
+        if suggestion >= 0:
+            if minds.on_grid:
+                t = np.searchsorted(m.theta, theta)
+                people.theta[i] = m.theta[m.low[x, robot, t] + (people.luck[i, 1] < m.weight[x, robot, t])]
+            else:
+                value = minds.value[people.who[i]]
+                before, expected = value[x], value[m.targets[x, suggestion]]
+                gain = 0.0 if before == expected else expected - before
+                people.theta[i] = min(max(theta + minds.eta * gain, 0.0), 1.0)
+        if believed:
+            _update(people.belief[i], after, x, robot, slot, m)
+        people.x[i] = y
+
+
+@numba.njit(cache=True)
+def _choice(p: Floats, q: Floats, count: int, beta: float) -> None:
+    """Boltzmann choice (eq. 4), not normalised."""
+    best = np.inf
+    for a in range(count):
+        best = min(best, q[a])
+    for a in range(count):
+        # Where every action leads to a dead end, or nobody looks (beta 0), the choice is uniform.
+        p[a] = np.exp(-beta * (q[a] - best)) if best < np.inf and beta > 0.0 else 1.0
+
+
+@numba.njit(cache=True)
+def _influence(p: Floats, count: int, suggestion: int, theta: float) -> None:
+    """Weigh a choice by a suggestion (eq. 5); one that would leave no action possible is ignored."""
+    others = 0.0
+    for a in range(count):
+        if a != suggestion:
+            others += p[a]
+    if theta * p[suggestion] + (1.0 - theta) * others > 0.0:
+        for a in range(count):
+            p[a] *= theta if a == suggestion else 1.0 - theta
+
+
+@numba.njit(cache=True)
+def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
+    """Give the first slot whose cumulated probability exceeds `luck`."""
+    total = 0.0
+    for a in range(count):
+        total += p[a]
+    left = luck
+    last = 0
+    for a in range(count):
+        chance = (1.0 - lapse) * p[a] / total + lapse / count
+        if chance > 0.0:  # rounding must not end in an action that is never chosen
+            last = a
+            left -= chance
+            if left < 0.0:
+                break
+    return last
+
+
+# Sums may be reordered, so that they are computed several terms at a time.
+@numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp"})
+def _update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
+    """Bayes' rule for what a person did, then the move of theta; `after`, shape (B, T), is room to work in."""
+    betas, thetas = belief.shape
+    place, suggestion = m.place[x, robot], m.suggested[x, robot]
+    uniform = m.lapse / m.counts[place]
+    evidence = 0.0
+    if suggestion < 0:
+        for b in range(betas):
+            likelihood = (1.0 - m.lapse) * m.chosen[place, slot, b] + uniform
+            for t in range(thetas):
+                belief[b, t] *= likelihood
+                evidence += belief[b, t]
+        belief *= 1.0 / evidence
+        return
+    after[:] = 0.0
+    for b in range(betas):
+        p, followed, rest = m.chosen[x, slot, b], m.chosen[x, suggestion, b], m.rest[x, robot, b]
+        for t in range(thetas):
+            theta = m.theta[t]
+            total = theta * followed + (1.0 - theta) * rest
+            heard = (theta if slot == suggestion else 1.0 - theta) / total if total > 0.0 else 1.0
+            joint = belief[b, t] * ((1.0 - m.lapse) * p * heard + uniform)
+            evidence += joint
+            at, up = m.low[x, robot, t], m.weight[x, robot, t]
+            after[b, at] += joint * (1.0 - up)
+            after[b, at + 1] += joint * up
+    belief[:] = after * (1.0 / evidence)

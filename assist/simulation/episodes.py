@@ -1,0 +1,178 @@
+"""What became of simulated episodes: their records, and what they say on average."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import Floats
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What became of one episode.
+
+    Attributes
+    ----------
+    policy : str
+    episode : int
+    people : tuple of str
+        Who was in the team; each of the next tuples has one entry per person.
+    beta, theta, sigma : tuple of float
+        Who they were; theta at the beginning.
+    actions : tuple of int
+        Actions until the goal, or the cut-off.
+    costs : tuple of float
+        What these cost, in cost units.
+    finished : tuple of bool
+    helped : tuple of int
+        Suggestions made to each (and actions executed for them).
+    interventions, moves, steps : int
+        Suggestions made, changes of place, and steps until all had finished.
+    discounted_return : float
+        Sum over steps of gamma^t times the reward.
+    """
+
+    policy: str
+    episode: int
+    people: tuple[str, ...]
+    beta: tuple[float, ...]
+    theta: tuple[float, ...]
+    sigma: tuple[float, ...]
+    actions: tuple[int, ...]
+    costs: tuple[float, ...]
+    finished: tuple[bool, ...]
+    helped: tuple[int, ...]
+    interventions: int
+    moves: int
+    steps: int
+    discounted_return: float
+
+    def record(self) -> dict[str, Any]:
+        """Give the fields as plain data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What became of N episodes of K people, one array for each field of `Episode`; a sequence of those.
+
+    Attributes
+    ----------
+    policy : str
+    episode : int array, shape (N,)
+    people : int array, shape (N, K)
+        Numbers in the pool.
+    beta, theta, sigma, costs : float arrays, shape (N, K)
+    actions, helped : int arrays, shape (N, K)
+    finished : bool array, shape (N, K)
+    interventions, moves, steps : int arrays, shape (N,)
+    discounted_return : float array, shape (N,)
+    """
+
+    policy: str
+    episode: NDArray[np.int64]
+    people: NDArray[np.int64]
+    beta: Floats
+    theta: Floats
+    sigma: Floats
+    actions: NDArray[np.int64]
+    costs: Floats
+    finished: NDArray[np.bool_]
+    helped: NDArray[np.int64]
+    interventions: NDArray[np.int64]
+    moves: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    discounted_return: Floats
+
+    @classmethod
+    def joined(cls, parts: Sequence[Episodes]) -> Episodes:
+        """Put the episodes of one policy together."""
+        names = [field.name for field in fields(cls) if field.name != "policy"]
+        return cls(parts[0].policy, *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def __len__(self) -> int:
+        return len(self.episode)
+
+    def __getitem__(self, row: int) -> Episode:
+        return Episode(
+            policy=self.policy,
+            episode=int(self.episode[row]),
+            people=tuple(f"human-{number + 1}" for number in self.people[row]),
+            beta=tuple(self.beta[row].tolist()),
+            theta=tuple(self.theta[row].tolist()),
+            sigma=tuple(self.sigma[row].tolist()),
+            actions=tuple(self.actions[row].tolist()),
+            costs=tuple(self.costs[row].tolist()),
+            finished=tuple(self.finished[row].tolist()),
+            helped=tuple(self.helped[row].tolist()),
+            interventions=int(self.interventions[row]),
+            moves=int(self.moves[row]),
+            steps=int(self.steps[row]),
+            discounted_return=float(self.discounted_return[row]),
+        )
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self[row] for row in range(len(self)))
+
+
+Trace = list[dict[str, Any]]
+"""One dictionary for each action of each person."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Mean and standard error over the episodes of one policy.
+
+    Attributes
+    ----------
+    actions, interventions, moves, discounted_return : tuple of float
+        Mean and standard error: human actions per person, and suggestions, changes of place and
+        return per episode.
+    cut_off : int
+        Episodes in which somebody had not finished at the step limit.
+    """
+
+    policy: str
+    episodes: int
+    actions: tuple[float, float]
+    interventions: tuple[float, float]
+    moves: tuple[float, float]
+    discounted_return: tuple[float, float]
+    cut_off: int
+
+
+def summarise(episodes: Episodes) -> Summary:
+    """Summarise the episodes of one policy."""
+
+    def mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
+        error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+        return float(values.mean()), float(error)
+
+    return Summary(
+        policy=episodes.policy,
+        episodes=len(episodes),
+        actions=mean_and_error(episodes.actions.mean(axis=1)),
+        interventions=mean_and_error(episodes.interventions),
+        moves=mean_and_error(episodes.moves),
+        discounted_return=mean_and_error(episodes.discounted_return),
+        cut_off=int((~episodes.finished).any(axis=1).sum()),
+    )
+
+
+def illustrative(helped: Episodes, alone: Episodes) -> Episode:
+    """Choose an episode to look at: of those in which help saved actions, the one of median saving.
+
+    Parameters
+    ----------
+    helped, alone : Episodes
+        The same episodes with and without a robot.
+    """
+    saved = (alone.actions.sum(axis=1) - helped.actions.sum(axis=1)).tolist()
+    better = sorted((number, i) for i, number in enumerate(saved) if number > 0)
+    return helped[better[(len(better) - 1) // 2][1]] if better else helped[0]

@@ -1,0 +1,322 @@
+"""What a study found, in numbers: means per team size and policy, savings with intervals, and how they change.
+
+Everything is computed over pools of people, not over their episodes; see `assist.study.statistics`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..team.pool import Setting
+from . import statistics
+from .statistics import Estimate
+from .study import SCHEMA, Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+ARM = ("condition", "setting", "prior", "population", "instance")
+"""What episodes that are compared have in common."""
+
+MEASURES = {
+    "actions": "human_actions_per_person", "interventions": "interventions", "moves": "moves",
+}  # fmt: skip
+BASELINES = {
+    "none": ("max_steps",), "reactive": ("max_steps", "eta", "utility_scale", "travel_time"),
+}  # fmt: skip
+"""Policies that others are compared with, and the settings that matter to them."""
+
+SEED = 95  # of the bootstrap, so that a study always has the same intervals
+
+
+class Found:
+    """A study's episodes by pools; the rest is computed from them.
+
+    Attributes
+    ----------
+    study : Study
+    pools : DataFrame
+        One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES`.
+    """
+
+    def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
+        self.study, self.episodes = study, episodes
+        keys = [*ARM, "policy", "humans", "repeat"]
+        measured = episodes.groupby(keys, observed=True)[list(MEASURES.values())].mean()
+        pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
+        self.pools = pools.astype(dict.fromkeys((*ARM, "policy"), str))
+        first = study.conditions[0]
+        self.main = {
+            "condition": first.name, "setting": first.settings[0][0], "prior": first.priors[0],
+            "population": first.populations[0],
+        }  # fmt: skip
+
+    def with_baselines(self, arm: dict[str, str], own: pd.DataFrame) -> pd.DataFrame:
+        """Add the baselines that an arm leaves out, if the first condition has them for the same people and luck.
+
+        What people do alone depends on no setting but the step limit; what they do under the reactive policy, also
+        on how trust moves and how long the robot is under way.
+        """
+        import pandas as pd
+
+        here, main = self._setting(arm), dict(self.study.conditions[0].settings)[self.main["setting"]]
+        parts = [own]
+        for name, matters in BASELINES.items():
+            if name not in set(own["policy"]) and all(getattr(here, m) == getattr(main, m) for m in matters):
+                same = self.pools[
+                    (self.pools["condition"] == self.main["condition"])
+                    & (self.pools["setting"] == self.main["setting"])
+                    & (self.pools["prior"] == self.main["prior"])
+                    & (self.pools["population"] == arm["population"])
+                    & (self.pools["instance"] == arm["instance"])
+                    & (self.pools["policy"] == name)
+                ]
+                parts.append(same[same["repeat"].isin(own["repeat"]) & same["humans"].isin(own["humans"])])
+        return pd.concat(parts)
+
+    def _setting(self, arm: dict[str, str]) -> Setting:
+        return dict(self.study.condition(arm["condition"]).settings)[arm["setting"]]
+
+    def arms(self, **wanted: str) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+        """Give each arm that has the wanted properties, and its pools."""
+        pools = self.pools
+        for name, value in wanted.items():
+            pools = pools[pools[name] == value]
+        for values, own in pools.groupby(list(ARM), observed=True, sort=False):
+            yield dict(zip(ARM, _texts(values), strict=True)), own
+
+    def summary(self) -> dict[str, Any]:
+        """Give everything as plain data; `docs/study.md` describes it."""
+        return {
+            "schema": SCHEMA,
+            "title": self.study.title,
+            "seed": self.study.seed,
+            "repeats": self.study.repeats,
+            "fingerprint": self.study.fingerprint(),
+            "headline": self.headline(),
+            "cells": self.cells(),
+            "comparisons": self.comparisons(),
+            "decline": self.decline(),
+            "contrasts": self.contrasts(),
+            "readings": self.readings(),
+        }
+
+    def headline(self) -> dict[str, Any]:
+        """Give what the policy in focus saves in the first condition, over all team sizes; each task, and together."""
+        by_task = {arm["instance"]: own for arm, own in self.arms(**self.main)}
+        together = self.pools[self.pools["condition"] == self.main["condition"]]
+        for name, value in self.main.items():
+            together = together[together[name] == value]
+        return {
+            "policy": self.study.focus,
+            **self._savings(together),
+            "instances": {instance: self._savings(own) for instance, own in by_task.items()},
+        }
+
+    def _savings(self, pools: pd.DataFrame) -> dict[str, Any]:
+        focus = self.study.focus
+        others = [name for name in self.study.conditions[0].policies if name != focus]
+        found = {}
+        for measure in ("actions", "interventions"):
+            for other in others:
+                estimate = saving(pools, measure, focus, other)
+                if math.isfinite(estimate.value):
+                    found[f"{measure}_vs_{other.replace('-', '_')}"] = estimate.record()
+        return found
+
+    def cells(self) -> list[dict[str, Any]]:
+        """Give mean, standard deviation and so on for each arm, team size and policy."""
+        found = []
+        keys = [*ARM, "humans", "policy"]
+        pools: dict[tuple[str, ...], pd.DataFrame] = {
+            _texts(key): own for key, own in self.pools.groupby(keys, observed=True)
+        }
+        for key, own in self.episodes.groupby(keys, observed=True, sort=False):
+            found.append(
+                {
+                    **dict(zip(keys, _plain(key), strict=True)),
+                    "episodes": len(own),
+                    "pools": int(own["repeat"].nunique()),
+                    "cut_off": int(own["cut_off"].sum()),
+                    **{
+                        column: _described(own[column].to_numpy(dtype=float), pools[_texts(key)][name].to_numpy())
+                        for name, column in MEASURES.items()
+                    },
+                }
+            )
+        return found
+
+    def comparisons(self) -> list[dict[str, Any]]:
+        """Compare policies with the baselines over all team sizes (`humans` null), in the main arms also by size."""
+        found = []
+        for arm, own in self.arms():
+            pools = self.with_baselines(arm, own)
+            present = set(pools["policy"])
+            sizes = sorted(own["humans"].unique()) if self.main.items() <= arm.items() else []
+            for humans in (None, *sizes):
+                part = pools if humans is None else pools[pools["humans"] == humans]
+                for policy in dict.fromkeys(own["policy"]):
+                    for against in [name for name in BASELINES if name in present and policy not in BASELINES]:
+                        for measure in ("actions", "interventions"):
+                            named = {
+                                "humans": None if humans is None else int(humans), "policy": policy,
+                                "against": against, "measure": measure,
+                            }  # fmt: skip
+                            found += [
+                                {**arm, **named, **record} for record in _compared(part, measure, policy, against)
+                            ]
+        return found
+
+    def decline(self) -> list[dict[str, Any]]:
+        """Give by how many percentage points the policy in focus saves less in large teams than in small ones."""
+        found = []
+        focus = self.study.focus
+        for arm, own in self.arms(**self.main):
+            sizes = sorted(own["humans"].unique())
+            for against in [name for name in BASELINES if name in set(own["policy"]) and name != focus]:
+                for measure in ("actions", "interventions"):
+                    ends = [
+                        paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
+                    ]
+                    if against == "none":  # alone, nobody's team matters: all sizes together are the surer baseline
+                        alone = paired(own, measure, against, against)[0]
+                        ends = [(mine, alone) for mine, _ in ends]
+                    estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
+                    if math.isfinite(estimate.value) and len(sizes) > 1:
+                        found.append(
+                            {
+                                "instance": arm["instance"],
+                                "policy": focus,
+                                "against": against,
+                                "measure": measure,
+                                "humans": [int(sizes[0]), int(sizes[-1])],
+                                **estimate.record(),
+                            }
+                        )
+        return found
+
+    def contrasts(self) -> list[dict[str, Any]]:
+        """Give how many times the interventions of some populations others get, wherever all of them are compared."""
+        found = []
+        for family, pools in self._families():
+            for contrast in self.study.contrasts:
+                if not {*contrast.of, *contrast.to} <= set(pools["population"]):
+                    continue
+                for policy in dict.fromkeys(pools["policy"]):
+                    sides = [
+                        _interventions(pools[(pools["policy"] == policy) & pools["population"].isin(side)])
+                        for side in (contrast.of, contrast.to)
+                    ]
+                    above, below = sides[0].align(sides[1], join="inner")
+                    estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
+                    if above.sum() > 0:  # where the others get none, the ratio is no number
+                        found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
+        return found
+
+    def readings(self) -> list[dict[str, Any]]:
+        """Compare interventions with the reference's, under each reading of what it leaves open; nearest first.
+
+        `off` is by how many interventions the means miss the reference's, on average.
+        """
+        found = []
+        targets = () if self.study.reference is None else self.study.reference.interventions
+        for family, pools in self._families() if targets else ():
+            if not {name for names, _ in targets for name in names} <= set(pools["population"]):
+                continue
+            largest = max(pools["humans"])
+            for policy in [name for name in dict.fromkeys(pools["policy"]) if name not in BASELINES]:
+                own = pools[pools["policy"] == policy]
+                for counted, part, per_person in (
+                    ("per episode, all K", own, False),
+                    (f"per episode, K = {largest}", own[own["humans"] == largest], False),
+                    ("per person, all K", own, True),
+                ):
+                    means = [
+                        statistics.mean(_interventions(part[part["population"].isin(names)], per_person))
+                        for names, _ in targets
+                    ]
+                    wrong = [abs(m.value - t) for m, (_, t) in zip(means, targets, strict=True)]
+                    found.append(
+                        {
+                            **family,
+                            "policy": policy,
+                            "counted": counted,
+                            "interventions": [m.record() for m in means],
+                            "off": float(np.mean(wrong)),
+                        }
+                    )
+        return sorted(found, key=lambda reading: reading["off"])
+
+    def _families(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
+        """Give the arms that differ in nothing but the population, and their pools."""
+        names = [name for name in ARM if name != "population"]
+        for values, own in self.pools.groupby(names, observed=True, sort=False):
+            yield dict(zip(names, _texts(values), strict=True)), own
+
+
+def _interventions(pools: pd.DataFrame, per_person: bool = False) -> Any:
+    """Give the mean interventions in each repeat, over populations and team sizes, a series."""
+    value = pools["interventions"] / (pools["humans"] if per_person else 1)
+    return value.groupby(pools["repeat"]).mean()
+
+
+def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tuple[Any, Any]:
+    """Give a measure's mean in each pool under two policies, arrays of shape (n,), the same pool at the same place."""
+    means = pools.groupby(["policy", "repeat"], observed=True)[measure].mean()
+    mine, other = means.loc[policy], means.loc[against]
+    mine, other = mine.align(other, join="inner")
+    return mine.to_numpy(), other.to_numpy()
+
+
+def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Estimate:
+    """Give what a policy saves against another, in percent, over all that the pools hold."""
+    mine, other = paired(pools, measure, policy, against)
+    return statistics.saving(mine, other, np.random.default_rng(SEED))
+
+
+def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Iterator[dict[str, Any]]:
+    mine, other = paired(pools, measure, policy, against)
+    estimate = statistics.saving(mine, other, np.random.default_rng(SEED))
+    if math.isfinite(estimate.value):  # of nothing no share can be saved
+        yield {
+            **estimate.record(),
+            "effect": _finite(statistics.effect(other - mine)),
+            "pools_better": float((mine < other).mean()),
+            "pools": len(mine),
+        }
+
+
+def average(pools: pd.DataFrame, measure: str, policy: str) -> Estimate:
+    """Give the mean of a measure over pools."""
+    return statistics.mean(pools[pools["policy"] == policy].groupby("repeat")[measure].mean().to_numpy())
+
+
+def _described(values: Any, pools: Any) -> dict[str, float | int | None]:
+    """Describe a measure: over episodes, and the interval of the mean over pools."""
+    estimate = statistics.mean(pools)
+    return {
+        "mean": float(values.mean()),
+        "sd": _finite(values.std(ddof=1)) if len(values) > 1 else None,
+        "n": len(values),
+        "low": _finite(estimate.low),
+        "high": _finite(estimate.high),
+        "median": float(np.median(values)),
+        "highest": float(values.max()),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _texts(key: Hashable) -> tuple[str, ...]:
+    return tuple(str(part) for part in key) if isinstance(key, tuple) else (str(key),)
+
+
+def _plain(key: Hashable) -> tuple[Any, ...]:
+    assert isinstance(key, tuple)
+    return tuple(part.item() if isinstance(part, np.generic) else part for part in key)

@@ -1,0 +1,102 @@
+"""Whom to help: the paper's team policies.
+
+No assistance, reactive assistance, and attention switching (its Algorithm 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import Floats
+from ..person.pomdp import Policy
+from ..person.qmdp import evaluate
+from .state import NOBODY, TeamAction, TeamState
+
+
+@dataclass(frozen=True)
+class NoAssistance:
+    """The paper's base case: the robot does nothing."""
+
+    uses_belief = False
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Choose nothing for every team."""
+        nobody = np.full(len(team.x), NOBODY, dtype=np.int64)
+        return TeamAction(nobody, np.zeros_like(nobody))
+
+
+@dataclass(frozen=True)
+class Reactive:
+    """Go to a person whose last action was no progress, and suggest an optimal action.
+
+    Where several have erred the robot stays with the person it is with, if that is one of them, and
+    takes the first otherwise. In a dead end there is nothing to suggest.
+    """
+
+    uses_belief = False
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Choose a person who has erred, in every team that has one."""
+        robot = np.where(team.erred, team.first_optimal(), 0)
+        wanted = robot > 0
+        teams = np.arange(len(team.x))
+        stay = (team.location >= 0) & wanted[teams, team.location]
+        person = np.where(stay, team.location, np.where(wanted.any(axis=1), wanted.argmax(axis=1), NOBODY))
+        return team.act(person, robot)
+
+
+@dataclass(frozen=True)
+class AttentionSwitching:
+    """The paper's Algorithm 1.
+
+    For each person k the action of their own policy is scored by what it is worth more than a reference,
+    minus what going there costs:
+
+        score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
+
+    The largest score is acted on, and nothing is done where none is positive. The paper's text can be read
+    in two ways. The reference is the value of doing nothing *once* and following the person's policy from the
+    next step on (`AttentionSwitching()`), or that of *never* helping this person again (`against_never`).
+
+    Attributes
+    ----------
+    never : tuple of float arrays, shape (n, B, T), or None
+        For each model, the value of never helping; None to refer to doing nothing once.
+    """
+
+    never: tuple[Floats, ...] | None = None
+    uses_belief = True
+
+    @classmethod
+    def against_never(cls, policies: Sequence[Policy]) -> AttentionSwitching:
+        """Refer to never helping again."""
+        return cls(tuple(evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64)) for p in policies))
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Choose the person with the largest positive score, in every team that has one."""
+        robot, score = self.scores(team)
+        teams = np.arange(len(team.x))
+        best = score.argmax(axis=1)
+        return team.act(np.where(score[teams, best] > 0, best, NOBODY), robot)
+
+    def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
+        """Give each person's robot action and its score, both of shape (N, K)."""
+        q = team.q_values()
+        robot = q.argmax(axis=2)
+        if self.never is None:
+            reference = q[:, :, 0]
+        else:
+            reference = np.zeros(team.x.shape)
+            for group, rows in team.groups():
+                x, belief = team.known_of(rows)
+                reference.reshape(-1)[rows] = np.einsum("nbt,nbt->n", self.never[group][x], belief)
+        worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # a maximum over so few takes numpy longer
+        # Nothing is worth infinitely little to those who are not there.
+        score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
+        # Doing nothing is no reason to go anywhere, however much better than never helping again it is.
+        score[robot == 0] = -np.inf
+        return robot, score - team.to()
