@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from assist.choices import Choices
-from assist.human import Human, HumanModel, perceived_cost_to_go
-from assist.pomdp import AssistPOMDP
 
+from assist.people.choices import Choices
+from assist.people.human import Human, HumanModel, perceived_cost_to_go
+from assist.person.pomdp import AssistPOMDP
 from planner import find_instances, load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent.parent / "domains" / "kitting"
@@ -74,7 +74,8 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
 
     import pomdp_py
     from assist.exchange import to_pomdp_py
-    from assist.mdp import evaluate
+
+    from assist.person.qmdp import evaluate
 
     pomdp = case.problem()
     never = float(
