@@ -49,7 +49,7 @@ def say(event: str, **fields: Any) -> None:
 
 def own(case: Case, options: dict[str, Any]) -> None:
     """This project's solver; with `warm`, after a trivial problem for which its code was compiled or loaded."""
-    from assist.solver import solve
+    from assist.person.solver import solve
 
     if options["warm"]:
         solve(Case("tiny", 0.95, 0.5, 0.5, 0).problem(), gap=0.01)
@@ -73,7 +73,7 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
     import random
 
     import pomdp_py
-    from assist.exchange import to_pomdp_py
+    from assist.interop.exchange import to_pomdp_py
 
     from assist.person.qmdp import evaluate
 
