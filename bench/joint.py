@@ -121,7 +121,7 @@ def joint_bounds(
     _check(people, travel)
     m = _problem(people, travel)
     belief = _product([pomdp.prior.ravel() for pomdp in people])
-    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robots) for p in people])
+    tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
     root = int(tasks) * len(m.way) + len(people)  # the base comes last
     states, hidden = len(m.way) * (len(m.first) - 1), len(belief)
     # Costs are 0 or more: every sweep leaves values that begin with 0 too high, and those that begin with the dearest
@@ -208,13 +208,13 @@ def _check(people: list[AssistPOMDP], travel: Travel) -> None:
     count = [np.where(p.model.choices.goal, 1, p.model.choices.applicable.sum(axis=1)) for p in people]
     alone = [int(c.sum()) for c in count]
     helped = [
-        int(sum(c[p.place[x, 1:most]].sum() for x, most in enumerate(p.robots)))
+        int(sum(c[p.afterstate[x, 1:most]].sum() for x, most in enumerate(p.robot_actions)))
         for p, c in zip(people, count, strict=True)
     ]
     outcomes = math.prod(alone) + sum(h * math.prod(alone) // a for h, a in zip(helped, alone, strict=True))
     hidden = math.prod(p.prior.size for p in people)
     if outcomes * hidden > MOST:
-        states = (len(people) + 1) * math.prod(len(p.robots) for p in people)
+        states = (len(people) + 1) * math.prod(len(p.robot_actions) for p in people)
         raise ValueError(
             f"team of {len(people)}: too large to be solved as a whole, with {states:,} observed and {hidden:,} hidden "
             f"states; expected {MOST:,} chances at the most, and there are {outcomes * hidden:,}"
@@ -238,7 +238,7 @@ class _Act(NamedTuple):
 
 def _act(pomdp: AssistPOMDP, x: int, robot: int) -> _Act:
     """Give what comes of a person in a state to whom the robot does something."""
-    choices, place = pomdp.model.choices, int(pomdp.place[x, robot])
+    choices, place = pomdp.model.choices, int(pomdp.afterstate[x, robot])
     if choices.goal[place]:  # finished, or the robot's execution has done it
         return _Act(np.array([place]), np.zeros(1), np.ones((1, pomdp.prior.size)))
     slots = np.flatnonzero(choices.applicable[place])
@@ -257,14 +257,14 @@ def _product(chances: list[Floats]) -> Floats:
 
 def _problem(people: list[AssistPOMDP], travel: Travel) -> _Problem:
     """Write the problem out."""
-    sizes, shape = [len(p.robots) for p in people], [n for p in people for n in p.grid.shape]
+    sizes, shape = [len(p.robot_actions) for p in people], [n for p in people for n in p.grid.shape]
     every = np.arange(math.prod(shape))
     grid = np.array(np.unravel_index(every, shape))  # each person's beta and theta, as rows
-    acts = [[[_act(p, x, r) for r in range(p.robots[x])] for x in range(len(p.robots))] for p in people]
+    acts = [[[_act(p, x, r) for r in range(p.robot_actions[x])] for x in range(len(p.robot_actions))] for p in people]
     first, person, begin = [0], [], [0]
     reward, low, high, weight, target, chance = [], [], [], [], [], []
     for tasks in product(*map(range, sizes)):
-        deeds = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robots[x])]
+        deeds = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robot_actions[x])]
         if not all(p.model.choices.goal[x] for p, x in zip(people, tasks, strict=True)):
             deeds.insert(0, (NOBODY, 0))
         for k, robot in deeds:
@@ -277,7 +277,7 @@ def _problem(people: list[AssistPOMDP], travel: Travel) -> _Problem:
                 theta = grid[2 * k + 1]
                 at[2 * k + 1] = people[k].low[tasks[k], robot][theta]
                 above[2 * k + 1] = at[2 * k + 1] + 1
-                share, charge = people[k].weight[tasks[k], robot][theta], float(people[k].charge[tasks[k], robot])
+                share, charge = people[k].weight[tasks[k], robot][theta], float(people[k].robot_costs[tasks[k], robot])
             person.append(k)
             reward.append(-charge - cost @ chances)
             low.append(np.ravel_multi_index(tuple(at), shape))

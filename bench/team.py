@@ -412,7 +412,7 @@ def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: 
         robot[chosen] = np.where(speaks[chosen], best[chosen], 0)
         paid = np.zeros(size)
         paid[chosen] = setting.c_move * ~here[chosen]
-        paid += pomdp.charge[people.x, robot]
+        paid += pomdp.robot_costs[people.x, robot]
         here[:] = False
         here[chosen] = True
         people.robot[:] = robot

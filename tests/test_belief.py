@@ -135,7 +135,7 @@ def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Cho
     """With theta = 0 what is suggested is out of the question, however small the chance of anything else was."""
     grid = Grid(np.array([4.0, 8.0, 12.0]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid, suggestions="all")
-    x, robot = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robots[:, None])
+    x, robot = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robot_actions[:, None])
     x, robot = x[~tiny_choices.goal[x]], robot[~tiny_choices.goal[x]]
     total = np.zeros((len(x), *grid.shape))
     for slot in range(tiny_choices.applicable.shape[1]):

@@ -41,7 +41,7 @@ def test_a_visitor_who_comes_for_nothing_is_as_good_as_one_who_is_there(pool: Po
 
 def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
     alone = pool.policies[0].pomdp
-    never = evaluate(alone, np.zeros(len(alone.robots), dtype=np.int64), tolerance=1e-9)
+    never = evaluate(alone, np.zeros(len(alone.robot_actions), dtype=np.int64), tolerance=1e-9)
     value = float((never[alone.model.choices.initial] * alone.prior).sum())
     assert root(Visits.of(alone, 1000.0)) == pytest.approx(value, abs=1e-6)
     assert root(Visits.of(alone, 0.0, 3, np.full(200, 1000.0))) == pytest.approx(value, abs=1e-2)

@@ -85,9 +85,9 @@ def exact(pomdp: AssistPOMDP, x: int, r: int, b: int, t: int) -> tuple[list[tupl
     choices = pomdp.model.choices
     if choices.goal[x]:
         return [(x, 1.0)], 0.0
-    forbidden = r >= pomdp.robots[x]
+    forbidden = r >= pomdp.robot_actions[x]
     r = 0 if forbidden else r
-    place, reward = pomdp.place[x, r], -pomdp.charge[x, r] - FORBIDDEN * forbidden
+    place, reward = pomdp.afterstate[x, r], -pomdp.robot_costs[x, r] - FORBIDDEN * forbidden
     if choices.goal[place]:
         return [(place, 1.0)], reward
     steps = []
@@ -100,7 +100,7 @@ def exact(pomdp: AssistPOMDP, x: int, r: int, b: int, t: int) -> tuple[list[tupl
 
 def theta_after(pomdp: AssistPOMDP, x: int, r: int, t: int) -> np.ndarray:
     shares = np.zeros(len(pomdp.grid.theta))
-    if pomdp.model.choices.goal[x] or r >= pomdp.robots[x]:
+    if pomdp.model.choices.goal[x] or r >= pomdp.robot_actions[x]:
         shares[t] = 1
     else:
         shares[pomdp.low[x, r, t]] = 1 - pomdp.weight[x, r, t]
@@ -330,7 +330,7 @@ def test_pomdp_py_has_the_same_chances_and_rewards(tiny_choices: Choices) -> Non
     assert {s.data for s in agent.belief} == {
         (tiny_choices.initial, b, t) for b, t in product(range(2), range(3)) if pomdp.prior[b, t] > 0
     }
-    assert len(agent.policy_model.get_all_actions(states[0])) == pomdp.robots[0]
+    assert len(agent.policy_model.get_all_actions(states[0])) == pomdp.robot_actions[0]
 
 
 def test_pomdp_pys_planner_runs(tiny_choices: Choices) -> None:

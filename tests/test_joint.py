@@ -64,7 +64,7 @@ def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], e
     alone = pool.policies[0].pomdp
     joint = joint_bounds(pool, (0,), gap=1e-3)
     visits = solve(Visits.of(alone, costs[1]).pomdp, gap=1e-3)
-    assert (joint.states, joint.hidden) == (2 * len(alone.robots), 6)
+    assert (joint.states, joint.hidden) == (2 * len(alone.robot_actions), 6)
     assert joint.gap <= 1e-3
     assert joint.lower <= visits.upper
     assert joint.upper >= visits.lower
@@ -88,7 +88,9 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
 
 def test_never_helping_is_everybodys_own_value() -> None:
     pool, joint = solved(COSTS[0])
-    alone = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64), tolerance=1e-7) for p in pool.policies]
+    alone = [
+        evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64), tolerance=1e-7) for p in pool.policies
+    ]
     own = sum(
         float((value[p.pomdp.model.choices.initial] * p.pomdp.prior).sum())
         for value, p in zip(alone, pool.policies, strict=True)
@@ -103,7 +105,7 @@ def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs
     people, travel = [policy.pomdp for policy in pool.policies], pool.setting.travel(2)
     best = -np.inf
     goal = [bool(p.model.choices.goal[y]) for p, y in zip(people, x, strict=True)]
-    robots = [(k, r) for k in range(2) if not goal[k] for r in range(1, people[k].robots[x[k]])]
+    robots = [(k, r) for k in range(2) if not goal[k] for r in range(1, people[k].robot_actions[x[k]])]
     for person, robot in [(NOBODY, 0), *robots]:
         to = at if person == NOBODY else person
         value = -travel.c_move * float(travel.distance[at, to])
@@ -118,7 +120,7 @@ def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs
             likelihood = np.broadcast_to(p.likelihood(*rows, slots), (len(slots), *belief.shape))
             chance = np.einsum("abt,bt->a", likelihood, belief)
             after = p.update(np.tile(belief, (len(slots), 1, 1)), *rows, slots)
-            cost = p.model.choices.costs[y, slots] + p.charge[y, r]
+            cost = p.model.choices.costs[y, slots] + p.robot_costs[y, r]
             parts.append(list(zip(chance, cost, p.model.choices.targets[y, slots], after, strict=True)))
         for ends in product(*parts):
             chance = float(np.prod([end[0] for end in ends]))
@@ -134,7 +136,7 @@ def test_a_short_sighted_team_is_worth_what_the_whole_tree_is(costs: tuple[float
     choices = pool_of(*costs).choices(0)
     pool = pool_of(*costs, initial=int(np.flatnonzero(choices.h == 1)[0]), gamma=0.3)
     joint = joint_bounds(pool, gap=1e-5)
-    never = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64)) for p in pool.policies]
+    never = [evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64)) for p in pool.policies]
     seen = [qmdp(p.pomdp).value_mdp for p in pool.policies]  # ways that cost nothing
     x, beliefs = (pool.choices(0).initial,) * 2, [p.pomdp.prior for p in pool.policies]
     low, high = (tree(pool, tail, 3, x, beliefs, 2) for tail in (never, seen))

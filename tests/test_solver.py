@@ -62,14 +62,14 @@ def whole_tree(pomdp: AssistPOMDP, cut: float) -> tuple[float, float]:
     return is anything between the worst there can be and 0.
     """
     choices = pomdp.model.choices
-    worst = -(pomdp.charge.max() + choices.costs.max()) / (1 - pomdp.gamma)
+    worst = -(pomdp.robot_costs.max() + choices.costs.max()) / (1 - pomdp.gamma)
     levels = []
     x, belief, reach = np.array([choices.initial]), pomdp.prior[None], np.ones(1)
     while len(x):
-        robots = np.where(reach > cut, pomdp.robots[x], 0)
+        robots = np.where(reach > cut, pomdp.robot_actions[x], 0)
         node = np.repeat(np.arange(len(x)), robots)
         robot = np.arange(len(node)) - np.repeat(np.cumsum(robots) - robots, robots)
-        place = pomdp.place[x[node], robot]
+        place = pomdp.afterstate[x[node], robot]
         acts = np.where(choices.goal[place], 0, choices.applicable[place].sum(axis=1))
         row = np.repeat(np.arange(len(node)), acts)
         slot = np.arange(len(row)) - np.repeat(np.cumsum(acts) - acts, acts)
@@ -83,7 +83,9 @@ def whole_tree(pomdp: AssistPOMDP, cut: float) -> tuple[float, float]:
         )
         _, some, inverse = np.unique(keys.view(f"V{keys.shape[1] * 8}"), return_index=True, return_inverse=True)
         child[going] = inverse.reshape(-1)
-        levels.append((robots, node, pomdp.charge[x[node], robot], row, chance, choices.costs[place[row], slot], child))
+        levels.append(
+            (robots, node, pomdp.robot_costs[x[node], robot], row, chance, choices.costs[place[row], slot], child)
+        )
         reaching = np.zeros(len(some))
         np.maximum.at(reaching, child[going], pomdp.gamma * (reach[node[row]] * chance)[going])
         x, belief, reach = y[going][some], after[going][some], reaching
@@ -209,9 +211,9 @@ def test_no_policy_exceeds_the_upper_bound(name: str, seed: int) -> None:
     solution = solution_of(name)
     pomdp = solution.pomdp
     x, belief = some_beliefs(solution, seed)
-    helpful = solution.choose(np.arange(len(pomdp.robots)), np.broadcast_to(belief[0], solution.corner.shape))
+    helpful = solution.choose(np.arange(len(pomdp.robot_actions)), np.broadcast_to(belief[0], solution.corner.shape))
     upper = solution.upper_bound(x, belief)
-    for robot in (np.random.default_rng(seed).integers(0, pomdp.robots), helpful):
+    for robot in (np.random.default_rng(seed).integers(0, pomdp.robot_actions), helpful):
         value = evaluate(pomdp, robot.astype(np.int64))
         assert (np.einsum("nbt,nbt->n", value[x], belief) <= upper + 1e-9 * np.abs(upper)).all()
 
@@ -374,7 +376,7 @@ def test_bounds_stay_ordered_and_finite(name: str) -> None:
     assert np.isfinite(lower).all()
     assert (lower <= upper).all()
     assert (upper <= 0).all()
-    assert (lower >= -(pomdp.charge.max() + 1) / (1 - pomdp.gamma) * (1 + 1e-9)).all()
+    assert (lower >= -(pomdp.robot_costs.max() + 1) / (1 - pomdp.gamma) * (1 + 1e-9)).all()
     assert solution.lower <= solution.upper <= solution.value_qmdp * (1 - 1e-9) + 1e-12
     assert max(solution.value_never, solution.value_always) <= solution.upper + 1e-12
 
@@ -434,7 +436,7 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
     pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
     better, best = solve(pomdp, gap=2e-3), qmdp(pomdp)
     work = _Search(pomdp, best)
-    work.begin(np.zeros(len(pomdp.robots), dtype=np.int64))
+    work.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
     start, prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
     for _ in range(4):
         assert work.make_room(None)

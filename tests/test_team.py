@@ -275,7 +275,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
     value = perceived_value(tiny_choices, model.q)
     open_states = np.flatnonzero(~tiny_choices.goal)
     for x in rng.choice(open_states, 6):
-        for robot in range(pomdp.robots[x]):
+        for robot in range(pomdp.robot_actions[x]):
             beta, theta = rng.uniform(0.1, 3), rng.uniform(0, 1)
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
             people = People(
@@ -285,7 +285,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             )  # fmt: skip
             minds = Minds(model.q[None], value[None], tiny_choices.h, model.eta, model.lapse, False)
             act(np.arange(n), people, minds, Arrays.of(pomdp))
-            place, told = pomdp.place[x, robot], pomdp.suggested[x, robot]
+            place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:
                 assert (people.x == place).all()
                 assert (people.slot == -1).all()
@@ -335,10 +335,10 @@ def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) 
     pool = Pool.sample(tiny_choices, 2, seed=3, setting=Setting(c_suggest=0.05))
     switching = AttentionSwitching.against_never(pool.policies)
     pomdp = pool.policies[0].pomdp
-    priors = np.repeat(pomdp.prior[None], len(pomdp.robots), axis=0)
+    priors = np.repeat(pomdp.prior[None], len(pomdp.robot_actions), axis=0)
     x = int(pool.policies[0].choose(np.arange(len(priors)), priors).argmax())
     robot, score = switching.scores(state(pool, [x, x]))
-    never = (evaluate(pomdp, np.zeros(len(pomdp.robots), dtype=np.int64))[x] * pomdp.prior).sum()
+    never = (evaluate(pomdp, np.zeros(len(pomdp.robot_actions), dtype=np.int64))[x] * pomdp.prior).sum()
     value = pool.policies[0].q_values(np.array([x]), pomdp.prior[None]).max()
     assert robot[0, 0] > 0
     assert score[0, 0] == pytest.approx(value - never - pool.setting.c_move, abs=1e-9)

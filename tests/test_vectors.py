@@ -21,9 +21,9 @@ from planner import Instance
 def random_vectors(pomdp: AssistPOMDP, seed: int = 3) -> VectorPolicy:
     """One to four vectors for every state that is no goal."""
     rng = np.random.default_rng(seed)
-    counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robots)))
+    counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robot_actions)))
     first = np.concatenate([[0], np.cumsum(counts)])
-    robot = rng.integers(0, np.repeat(pomdp.robots, counts))
+    robot = rng.integers(0, np.repeat(pomdp.robot_actions, counts))
     return VectorPolicy(pomdp, -10 * rng.random((first[-1], *pomdp.grid.shape)), robot, first)
 
 
@@ -35,7 +35,7 @@ def worth(policy: VectorPolicy, x: int, belief: np.ndarray) -> float:
 def look_ahead(policy: VectorPolicy, x: int, r: int, belief: np.ndarray) -> float:
     """What robot action r gives: the person's actions one by one, by the filter that `AssistPOMDP` has."""
     pomdp, choices = policy.pomdp, policy.pomdp.model.choices
-    place, value = pomdp.place[x, r], -pomdp.charge[x, r]
+    place, value = pomdp.afterstate[x, r], -pomdp.robot_costs[x, r]
     if choices.goal[place]:
         return value
     for a in np.flatnonzero(choices.applicable[place]):
@@ -76,7 +76,7 @@ def test_action_values_equal_those_of_a_plain_look_ahead(tiny_choices: Choices, 
     belief = rng.dirichlet(np.full(pomdp.prior.size, 0.3), len(x)).reshape(-1, *pomdp.grid.shape)
     q = policy.q_values(x, belief)
     for i, state in enumerate(x):
-        expected = [look_ahead(policy, state, r, belief[i]) for r in range(pomdp.robots[state])]
+        expected = [look_ahead(policy, state, r, belief[i]) for r in range(pomdp.robot_actions[state])]
         np.testing.assert_allclose(q[i, : len(expected)], expected, rtol=1e-12)
         assert (q[i, len(expected) :] == -np.inf).all()
 

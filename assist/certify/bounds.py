@@ -119,7 +119,7 @@ class TeamBound:
             pool, policy, humans=self.team, episodes=episodes, seed=seed, name=name, travel=self.travel, world="model"
         )
         dearest = max(
-            float(p.pomdp.model.choices.costs.max() + p.pomdp.charge.max()) for p in pool.policies
+            float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies
         ) + self.travel.c_move * float(self.travel.distance.max())
         left = (~run.finished).sum(axis=1) * dearest * setting.gamma**horizon / (1 - setting.gamma)
         value = run.discounted_return - left
@@ -178,7 +178,7 @@ class _Kind:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
         above = np.zeros((len(visits.x), *visits.pomdp.grid.shape))
         last = visits.step == len(visits.price)
-        above[last] = self.tail.value_mdp[visits.position[last] * len(visits.alone.robots) + visits.x[last]]
+        above[last] = self.tail.value_mdp[visits.position[last] * len(visits.alone.robot_actions) + visits.x[last]]
         return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
     def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:

@@ -72,7 +72,7 @@ def policy(
     record = {
         "instance": str(problem.instance.problem),
         "domain": str(problem.instance.domain),
-        "states": len(problem.pomdp.robots),
+        "states": len(problem.pomdp.robot_actions),
         "hidden": problem.pomdp.prior.size,
         "lower": solution.lower,
         "upper": solution.upper,

@@ -103,8 +103,8 @@ class Observed:
         Chances of 0 are left out; where a chance does not depend on theta its shape is (B, 1).
         """
         pomdp, choices = self.pomdp, self.pomdp.model.choices
-        r = r if r < pomdp.robots[x] else 0
-        place = int(pomdp.place[x, r])
+        r = r if r < pomdp.robot_actions[x] else 0
+        place = int(pomdp.afterstate[x, r])
         if choices.goal[place]:
             return [(place, np.ones((len(pomdp.grid.beta), 1)))]
         slots = np.arange(int(choices.applicable[place].sum()))
@@ -121,10 +121,10 @@ class Observed:
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         if choices.goal[x]:
             return np.zeros((1, 1))
-        forbidden = r >= pomdp.robots[x]
+        forbidden = r >= pomdp.robot_actions[x]
         r = 0 if forbidden else r
-        place = int(pomdp.place[x, r])
-        charge = np.full((1, 1), float(pomdp.charge[x, r]) + FORBIDDEN * forbidden)
+        place = int(pomdp.afterstate[x, r])
+        charge = np.full((1, 1), float(pomdp.robot_costs[x, r]) + FORBIDDEN * forbidden)
         if choices.goal[place]:
             return -charge
         slots = np.arange(int(choices.applicable[place].sum()))
@@ -139,7 +139,7 @@ class Observed:
     def moves(self, x: int, r: int) -> Floats | None:
         """Give where robot action r in state x moves theta, shape (T, T); None where it stays."""
         pomdp = self.pomdp
-        if r >= pomdp.robots[x] or pomdp.suggested[x, r] == NOTHING:
+        if r >= pomdp.robot_actions[x] or pomdp.suggested[x, r] == NOTHING:
             return None
         thetas = np.arange(len(pomdp.grid.theta))
         matrix = np.zeros((len(thetas), len(thetas)))
@@ -150,7 +150,7 @@ class Observed:
 
 def action_names(pomdp: AssistPOMDP) -> list[str]:
     """Name the robot actions: `nothing`, then `robot1`, `robot2`, ... as each state numbers them."""
-    return ["nothing", *(f"robot{r}" for r in range(1, int(pomdp.robots.max(initial=1))))]
+    return ["nothing", *(f"robot{r}" for r in range(1, int(pomdp.robot_actions.max(initial=1))))]
 
 
 def _numbers(array: Floats) -> str:
@@ -343,7 +343,7 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
         raise PolicyFileError(f"{path}:{reader.end}: no alpha vector for state {int(missing.argmax())}")
     vectors = np.array([reader.vectors[i] for i in keep]).reshape(len(keep), *pomdp.grid.shape)
     robot = np.array(reader.action, dtype=np.int64)[keep]
-    robot = np.where(robot < pomdp.robots[state[keep]], robot, 0)
+    robot = np.where(robot < pomdp.robot_actions[state[keep]], robot, 0)
     first = np.searchsorted(state[keep], np.arange(len(choices) + 1)).astype(np.int64)
     return VectorPolicy(pomdp, vectors, robot, first)
 
@@ -404,7 +404,7 @@ class _PolicyReader:
         elif tag == "Vector":
             if self.declared is None:
                 raise self.fail("<Vector> outside of <AlphaVector>")
-            self.action.append(self.number(attributes, "action", int(pomdp.robots.max(initial=1))))
+            self.action.append(self.number(attributes, "action", int(pomdp.robot_actions.max(initial=1))))
             self.value.append(self.number(attributes, "obsValue", len(self.observed.state)))
             self.text = []
         elif tag != "Policy":
@@ -535,7 +535,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
 
     class Actions(pomdp_py.RolloutPolicy):
         def get_all_actions(self, state: Any = None, history: Any = None) -> list[Any]:
-            return actions if state is None else actions[: pomdp.robots[observed.state[state.data[0]]]]
+            return actions if state is None else actions[: pomdp.robot_actions[observed.state[state.data[0]]]]
 
         def sample(self, state: Any) -> Any:
             offered = self.get_all_actions(state)

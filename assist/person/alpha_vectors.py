@@ -54,7 +54,7 @@ class VectorPolicy:
         if without.any():
             raise ValueError(f"state {int(without.argmax())}: expected one alpha vector or more")
         state = np.repeat(np.arange(states), np.diff(self.first))
-        if ((self.robot < 0) | (self.robot >= self.pomdp.robots[state])).any():
+        if ((self.robot < 0) | (self.robot >= self.pomdp.robot_actions[state])).any():
             raise ValueError("robot: expected actions that the vectors' states have")
         for array in (self.vectors, self.robot, self.first):
             array.flags.writeable = False
@@ -156,9 +156,9 @@ def _look_ahead(
             q[i, 0] = 0.0
             continue
         mass = belief[i].sum()
-        for r in range(m.robots[s]):
-            q[i, r] = -m.charge[s, r] * mass
-            place, slot = m.place[s, r], m.suggested[s, r]
+        for r in range(m.robot_actions[s]):
+            q[i, r] = -m.robot_costs[s, r] * mass
+            place, slot = m.afterstate[s, r], m.suggested[s, r]
             if m.goal[place]:
                 continue
             other[:], same[:], lapsed[:] = 0.0, 0.0, 0.0
@@ -168,7 +168,7 @@ def _look_ahead(
                     theta, weight = m.theta[t], belief[i, b, t]
                     others, suggested = weight, weight
                     if slot >= 0:
-                        total = theta * p + (1.0 - theta) * m.rest[s, r, b]
+                        total = theta * p + (1.0 - theta) * m.unsuggested[s, r, b]
                         if total > 0.0:
                             others, suggested = weight * (1.0 - theta) / total, weight * theta / total
                     at, up = m.low[s, r, t], m.weight[s, r, t]

@@ -437,7 +437,7 @@ def _split(x, r, belief, told, other, lapsed, m):
     Return the state in which the person acts, and the suggested slot.
     """
     thetas = len(m.theta)
-    place, slot = m.place[x, r], m.suggested[x, r]
+    place, slot = m.afterstate[x, r], m.suggested[x, r]
     steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[place], 1)
     if slot < 0:
         for h in range(len(belief)):
@@ -452,7 +452,7 @@ def _split(x, r, belief, told, other, lapsed, m):
         if mass == 0.0:
             continue
         b, t = h // thetas, h % thetas
-        yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.rest[x, r, b])
+        yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
         at, up = h - t + m.low[x, r, t], m.weight[x, r, t]
         told[at] += steady * yes * (1.0 - up) * mass
         told[at + 1] += steady * yes * up * mass
@@ -501,7 +501,7 @@ def _follow(d, r, work, path, m):
 def _look_up(d, r, work, room, path, hull, m):
     """Bound the return of a robot action from above by its children's bounds."""
     x = path.state[d]
-    value = -m.charge[x, r]
+    value = -m.robot_costs[x, r]
     place = _follow(d, r, work, path, m)
     if not m.goal[place]:
         for a in range(m.counts[place]):
@@ -514,7 +514,7 @@ def _look_up(d, r, work, room, path, hull, m):
 @numba.njit(cache=True)
 def _promising(d, work, room, path, hull, m):
     """Give the robot action with the largest upper bound, and look up no more of them than that needs."""
-    robots = m.robots[path.state[d]]
+    robots = m.robot_actions[path.state[d]]
     while True:
         r = 0
         for k in range(1, robots):
@@ -529,8 +529,8 @@ def _promising(d, work, room, path, hull, m):
 def _look_down(d, r, work, path, picked, plans, m):
     """Bound the return of a robot action from below, and fill in the vector picked after each slot."""
     x = path.state[d]
-    value = -m.charge[x, r]
-    place = m.place[x, r] if path.known[d, r] else _follow(d, r, work, path, m)
+    value = -m.robot_costs[x, r]
+    place = m.afterstate[x, r] if path.known[d, r] else _follow(d, r, work, path, m)
     if not m.goal[place]:
         for a in range(m.counts[place]):
             v, picked[a] = lower(m.targets[place, a], path.after[d, r, a], plans)
@@ -542,9 +542,9 @@ def _look_down(d, r, work, path, picked, plans, m):
 def _plan(x, r, picked, vector, plans, m):
     """Fill in the alpha vector of a robot action that is followed by the picked vectors."""
     thetas = len(m.theta)
-    place, slot = m.place[x, r], m.suggested[x, r]
+    place, slot = m.afterstate[x, r], m.suggested[x, r]
     if m.goal[place]:
-        vector[:] = -m.charge[x, r]
+        vector[:] = -m.robot_costs[x, r]
         return
     count = m.counts[place]
     other, mean, told = np.empty(thetas), np.empty(thetas), np.empty(thetas)
@@ -566,11 +566,11 @@ def _plan(x, r, picked, vector, plans, m):
                 v = (1.0 - m.lapse) * other[t] + m.lapse * mean[t]
             else:
                 at, up = m.low[x, r, t], m.weight[x, r, t]
-                yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.rest[x, r, b])
+                yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
                 v = (1.0 - m.lapse) * (
                     (1.0 - up) * (yes * told[at] + no * other[at]) + up * (yes * told[at + 1] + no * other[at + 1])
                 ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
-            v -= m.charge[x, r]
+            v -= m.robot_costs[x, r]
             vector[b * thetas + t] = v - ROUNDING * abs(v)
 
 
@@ -586,7 +586,7 @@ def _raise(d, step, work, path, plan, plans, m):
     x, belief = path.state[d], path.belief[d]
     picked, kept, vector = plan
     best, robot = -np.inf, NONE
-    for r in range(m.robots[x]):
+    for r in range(m.robot_actions[x]):
         if path.q[d, r] > best:
             value = _look_down(d, r, work, path, picked, plans, m)
             if value > best:
@@ -604,7 +604,7 @@ def _begin(d, belief, q, path, m):
     """Put a belief on the path, with what is known of each robot action before its children are looked at."""
     x = path.state[d]
     path.belief[d] = belief
-    for r in range(m.robots[x]):
+    for r in range(m.robot_actions[x]):
         path.q[d, r], path.known[d, r] = dot(q[x, r], belief), False
 
 
@@ -631,7 +631,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             x = path.state[depth]
             r = _promising(depth, work, room, path, hull, m)
             path.robot[depth] = r
-            place = m.place[x, r]
+            place = m.afterstate[x, r]
             if m.goal[place] or depth + 1 == len(path.state):
                 break
             most, chosen = 0.0, NONE

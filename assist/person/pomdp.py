@@ -63,17 +63,17 @@ class AssistPOMDP:
     c_suggest, c_execute : float
         Cost of a suggestion, and of executing an action, in the task's cost units.
     prior : float array, shape (B, T)
-    robots : int array, shape (n,)
+    robot_actions : int array, shape (n,)
         How many robot actions there are in each state.
     suggested : int array, shape (n, R)
         Slot that each robot action suggests; `NOTHING` in column 0, for executions, and in padding.
-    place : int array, shape (n, R)
+    afterstate : int array, shape (n, R)
         The state in which the person then acts: that after an execution, else the state itself.
-    charge : float array, shape (n, R)
+    robot_costs : float array, shape (n, R)
         Cost of each robot action.
     chosen : float array, shape (n, A, B)
         The person's choice without a suggestion and without lapses.
-    rest : float array, shape (n, R, B)
+    unsuggested : float array, shape (n, R, B)
         The chance of all slots but the suggested one, summed: 1 - p would lose its digits where p is almost 1.
     low, weight : int and float arrays, shape (n, R, T)
         Where a robot action moves theta to, as `Grid.shares` gives it.
@@ -89,12 +89,12 @@ class AssistPOMDP:
     c_suggest: float
     c_execute: float
     prior: Floats
-    robots: NDArray[np.int64]
+    robot_actions: NDArray[np.int64]
     suggested: NDArray[np.int64]
-    place: NDArray[np.int64]
-    charge: Floats
+    afterstate: NDArray[np.int64]
+    robot_costs: Floats
     chosen: Floats
-    rest: Floats
+    unsuggested: Floats
     low: NDArray[np.int64]
     weight: Floats
     frontier: Frontier | None = None
@@ -102,8 +102,8 @@ class AssistPOMDP:
 
     def __post_init__(self) -> None:
         for array in (
-            self.prior, self.robots, self.suggested, self.place, self.charge, self.chosen, self.rest, self.low,
-            self.weight,
+            self.prior, self.robot_actions, self.suggested, self.afterstate, self.robot_costs, self.chosen,
+            self.unsuggested, self.low, self.weight,
         ):  # fmt: skip
             array.flags.writeable = False
 
@@ -145,24 +145,26 @@ class AssistPOMDP:
         offered = choices.optimal if suggestions == "optimal" else choices.applicable & (choices.actions >= 0)
         offered = offered & ~choices.goal[:, None]
         count = offered.sum(axis=1)
-        robots = 1 + count * (2 if execute else 1)
+        robot_actions = 1 + count * (2 if execute else 1)
         here = np.arange(len(choices))
-        shape = (len(choices), int(robots.max(initial=1)))
+        shape = (len(choices), int(robot_actions.max(initial=1)))
         suggested = np.full(shape, NOTHING, dtype=np.int64)
-        place = np.repeat(here[:, None], shape[1], axis=1)
-        charge = np.zeros(shape)
+        afterstate = np.repeat(here[:, None], shape[1], axis=1)
+        robot_costs = np.zeros(shape)
         state, slot = np.nonzero(offered)
         column = np.cumsum(offered, axis=1)[state, slot]
         suggested[state, column] = slot
-        charge[state, column] = c_suggest
+        robot_costs[state, column] = c_suggest
         if execute:
-            place[state, column + count[state]] = choices.targets[state, slot]
-            charge[state, column + count[state]] = c_execute
+            afterstate[state, column + count[state]] = choices.targets[state, slot]
+            robot_costs[state, column + count[state]] = c_execute
 
         chosen = np.stack([choice(model.q, choices.applicable, beta) for beta in grid.beta], axis=-1)
         chosen[chosen < NEVER] = 0.0
         slots = np.arange(choices.applicable.shape[1])
-        rest = np.stack([np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1)
+        unsuggested = np.stack(
+            [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1
+        )
         value = perceived_value(choices, model.q)
         if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
             value[frontier.states] = -choices.h[frontier.states]
@@ -173,8 +175,8 @@ class AssistPOMDP:
         theta = trust(grid.theta, value[:, None, None], value[after][:, :, None], model.eta, model.utility_scale)
         low, weight = grid.shares(theta)
         return cls(
-            model, grid, gamma, c_suggest, c_execute, grid.prior(population), robots, suggested, place, charge, chosen,
-            rest, low, weight, frontier,
+            model, grid, gamma, c_suggest, c_execute, grid.prior(population), robot_actions, suggested, afterstate,
+            robot_costs, chosen, unsuggested, low, weight, frontier,
         )  # fmt: skip
 
     @cached_property
@@ -193,18 +195,18 @@ class AssistPOMDP:
         x, robot, action : int arrays, shape (N,)
             State, the robot's action (0: nothing), and the slot of what the person did then.
         """
-        suggestion, place = self.suggested[x, robot], self.place[x, robot]
-        p = self.chosen[place, action][:, :, None]
-        followed = self.chosen[place, np.maximum(suggestion, 0)][:, :, None]
+        suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
+        p = self.chosen[acting, action][:, :, None]
+        followed = self.chosen[acting, np.maximum(suggestion, 0)][:, :, None]
         theta = self.grid.theta
-        total = theta * followed + (1 - theta) * self.rest[x, robot][:, :, None]
+        total = theta * followed + (1 - theta) * self.unsuggested[x, robot][:, :, None]
         weight = np.where((action == suggestion)[:, None, None], theta, 1 - theta)
         heard = (suggestion != NOTHING)[:, None, None] & (total > 0)
         influenced = np.divide(
             weight * p, total, out=np.zeros(np.broadcast_shapes(p.shape, total.shape)), where=total > 0
         )
         likelihood = np.where(heard, influenced, p)
-        count = self.model.choices.applicable[place].sum(axis=1)[:, None, None]
+        count = self.model.choices.applicable[acting].sum(axis=1)[:, None, None]
         return (1 - self.model.lapse) * likelihood + self.model.lapse / count
 
     def update(

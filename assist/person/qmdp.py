@@ -67,7 +67,7 @@ class QMDP:
         q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
         # Contiguous, so that one compiled form serves everybody.
         x, belief = np.ascontiguousarray(x, dtype=np.int64), np.ascontiguousarray(belief, dtype=float)
-        _expected(q, x, belief.reshape(len(x), self.q_mdp[0, 0].size), self._flat, self.pomdp.robots)
+        _expected(q, x, belief.reshape(len(x), self.q_mdp[0, 0].size), self._flat, self.pomdp.robot_actions)
         return q
 
     @cached_property
@@ -148,7 +148,7 @@ def evaluate(
     if silent:  # then theta does not matter, and one value of it stands for all
         arrays = arrays._replace(theta=arrays.theta[:1])
     # Nothing costs more per step than the dearest choice after the dearest robot action: each sweep raises this.
-    worst = -(pomdp.charge.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
+    worst = -(pomdp.robot_costs.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
         worst = min(worst, pomdp.frontier.lower.min(initial=0.0))
     value = np.zeros((len(active), len(pomdp.grid.beta), len(arrays.theta)))
@@ -221,12 +221,12 @@ class Arrays(NamedTuple):
     costs: Floats
     goal: NDArray[np.bool_]
     final: NDArray[np.bool_]
-    robots: NDArray[np.int64]
+    robot_actions: NDArray[np.int64]
     suggested: NDArray[np.int64]
-    place: NDArray[np.int64]
-    charge: Floats
+    afterstate: NDArray[np.int64]
+    robot_costs: Floats
     chosen: Floats
-    rest: Floats
+    unsuggested: Floats
     low: NDArray[np.int64]
     weight: Floats
     theta: Floats
@@ -238,9 +238,9 @@ class Arrays(NamedTuple):
         """Collect the arrays of a problem."""
         choices = pomdp.model.choices
         return cls(
-            choices.applicable.sum(axis=1), choices.targets, choices.costs, choices.goal, pomdp.final, pomdp.robots,
-            pomdp.suggested, pomdp.place, pomdp.charge, pomdp.chosen, pomdp.rest, pomdp.low, pomdp.weight,
-            pomdp.grid.theta, pomdp.gamma, pomdp.model.lapse,
+            choices.applicable.sum(axis=1), choices.targets, choices.costs, choices.goal, pomdp.final,
+            pomdp.robot_actions, pomdp.suggested, pomdp.afterstate, pomdp.robot_costs, pomdp.chosen, pomdp.unsuggested,
+            pomdp.low, pomdp.weight, pomdp.grid.theta, pomdp.gamma, pomdp.model.lapse,
         )  # fmt: skip
 
 
@@ -269,18 +269,23 @@ def _row(
     (T,), are room for the sums.
     """
     at_hand = -1
-    for r in range(m.robots[x]):
+    for r in range(m.robot_actions[x]):
         if only >= 0 and r != only:
             continue
-        slot, place = m.suggested[x, r], m.place[x, r]
+        slot, place = m.suggested[x, r], m.afterstate[x, r]
         if m.goal[place]:
-            q[r] = -m.charge[x, r]
+            q[r] = -m.robot_costs[x, r]
             continue
         if place != at_hand:
             _alone(expected, mean, value, place, b, m)
             at_hand = place
         if slot >= 0:
-            y, c, p, rest = m.targets[place, slot], m.costs[place, slot], m.chosen[place, slot, b], m.rest[x, r, b]
+            y, c, p, rest = (
+                m.targets[place, slot],
+                m.costs[place, slot],
+                m.chosen[place, slot, b],
+                m.unsuggested[x, r, b],
+            )
             if p > 0.9:
                 other[:] = 0.0
                 for a in range(m.counts[place]):
@@ -298,10 +303,10 @@ def _row(
                 total = theta * p + (1.0 - theta) * rest
                 e = (theta * followed + (1.0 - theta) * others) / total if total > 0.0 else followed + others
                 lapsed = (1.0 - up) * mean[at] + up * mean[at + 1]
-                q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.charge[x, r]
+                q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.robot_costs[x, r]
         else:
             for t in range(len(m.theta)):
-                q[r, t] = (1.0 - m.lapse) * expected[t] + m.lapse * mean[t] - m.charge[x, r]
+                q[r, t] = (1.0 - m.lapse) * expected[t] + m.lapse * mean[t] - m.robot_costs[x, r]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -313,7 +318,7 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
     residual = 0.0
     for x in order:
         _row(q, expected, mean, other, value, x, b, robot[x], m)
-        first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robots[x])
+        first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robot_actions[x])
         for t in range(thetas):
             best = q[first, t]
             for r in range(first + 1, end):

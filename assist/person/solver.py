@@ -182,7 +182,7 @@ def solve(
     prior = pomdp.prior.reshape(-1)
     best = best or qmdp(pomdp)
     work = _Search(pomdp, best)
-    never = np.zeros(len(pomdp.robots), dtype=np.int64)
+    never = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
     value_never = work.begin(never)
     value_always = work.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), SWEEPS)
     trusting = np.zeros_like(pomdp.prior)
@@ -191,7 +191,7 @@ def solve(
         work.begin(_informed(best, belief), SWEEPS)
 
     # A value of 0 is approached from below for ever, and the gap remains 1.
-    smallest = ROUNDING * (pomdp.charge.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
+    smallest = ROUNDING * (pomdp.robot_costs.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
     stopped, backups = "gap", 0
     lower, upper = -np.inf, np.inf
     begun = time.perf_counter()
@@ -238,7 +238,7 @@ class _Search:
 
     def __init__(self, pomdp: AssistPOMDP, best: QMDP) -> None:
         self.pomdp, self.arrays = pomdp, Arrays.of(pomdp)
-        states, size = len(pomdp.robots), pomdp.prior.size
+        states, size = len(pomdp.robot_actions), pomdp.prior.size
         margin = ROUNDING / (1 - pomdp.gamma)
         corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)
         self.q = best.q_mdp.reshape(states, -1, size) * (1 - margin)  # values are negative
@@ -331,7 +331,7 @@ class _Search:
 
     def solution(self, **facts: object) -> Solution:
         """Collect the result, sorted by state."""
-        pomdp, states = self.pomdp, len(self.pomdp.robots)
+        pomdp, states = self.pomdp, len(self.pomdp.robot_actions)
         shape = (-1, *pomdp.grid.shape)
         kept, first = _sorted(self.plans.state, states)
         policy = VectorPolicy(

@@ -87,7 +87,7 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
     believed = len(people.belief) > 0
     for i in rows:
         x, robot, theta = people.x[i], people.robot[i], people.theta[i]
-        place, suggestion = m.place[x, robot], m.suggested[x, robot]
+        place, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
         if m.goal[place]:
             people.x[i], people.slot[i], people.cost[i], people.erred[i] = place, -1, 0.0, False
             continue
@@ -159,7 +159,7 @@ def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
 def _update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
     """Bayes' rule for what a person did, then the move of theta; `after`, shape (B, T), is room to work in."""
     betas, thetas = belief.shape
-    place, suggestion = m.place[x, robot], m.suggested[x, robot]
+    place, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
     uniform = m.lapse / m.counts[place]
     evidence = 0.0
     if suggestion < 0:
@@ -172,7 +172,7 @@ def _update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arr
         return
     after[:] = 0.0
     for b in range(betas):
-        p, followed, rest = m.chosen[x, slot, b], m.chosen[x, suggestion, b], m.rest[x, robot, b]
+        p, followed, rest = m.chosen[x, slot, b], m.chosen[x, suggestion, b], m.unsuggested[x, robot, b]
         for t in range(thetas):
             theta = m.theta[t]
             total = theta * followed + (1.0 - theta) * rest

@@ -296,7 +296,7 @@ class _Run:
         robot[teams, to] = does
         for number, rows in by_model(self.model[teams, to], np.flatnonzero(does > 0), len(self.pool.policies)):
             at = (teams[rows], to[rows])
-            charged[at] += self.groups[number].arrays.charge[self.x[at], does[rows]]
+            charged[at] += self.groups[number].arrays.robot_costs[self.x[at], does[rows]]
         self.helped[teams, to] += does > 0
         return robot, charged
 
@@ -318,7 +318,7 @@ class _Run:
         if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
             raise ValueError(f"step {step}: the policy speaks to a person before the robot has arrived")
         for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.pool.policies)):
-            count = self.groups[number].arrays.robots[self.x[teams[rows], to[rows]]]
+            count = self.groups[number].arrays.robot_actions[self.x[teams[rows], to[rows]]]
             if ((robot[rows] < 0) | (robot[rows] >= count)).any():
                 raise ValueError(f"step {step}: the policy makes a suggestion that the person's state does not have")
 
@@ -338,7 +338,7 @@ class _Run:
             pomdp = self.pool.policies[self.model[e, k]].pomdp
             choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
             suggested = int(pomdp.suggested[x, r])
-            place = int(pomdp.place[x, r])
+            place = int(pomdp.afterstate[x, r])
             there = self.location[e] != BASE and self.busy_until[e] <= step
             row = {
                 "person": f"human-{self.people[e, k] + 1}",

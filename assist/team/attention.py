@@ -74,7 +74,7 @@ class AttentionSwitching:
     @classmethod
     def against_never(cls, policies: Sequence[Policy]) -> AttentionSwitching:
         """Refer to never helping again."""
-        return cls(tuple(evaluate(p.pomdp, np.zeros(len(p.pomdp.robots), dtype=np.int64)) for p in policies))
+        return cls(tuple(evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64)) for p in policies))
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Choose the person with the largest positive score, in every team that has one."""

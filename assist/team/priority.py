@@ -72,7 +72,9 @@ class Priority:
         entry = travel.c_move * float(travel.distance[:, :-1][way].mean())
         steps, longest = round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
         visits = [Visits.of(policy.pomdp, entry, steps, longest=longest) for policy in policies]
-        solved = [qmdp(replace(each.pomdp, charge=each.pomdp.charge + price * each.attended())) for each in visits]
+        solved = [
+            qmdp(replace(each.pomdp, robot_costs=each.pomdp.robot_costs + price * each.attended())) for each in visits
+        ]
         states = tuple(np.stack([each.states(0, position) for position in range(2 + longest)]) for each in visits)
         return cls(tuple(visits), tuple(solved), states, price)
 

@@ -114,8 +114,8 @@ class Visits:
         if entry_steps:  # to come is to say nothing yet
             meant = np.where(position[:, None] == AWAY, 0, meant)
         meant = np.clip(meant, 0, most - 1)
-        count = np.where(position == HERE, alone.robots[x] + 1, 1)
-        count = np.where(position == AWAY, 2 if entry_steps else alone.robots[x], count)
+        count = np.where(position == HERE, alone.robot_actions[x] + 1, 1)
+        count = np.where(position == AWAY, 2 if entry_steps else alone.robot_actions[x], count)
         count = np.where(choices.goal[x], 1, count)
         comes = (number > 0) & (position[:, None] == AWAY)
         used = number < count[:, None]
@@ -126,12 +126,12 @@ class Visits:
         pomdp = replace(
             alone,
             model=HumanModel(product, alone.model.q[x], alone.model.eta, alone.model.lapse, alone.model.utility_scale),
-            robots=count,
+            robot_actions=count,
             suggested=np.where(used, alone.suggested[row, meant], NOTHING),
-            place=np.where(used, index(step[:, None], then, alone.place[row, meant]), own[:, None]),
-            charge=np.where(used, alone.charge[row, meant] + charge, 0.0),
+            afterstate=np.where(used, index(step[:, None], then, alone.afterstate[row, meant]), own[:, None]),
+            robot_costs=np.where(used, alone.robot_costs[row, meant] + charge, 0.0),
             chosen=alone.chosen[x],
-            rest=alone.rest[row, meant],
+            unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
             order=order[~choices.goal[x][order]],
@@ -142,19 +142,19 @@ class Visits:
     def priced(self, price: Floats) -> Visits:
         """Give the same problem with other prices, of the same steps."""
         more = np.append(price - self.price, 0.0)[self.step]
-        charge = self.pomdp.charge + np.where(self.attended(), more[:, None], 0.0)
-        return replace(self, pomdp=replace(self.pomdp, charge=charge), price=price)
+        charge = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
+        return replace(self, pomdp=replace(self.pomdp, robot_costs=charge), price=price)
 
     def attended(self) -> NDArray[np.bool_]:
         """Tell which robot actions take its attention, shape (m, R)."""
-        number = np.arange(self.pomdp.charge.shape[1])
-        attended = ((number > 0) | (self.position[:, None] > HERE)) & (number < self.pomdp.robots[:, None])
+        number = np.arange(self.pomdp.robot_costs.shape[1])
+        attended = ((number > 0) | (self.position[:, None] > HERE)) & (number < self.pomdp.robot_actions[:, None])
         return attended & ~self.pomdp.final[:, None]
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
         mine = np.flatnonzero((self.step == min(step, len(self.price))) & (self.position == position))
-        number = np.full(len(self.alone.robots), -1)
+        number = np.full(len(self.alone.robot_actions), -1)
         number[self.x[mine]] = mine
         return number
 
@@ -181,7 +181,7 @@ def _layers(alone: AssistPOMDP, steps: int) -> list[NDArray[np.int64]]:
         return [np.arange(len(choices))]
 
     def and_executed(states: NDArray[np.int64]) -> NDArray[np.int64]:
-        return np.union1d(states, alone.place[states].ravel())
+        return np.union1d(states, alone.afterstate[states].ravel())
 
     layers = [and_executed(np.array([choices.initial]))]
     for _ in range(steps):

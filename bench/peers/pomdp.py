@@ -80,7 +80,9 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
     pomdp = case.problem()
     never = float(
         (
-            evaluate(pomdp, np.zeros(len(pomdp.robots), dtype=np.int64), tolerance=1e-6)[pomdp.model.choices.initial]
+            evaluate(pomdp, np.zeros(len(pomdp.robot_actions), dtype=np.int64), tolerance=1e-6)[
+                pomdp.model.choices.initial
+            ]
             * pomdp.prior
         ).sum()
     )
