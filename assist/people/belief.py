@@ -102,6 +102,28 @@ class Grid:
         return beta[:, None] * theta[None, :]
 
 
+ENDS = (0.05, 0.95)
+"""The quantiles between which nine tenths of a belief lie."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Where a distribution over ascending values lies: its mean, and the ends of its middle nine tenths."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, values: Floats, chances: Floats) -> Spread:
+        """Describe chances, shape (n,), of values, shape (n,); NaN where the chances are."""
+        if np.isnan(chances).any():
+            return cls(np.nan, np.nan, np.nan)
+        # A cumulated chance of 0.95 may have been rounded down.
+        low, high = values[np.searchsorted(chances.cumsum(), np.array(ENDS) - 1e-9)].tolist()
+        return cls(float(values @ chances), low, high)
+
+
 def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
     """Update beliefs by Bayes' rule, then move theta.
 

@@ -27,7 +27,7 @@ from planner import CostToGo, Table
 
 from ..people.belief import Grid
 from ..people.choices import WAIT, Choices
-from ..people.human import Floats, HumanModel, Population, choice
+from ..people.human import Floats, HumanModel, Mixture, Population, choice
 from .pomdp import AssistPOMDP, Frontier, Suggestions
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
@@ -64,8 +64,9 @@ class Region:
         cls,
         known: CostToGo,
         *,
+        start: int | None = None,
         states: int = 20_000,
-        population: Population | None = None,
+        population: Population | Mixture | None = None,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> Region:
@@ -74,18 +75,21 @@ class Region:
         Parameters
         ----------
         known : CostToGo
+        start : int, optional
+            From which state on, as `known` numbers it; from the initial one unless given.
         states : int
             How many to look beyond at the most; the frontier comes on top.
-        population : Population, optional
+        population : Population or Mixture, optional
             Of whom the person is one.
         time_limit : float, optional
             Stop collecting after so many seconds.
         progress : callable, optional
             Called with how many states have been looked at since the last call.
         """
-        growth = _Growth(known, Grid.regular(population or Population()).beta)
-        start = time.monotonic()
-        while growth.expanded < states and (time_limit is None or time.monotonic() - start < time_limit):
+        start = known.initial if start is None else start
+        growth = _Growth(known, Grid.regular(population or Population()).beta, start)
+        begun = time.monotonic()
+        while growth.expanded < states and (time_limit is None or time.monotonic() - begun < time_limit):
             done = growth.step(min(BATCH[known.method], states - growth.expanded))
             if not done:
                 break
@@ -103,7 +107,7 @@ class Region:
         self,
         *,
         grid: Grid | None = None,
-        population: Population | None = None,
+        population: Population | Mixture | None = None,
         eta: float = 0.2,
         lapse: float = 1e-3,
         utility_scale: float = 1.0,
@@ -219,7 +223,7 @@ def _advised(
 class _Growth:
     """A region while it grows: the state that is met most likely comes next."""
 
-    def __init__(self, known: CostToGo, betas: Floats) -> None:
+    def __init__(self, known: CostToGo, betas: Floats, start: int) -> None:
         self.known, self.betas = known, betas
         self.cost = np.array(known.task.costs, dtype=float)
         self.number: dict[int, int] = {}
@@ -229,7 +233,7 @@ class _Growth:
         self.rows: list[tuple[NDArray[np.int64], NDArray[np.int64]] | None] = []
         self.queue: list[tuple[float, int]] = []
         self.expanded = 0
-        self._meet(np.array([known.initial]), np.array([1.0]))
+        self._meet(np.array([start]), np.array([1.0]))
 
     def _meet(self, states: NDArray[np.int64], weights: Floats) -> NDArray[np.int64]:
         """Give the region's numbers of states, and queue them."""

@@ -8,14 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from ..people.belief import Spread
 from ..people.human import Floats
 from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState, Travel
 from .episodes import Episode, Trace
 from .simulate import Presence, World, simulate
-
-ENDS = (0.05, 0.95)
-"""The quantiles between which nine tenths of a belief lie."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def beliefs_of_episode(
     -------
     Episode
     list of dict
-        For each person and step: `place`, `step`; mean and quantiles (`ENDS`) of beta and theta, as `beta_mean`,
+        For each person and step: `place`, `step`; mean and quantiles (`Spread`) of beta and theta, as `beta_mean`,
         `beta_low`, `beta_high` and so on; `beta_true` and `theta_true`, the latter at that time; `suggestion`,
         whether one was made to them then; `robot_here`. What is believed while the robot is under way is not
         known (NaN), since no policy is asked then.
@@ -97,8 +95,5 @@ def beliefs_of_episode(
 
 def _described(name: str, values: Floats, chances: Floats) -> dict[str, float]:
     """Give the mean and the quantiles of a distribution over ascending values."""
-    if np.isnan(chances).any():
-        return dict.fromkeys((f"{name}_mean", f"{name}_low", f"{name}_high"), np.nan)
-    # A cumulated chance of 0.95 may have been rounded down.
-    low, high = values[np.searchsorted(chances.cumsum(), np.array(ENDS) - 1e-9)].tolist()
-    return {f"{name}_mean": float(values @ chances), f"{name}_low": low, f"{name}_high": high}
+    spread = Spread.of(values, chances)
+    return {f"{name}_mean": spread.mean, f"{name}_low": spread.low, f"{name}_high": spread.high}

@@ -109,7 +109,7 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
                 gain = 0.0 if before == expected else expected - before
                 people.theta[i] = min(max(theta + minds.eta * gain, 0.0), 1.0)
         if believed:
-            _update(people.belief[i], after, x, robot, slot, m)
+            update(people.belief[i], after, x, robot, slot, m)
         people.x[i] = y
 
 
@@ -156,8 +156,19 @@ def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
 
 # Sums may be reordered, so that they are computed several terms at a time.
 @numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp"})
-def _update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
-    """Bayes' rule for what a person did, then the move of theta; `after`, shape (B, T), is room to work in."""
+def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
+    """Update one belief, shape (B, T), in place: Bayes' rule for what a person did, then the move of theta.
+
+    Parameters
+    ----------
+    belief : float array, shape (B, T)
+    after : float array, shape (B, T)
+        Room to work in.
+    x, robot, slot : int
+        The person's state, what the robot did to them (0: nothing), and the slot of what they did then.
+    m : Arrays
+        Their problem.
+    """
     betas, thetas = belief.shape
     place, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
     uniform = m.lapse / m.counts[place]

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.human import NOTHING, Floats, perceived_cost, perceived_value
 from ..person.qmdp import Arrays
 from ..team.pool import Pool
-from ..team.state import BASE, NOBODY, TeamAction, TeamPolicy, TeamState, Travel, by_model
+from ..team.state import BASE, NOBODY, TeamPolicy, TeamState, Travel, by_model
 from .dynamics import Minds, People, act
 from .episodes import Episodes, Trace
 
@@ -279,13 +279,12 @@ class _Run:
         if not len(free):
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
-        action = self.policy(
-            TeamState(
-                step, self.x[every], active[every], self.erred[every], self.location[every], self.model[every],
-                None if self.belief is None else _rows(self.belief, every), self.pool.policies, self.travel,
-            )
+        team = TeamState(
+            step, self.x[every], active[every], self.erred[every], self.location[every], self.model[every],
+            None if self.belief is None else _rows(self.belief, every), self.pool.policies, self.travel,
         )  # fmt: skip
-        self._check(action, free, active, step)
+        action = self.policy(team)
+        team.check(action)
         goes = action.person != NOBODY
         teams, to, does = free[goes], action.person[goes], action.robot[goes]
         origin = self.location[teams]
@@ -299,28 +298,6 @@ class _Run:
             charged[at] += self.groups[number].arrays.robot_costs[self.x[at], does[rows]]
         self.helped[teams, to] += does > 0
         return robot, charged
-
-    def _check(self, action: TeamAction, free: NDArray[np.int64], active: NDArray[np.bool_], step: int) -> None:
-        """Refuse what no policy may do, instead of letting it silently do nothing."""
-        humans, shape = self.x.shape[1], (len(free),)
-        if np.shape(action.person) != shape or np.shape(action.robot) != shape:
-            raise ValueError(
-                f"step {step}: the policy returned arrays of shapes {np.shape(action.person)} and "
-                f"{np.shape(action.robot)}; expected {shape}, one entry for each team"
-            )
-        wrong = (action.person < NOBODY) | (action.person >= humans)
-        if wrong.any():
-            raise ValueError(f"step {step}: the policy goes to person {action.person[wrong][0]} in a team of {humans}")
-        goes = action.person != NOBODY
-        teams, to, robot = free[goes], action.person[goes], action.robot[goes]
-        if not active[teams, to].all():
-            raise ValueError(f"step {step}: the policy goes to a person who has finished or is not there")
-        if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
-            raise ValueError(f"step {step}: the policy speaks to a person before the robot has arrived")
-        for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.pool.policies)):
-            count = self.groups[number].arrays.robot_actions[self.x[teams[rows], to[rows]]]
-            if ((robot[rows] < 0) | (robot[rows] >= count)).any():
-                raise ValueError(f"step {step}: the policy makes a suggestion that the person's state does not have")
 
     def _record(
         self,

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.human import Floats
@@ -72,13 +73,16 @@ class Travel:
         """
         if not 0 <= travel_time < math.inf:
             raise ValueError(f"travel_time {travel_time:g}: expected 0 or more")
-        matrix = 1.0 - np.eye(places + 1) if distance is None else np.array(distance, dtype=float)
+        if distance is None:
+            row = np.ones(2 * places + 1)
+            row[places] = 0.0
+            return cls(_windows(row), _windows(_whole_steps(row * travel_time)), c_move)
+        matrix = np.array(distance, dtype=float)
         if matrix.shape != (places + 1, places + 1):
             raise ValueError(
                 f"distance, shape {matrix.shape}: expected ({places + 1}, {places + 1}), {places} people and the base"
             )
-        # 3 times a distance of 0.1 is a little more than 0.3 and yet no further step.
-        return cls(matrix, np.ceil(matrix * travel_time - 1e-9).clip(0).astype(np.int64), c_move)
+        return cls(matrix, _whole_steps(matrix * travel_time), c_move)
 
     def __len__(self) -> int:
         return len(self.distance) - 1
@@ -92,6 +96,19 @@ class Travel:
     def entry_steps(self) -> NDArray[np.int64]:
         """The least number of steps that it takes to come to each person from anywhere else, shape (K,)."""
         return np.array([np.delete(column, k).min() for k, column in enumerate(self.steps.T[:-1])], dtype=np.int64)
+
+
+def _whole_steps(steps: Floats) -> NDArray[np.int64]:
+    # 3 times a distance of 0.1 is a little more than 0.3 and yet no further step.
+    return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
+
+
+def _windows(row: NDArray[Any]) -> NDArray[Any]:
+    """Give the square matrix of which each row is the one before, one place further: without room of its own.
+
+    For 10,000 people it would take 800 MB.
+    """
+    return np.asarray(sliding_window_view(row, len(row) // 2 + 1)[::-1])
 
 
 @dataclass(frozen=True)
@@ -211,6 +228,38 @@ class TeamState:
         teams = np.arange(len(self.x))
         speaks = (person != NOBODY) & (self.travel.steps[self.location, person] == 0)
         return TeamAction(person, np.where(speaks, robot[teams, person], 0))
+
+    def check(self, action: TeamAction) -> None:
+        """Refuse what no policy may do, instead of letting it silently do nothing.
+
+        Raises
+        ------
+        ValueError
+            What the policy did, and in which step.
+        """
+        shape, people = (len(self.x),), self.x.shape[1]
+        if np.shape(action.person) != shape or np.shape(action.robot) != shape:
+            raise ValueError(
+                f"step {self.step}: the policy returned arrays of shapes {np.shape(action.person)} and "
+                f"{np.shape(action.robot)}; expected {shape}, one entry for each team"
+            )
+        wrong = (action.person < NOBODY) | (action.person >= people)
+        if wrong.any():
+            raise ValueError(
+                f"step {self.step}: the policy goes to person {action.person[wrong][0]} in a team of {people}"
+            )
+        teams = np.flatnonzero(action.person != NOBODY)
+        to, robot = action.person[teams], action.robot[teams]
+        if not self.active[teams, to].all():
+            raise ValueError(f"step {self.step}: the policy goes to a person who has finished or is not there")
+        if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
+            raise ValueError(f"step {self.step}: the policy speaks to a person before the robot has arrived")
+        for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.policies)):
+            count = self.policies[number].pomdp.robot_actions[self.x[teams[rows], to[rows]]]
+            if ((robot[rows] < 0) | (robot[rows] >= count)).any():
+                raise ValueError(
+                    f"step {self.step}: the policy makes a suggestion that the person's state does not have"
+                )
 
 
 class TeamPolicy(Protocol):
