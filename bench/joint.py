@@ -26,7 +26,8 @@ from numpy.typing import NDArray
 from assist.people.human import Floats
 from assist.person.pomdp import AssistPOMDP
 from assist.team.pool import Pool
-from assist.team.state import NOBODY, Travel
+from assist.team.state import NOBODY
+from assist.team.travel import Travel
 
 Ints = NDArray[np.int64]
 

@@ -38,8 +38,9 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, qmdp
 from assist.simulation.dynamics import Minds, People, act
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool, Setting
+from assist.team.pool import Pool
 from assist.team.priority import Priority
+from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from assist.team.subproblem import HERE
 from planner import load, sweep
@@ -79,7 +80,7 @@ def choices_of(name: str) -> Choices:
 
 
 def pool_of(name: str, size: int, seed: int, **setting: Any) -> Pool:
-    return Pool.sample(choices_of(name), size, seed, setting=Setting(**setting))
+    return Pool.sample(choices_of(name), size, seed=seed, setting=Setting(**setting))
 
 
 def write(out: Path, name: str, rows: list[dict[str, Any]], title: str) -> None:

@@ -16,7 +16,9 @@ from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation.simulate import simulate
-from assist.team.pool import POLICIES, Pool, Setting
+from assist.team.policies import POLICIES
+from assist.team.pool import Pool
+from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.subproblem import AWAY, HERE, Visits
 

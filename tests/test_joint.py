@@ -19,9 +19,11 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool, Setting
-from assist.team.state import NOBODY, Travel
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.state import NOBODY
 from assist.team.subproblem import Visits
+from assist.team.travel import Travel
 from planner import Instance
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]

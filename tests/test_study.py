@@ -28,7 +28,8 @@ from assist.study.report import profile, write_report
 from assist.study.runner import load_study, run_study
 from assist.study.study import Study, StudyError, check
 from assist.study.summary import Found
-from assist.team.pool import Pool, Setting
+from assist.team.pool import Pool
+from assist.team.settings import Setting
 
 TINY = f"""
 title = "small"

@@ -20,7 +20,8 @@ from assist.simulation.belief_trace import beliefs_of_episode
 from assist.simulation.episodes import Trace
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance
-from assist.team.pool import Pool, Setting
+from assist.team.pool import Pool
+from assist.team.settings import Setting
 
 POLICIES = ("none", "reactive", "attention", "our-own")
 INSTANCES = ("paper", "paper-fixed")
@@ -69,7 +70,7 @@ def costs() -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def pool(tiny_choices: Choices) -> Pool:
-    return Pool.sample(tiny_choices, 4, 0, population=Population(beta=(0.1, 1.5)))
+    return Pool.sample(tiny_choices, 4, seed=0, population=Population(beta=(0.1, 1.5)))
 
 
 def where(frame: pd.DataFrame, **values: str) -> pd.DataFrame:
@@ -274,7 +275,9 @@ def test_beliefs_are_those_of_a_filter(pool: Pool) -> None:
 
 
 def test_what_is_not_known_under_way_leaves_no_hole(tiny_choices: Choices) -> None:
-    pool = Pool.sample(tiny_choices, 4, 0, setting=Setting(travel_time=2.0), population=Population(beta=(0.1, 0.3)))
+    pool = Pool.sample(
+        tiny_choices, 4, seed=0, setting=Setting(travel_time=2.0), population=Population(beta=(0.1, 0.3))
+    )
     episode, rows = beliefs_of_episode(pool, AttentionSwitching(), humans=2, episode=0, seed=0)
     beliefs = pd.DataFrame(rows)
     unknown = beliefs["beta_mean"].isna()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,16 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, evaluate
 from assist.simulation.dynamics import Minds, People, act
 from assist.simulation.episodes import Episodes, Trace, illustrative, summarise
-from assist.simulation.simulate import BLOCK, Presence, simulate
+from assist.simulation.luck import BLOCK
+from assist.simulation.presence import Presence
+from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
-from assist.team.pool import POLICIES, Pool, Setting
-from assist.team.state import BASE, NOBODY, TeamAction, TeamState, Travel
-from planner import Table
+from assist.team.policies import POLICIES
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.travel import Travel
+from planner import LimitError, OnDemand, Table
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +124,155 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
             assert episode.costs[k] == sum(row["cost"] for row in own)
             assert (own[-1]["cost_to_go_after"] == 0) == episode.finished[k]
             assert own[0]["theta"] == episode.theta[k]
+
+
+def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """All arrays that can be reached from an object by its fields, what it has cached, and its items."""
+    if isinstance(thing, np.ndarray):
+        found.setdefault(path, thing)
+    elif isinstance(thing, tuple | list):
+        for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
+            reachable(item, f"{path}[{number}]", found)
+    elif is_dataclass(thing):
+        for name in {field.name for field in fields(thing)} | set(vars(thing)):
+            reachable(getattr(thing, name), f"{path}.{name}", found)
+    return found
+
+
+def test_a_policy_cannot_write_into_the_simulation(pool: Pool) -> None:
+    """Each array that a policy can reach refuses to be written to, and stays as it was."""
+    tried: set[str] = set()
+
+    def vandal(team: TeamState) -> TeamAction:
+        action = AttentionSwitching()(team)  # so that what is cached is there
+        team.first_optimal()
+        for name, array in reachable(team, "team", {}).items():
+            before = array.copy()
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+            np.testing.assert_array_equal(array, before)
+            tried.add(name)
+        return action
+
+    for episodes in (1, 3):
+        expected = simulate(pool, AttentionSwitching(), humans=3, episodes=episodes, seed=0, name="same")
+        assert equal(expected, simulate(pool, vandal, humans=3, episodes=episodes, seed=0, name="same"))
+    arrays = {"x", "active", "erred", "location", "model", "belief", "travel.distance", "travel.steps"}
+    arrays |= {f"policies[0].{name}" for name in ("q_mdp", "pomdp.prior", "pomdp.first_optimal", "pomdp.grid.beta")}
+    arrays |= {f"policies[0].pomdp.model.{name}" for name in ("q", "choices.h", "choices.targets", "choices.goal")}
+    assert {f"team.{name}" for name in arrays} <= tried
+    assert len(tried) > 30
+
+
+def test_a_team_state_leaves_its_makers_arrays_alone(pool: Pool) -> None:
+    x = np.zeros((1, 2), dtype=np.int64)
+    team = replace(state(pool, [0, 0]), x=x)
+    x[0, 1] = 3
+    assert team.x.tolist() == [[0, 3]]
+    with pytest.raises(ValueError, match="read-only"):
+        team.x[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ({"knowledge": "Own"}, "knowledge 'Own': expected 'own' or 'exact'"),
+        ({"suggestions": "optimum"}, "suggestions 'optimum': expected 'optimal' or 'all'"),
+        ({"execute": "no"}, "execute 'no': expected True or False"),
+        ({"max_steps": 0}, "max_steps 0: expected a whole number of 1 or more"),
+        ({"max_steps": 2.5}, "max_steps 2.5"),
+        ({"c_move": float("nan")}, "c_move nan"),
+        ({"travel_time": -1.0}, "travel_time -1"),
+    ],
+)
+def test_settings_that_cannot_be(setting: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Setting(**setting)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"humans": 0}, "humans 0: expected a whole number of 1 or more"),
+        ({"humans": True}, "humans True"),
+        ({"humans": 2.0}, "humans 2.0"),
+        ({"humans": float("nan")}, "humans nan"),
+        ({"humans": 6}, "6 people per team: expected 1 to 5, the size of the pool"),
+        ({"humans": []}, r"team \[\]: expected numbers of the pool"),
+        ({"humans": [0.5, 1.0]}, "expected numbers of the pool, from 0 to 4"),
+        ({"humans": [True, False]}, "expected numbers of the pool"),
+        ({"episodes": 0}, "episodes 0: expected a whole number of 1 or more"),
+        ({"episodes": []}, "expected how many, or the number of one or more of them"),
+        ({"episodes": [-1]}, "expected whole numbers of 0 or more"),
+        ({"episodes": 2.0}, "episodes 2.0"),
+        ({"seed": -1}, "seed -1"),
+        ({"seed": 0.5}, "seed 0.5"),
+        ({"jobs": 0}, "jobs 0"),
+        ({"world": "moon"}, "world 'moon': expected 'people' or 'model'"),
+        ({"policy": "Attention"}, "unknown policy 'Attention'; expected one of none, reactive"),
+        ({"memory_limit_mb": 0}, "memory_limit_mb 0: expected more than 0"),
+    ],
+)
+def test_simulations_that_cannot_be(pool: Pool, arguments: dict[str, Any], complaint: str) -> None:
+    given = {"policy": "none", "humans": 2, "episodes": 2, "seed": 0, **arguments}
+    with pytest.raises(ValueError, match=complaint):
+        simulate(pool, given.pop("policy"), **given)
+
+
+def test_any_kind_of_integer_and_a_generator_will_do(pool: Pool) -> None:
+    plain = simulate(pool, "attention", humans=2, episodes=3, seed=4)
+    typed = simulate(pool, "attention", humans=np.int64(2), episodes=np.int32(3), seed=np.uint8(4))
+    assert equal(plain, typed)
+    assert plain.policy == "attention"
+    drawn = [simulate(pool, "none", humans=2, episodes=3, seed=np.random.default_rng(n)) for n in (1, 1, 2)]
+    assert equal(drawn[0], drawn[1])
+    assert not equal(drawn[0], drawn[2])
+
+
+def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
+    for size in (0, -1, 2.0, True):
+        with pytest.raises(ValueError, match="size"):
+            Pool.sample(tiny_choices, size, seed=0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="goal cannot be reached"):
+        Pool.sample(replace(tiny_choices, h=np.full(len(tiny_choices), np.inf)), 2, seed=0)
+    with pytest.raises(TypeError, match="OnDemand: expected the cost-to-go of every state"):
+        Pool.sample(OnDemand(tiny.task), 2, seed=0)
+
+
+@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
+def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any]) -> None:
+    """What a pool is said to take is what its arrays take, and a pool that takes more than is allowed is refused."""
+    setting, choices = Setting(**options), Choices.of(fixed)
+    pool = Pool.sample(choices, 2, seed=0, setting=setting)
+    arrays = [array for p in pool.policies for array in reachable(p, "", {}).items() if ".choices." not in array[0]]
+    taken = sum(array.nbytes for array in {id(array): array for _, array in arrays}.values()) / 1e6
+    needed = taken * (1 + 1 / len(pool.policies))  # one of them is there twice for a time
+    Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=1.03 * needed)
+    with pytest.raises(LimitError, match=r"states take about .* MB of memory, and .* are allowed") as refused:
+        Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=0.97 * needed)
+    assert ("knowledge 'exact'" in str(refused.value)) == (len(pool.policies) > 1)
+
+
+def test_more_episodes_than_fit_the_memory_are_refused(pool: Pool) -> None:
+    with pytest.raises(LimitError, match=r"99,999,999,999 episodes of 2 people take 15,\d{3},\d{3} MB .* at most 25,9"):
+        simulate(pool, "none", humans=2, episodes=99_999_999_999, seed=0)
+
+
+def test_the_front_door(tiny: Table) -> None:
+    """A pool from a table, a policy by its name or as a function, and a summary that can be printed."""
+    pool = Pool.sample(tiny, 12, seed=1)
+    said = str(simulate(pool, "attention", humans=3, episodes=100, seed=1).summary())
+    number = r"-?\d+\.\d\d ± \d\.\d\d"
+    assert re.fullmatch(
+        rf"attention: actions per person {number}, suggestions {number}, moves {number}, return {number} "
+        r"\(100 episodes\)", said
+    )  # fmt: skip
+
+    def nobody(team: TeamState) -> TeamAction:
+        return NoAssistance()(team)
+
+    alone = simulate(pool, nobody, humans=1, episodes=1, seed=0).summary()
+    assert re.fullmatch(r"nobody: actions per person \d+\.00, .* \(1 episode\)", str(alone))
 
 
 def test_traced_actions_are_possible_in_the_task(tiny: Table, pool: Pool) -> None:

@@ -33,8 +33,9 @@ from ..person.solver import solve
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
 from ..team.pool import Pool
-from ..team.state import TeamAction, TeamPolicy, TeamState, Travel
+from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.subproblem import HERE, Visits
+from ..team.travel import Travel
 
 ROUNDS = 40
 """Times that prices are changed. The last half's mean is taken."""
@@ -191,7 +192,7 @@ class _Kind:
         number = np.zeros(len(price))
 
         def act(team: TeamState) -> TeamAction:
-            robot = policy.choose(team.x[:, 0], team.belief[:, 0])  # type: ignore[index]
+            robot = policy.choose(*team.known_of(np.arange(len(team.x))))
             if team.step < len(price):
                 # On its way the robot has no other choice than to go on.
                 number[team.step] += np.sum((robot > 0) | (visits.position[team.x[:, 0]] > HERE))

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from planner.solving import versions
 
-from ..team.pool import POLICIES
+from ..team.policies import POLICIES
 from .console import one_line_errors, print_json, print_table
 from .team import team_of, team_options
 

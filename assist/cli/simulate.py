@@ -12,7 +12,7 @@ from rich.table import Table
 
 from planner.solving import versions
 
-from ..team.pool import POLICIES
+from ..team.policies import POLICIES
 from .console import one_line_errors, print_json, print_table, progress_bar
 from .team import team_of, team_options
 

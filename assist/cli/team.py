@@ -19,7 +19,7 @@ from .task import one_instance, table_of
 if TYPE_CHECKING:
     from ..people.human import Mixture, Population
     from ..team.pool import Pool
-    from ..team.state import Travel
+    from ..team.travel import Travel
 
 
 def team_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -86,7 +86,8 @@ def team_of(
     """
     from ..people.choices import Choices
     from ..people.human import Population
-    from ..team.pool import Pool, Setting
+    from ..team.pool import Pool
+    from ..team.settings import Setting
 
     if humans > size:
         raise click.UsageError(f"--humans {humans} is more than --pool {size}")
@@ -100,7 +101,12 @@ def team_of(
         travel = chosen.travel(humans, _matrix(distances) if distances else None)
         with progress_bar("solving people's POMDPs", size if chosen.knowledge == "own" else 1) as advance:
             pool = Pool.sample(
-                choices, size, seed, setting=chosen, population=population, progress=lambda *_: advance(1)
+                choices,
+                size,
+                seed=seed,
+                setting=chosen,
+                population=population,
+                progress=lambda done, _: advance(min(done, 1)),
             )
     except ValueError as error:
         raise click.UsageError(str(error)) from None

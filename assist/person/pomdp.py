@@ -103,9 +103,10 @@ class AssistPOMDP:
     def __post_init__(self) -> None:
         for array in (
             self.prior, self.robot_actions, self.suggested, self.afterstate, self.robot_costs, self.chosen,
-            self.unsuggested, self.low, self.weight,
+            self.unsuggested, self.low, self.weight, self.order,
         ):  # fmt: skip
-            array.flags.writeable = False
+            if array is not None:
+                array.flags.writeable = False
 
     @classmethod
     def of(
@@ -185,6 +186,7 @@ class AssistPOMDP:
         final = self.model.choices.goal.copy()
         if self.frontier is not None:
             final[self.frontier.states] = True
+        final.flags.writeable = False
         return final
 
     def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
@@ -219,12 +221,16 @@ class AssistPOMDP:
     def suggests_optimal(self) -> NDArray[np.bool_]:
         """Which robot actions suggest an optimal action, shape (n, R)."""
         slot = np.maximum(self.suggested, 0)
-        return (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
+        suggests = (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
+        suggests.flags.writeable = False
+        return suggests
 
     @cached_property
     def first_optimal(self) -> NDArray[np.int64]:
         """The first robot action of each state that suggests an optimal action, shape (n,); 0: there is none."""
-        return self.suggests_optimal.argmax(axis=1)
+        first = self.suggests_optimal.argmax(axis=1)
+        first.flags.writeable = False
+        return first
 
     def suggestion(self, x: int, robot: int) -> str | None:
         """Name in PDDL what a robot action suggests; None for nothing."""

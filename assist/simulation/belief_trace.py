@@ -11,9 +11,12 @@ import numpy as np
 from ..people.belief import Spread
 from ..people.human import Floats
 from ..team.pool import Pool
-from ..team.state import TeamAction, TeamPolicy, TeamState, Travel
+from ..team.state import TeamAction, TeamPolicy, TeamState
+from ..team.travel import Travel
 from .episodes import Episode, Trace
-from .simulate import Presence, World, simulate
+from .presence import Presence
+from .run import World
+from .simulate import simulate
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from ..people.human import Floats
 from ..person.qmdp import Arrays
 
 
+# Named tuples, however long: they are the only records of arrays that compiled code takes and that are kept compiled.
 class People(NamedTuple):
     """Many people in whatever state their task is; one entry for each in every array, changed in place.
 

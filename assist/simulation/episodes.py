@@ -96,6 +96,18 @@ class Episodes:
         names = [field.name for field in fields(cls) if field.name != "policy"]
         return cls(parts[0].policy, *(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
+    def summary(self) -> Summary:
+        """Give means and their standard errors."""
+        return Summary(
+            policy=self.policy,
+            episodes=len(self),
+            actions=_mean_and_error(self.actions.mean(axis=1)),
+            interventions=_mean_and_error(self.interventions),
+            moves=_mean_and_error(self.moves),
+            discounted_return=_mean_and_error(self.discounted_return),
+            cut_off=int((~self.finished).any(axis=1).sum()),
+        )
+
     def __len__(self) -> int:
         return len(self.episode)
 
@@ -146,23 +158,26 @@ class Summary:
     discounted_return: tuple[float, float]
     cut_off: int
 
+    def __str__(self) -> str:
+        shown = [
+            f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
+            for what, (mean, error) in (
+                ("actions per person", self.actions), ("suggestions", self.interventions), ("moves", self.moves),
+                ("return", self.discounted_return),
+            )
+        ]  # fmt: skip
+        cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
+        return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut})"
+
+
+def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
+    error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+    return float(values.mean()), float(error)
+
 
 def summarise(episodes: Episodes) -> Summary:
     """Summarise the episodes of one policy."""
-
-    def mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
-        error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
-        return float(values.mean()), float(error)
-
-    return Summary(
-        policy=episodes.policy,
-        episodes=len(episodes),
-        actions=mean_and_error(episodes.actions.mean(axis=1)),
-        interventions=mean_and_error(episodes.interventions),
-        moves=mean_and_error(episodes.moves),
-        discounted_return=mean_and_error(episodes.discounted_return),
-        cut_off=int((~episodes.finished).any(axis=1).sum()),
-    )
+    return episodes.summary()
 
 
 def illustrative(helped: Episodes, alone: Episodes) -> Episode:

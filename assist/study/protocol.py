@@ -12,7 +12,8 @@ from planner import Instance, InstanceError, find_instances
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
-from ..team.pool import POLICIES, Setting
+from ..team.policies import POLICIES
+from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyError
 
 PROTOCOLS = Path(__file__).parent / "protocols"

@@ -28,7 +28,8 @@ from ..people.human import Mixture, Population
 from ..person.qmdp import qmdp
 from ..simulation.episodes import Episodes
 from ..simulation.simulate import simulate
-from ..team.pool import SIMULATED_STATES, Pool, Setting
+from ..team.pool import SIMULATED_STATES, Pool
+from ..team.settings import Setting
 from ..team.state import TeamPolicy
 
 SCHEMA = 1
@@ -226,7 +227,7 @@ class Study:
         populations = dict(self.populations)
         population = populations[cell.population]
         return Pool.sample(
-            _choices(dict(self.instances)[cell.instance]), self.pool, self.luck(cell.repeat),
+            _choices(dict(self.instances)[cell.instance]), self.pool, seed=self.luck(cell.repeat),
             setting=self.setting(cell), population=population, solver=partial(qmdp, tolerance=TOLERANCE),
             prior=population if cell.prior == OWN else populations[cell.prior],
         )  # fmt: skip

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..team.pool import Setting
+from ..team.settings import Setting
 from . import statistics
 from .statistics import Estimate
 from .study import SCHEMA, Study

@@ -2,90 +2,31 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..people.belief import Grid
+from planner import CostToGo, LimitError, Table
+
 from ..people.choices import Choices
-from ..people.human import Human, HumanModel, Mixture, Population
-from ..person.pomdp import AssistPOMDP, Policy, Suggestions
+from ..people.human import Human, Mixture, Population
+from ..person.pomdp import AssistPOMDP, Policy
 from ..person.qmdp import qmdp
-from .attention import AttentionSwitching, NoAssistance, Reactive
-from .priority import Priority
-from .state import TeamPolicy, Travel
-
-Knowledge = Literal["own", "exact"]
-POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
-"""The names under which `Pool.policy` makes team policies."""
+from .arguments import Seed, entropy, positive, whole
+from .policies import named
+from .settings import Setting
+from .state import TeamPolicy
+from .travel import Travel
 
 SIMULATED_STATES = 200_000
-"""The largest task on which people are simulated: each person's POMDP takes about 3 KB a state."""
+"""The largest task on which the command line simulates people."""
 
+MEMORY_LIMIT_MB = 4000.0
+"""What people's policies may take, unless more is allowed."""
 
-@dataclass(frozen=True)
-class Setting:
-    """What a simulation takes for granted.
-
-    Attributes
-    ----------
-    gamma : float
-        Discount factor per step.
-    c_suggest, c_move : float
-        Cost of a suggestion, and of moving by a distance of 1, in cost units.
-    travel_time : float
-        Steps that moving by a distance of 1 takes.
-    eta : float
-        Rate of the trust update.
-    utility_scale : float
-        The unit of value in the trust update, in cost units.
-    lapse : float
-        Weight of a uniform choice in the robot's model of people.
-    knowledge : "own" or "exact"
-        Whether the robot knows each person's perceived costs (as in the paper) or only h*.
-    suggestions : "optimal" or "all"
-    execute : bool
-        Whether the robot can also execute an action itself, at the cost `c_execute`.
-    max_steps : int
-        An episode is cut off after this many steps.
-    """
-
-    gamma: float = 0.99
-    c_suggest: float = 1.0
-    c_move: float = 0.5
-    travel_time: float = 0.0
-    eta: float = 0.2
-    utility_scale: float = 1.0
-    lapse: float = 1e-3
-    knowledge: Knowledge = "own"
-    suggestions: Suggestions = "optimal"
-    execute: bool = False
-    c_execute: float = 1.0
-    max_steps: int = 500
-
-    def __post_init__(self) -> None:
-        for name in ("c_move", "travel_time"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} {getattr(self, name):g}: expected 0 or more")
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps {self.max_steps}: expected 1 or more")
-
-    def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
-        """Give the way between so many people; `distance` as in `Travel.of`."""
-        return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
-
-    def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
-        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task."""
-        known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
-        model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
-        return AssistPOMDP.of(
-            model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
-            suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
-        )  # fmt: skip
+ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
 @dataclass(frozen=True)
@@ -130,41 +71,72 @@ class Pool:
     @classmethod
     def sample(
         cls,
-        choices: Choices,
+        table: CostToGo | Choices,
         size: int,
-        seed: int,
         *,
+        seed: Seed,
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
         prior: Population | Mixture | None = None,
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
+        memory_limit_mb: float = MEMORY_LIMIT_MB,
         progress: Callable[[int, int], None] | None = None,
     ) -> Pool:
         """Draw people from a population and solve the POMDP of each.
 
         Parameters
         ----------
+        table : Table or Choices
+            The cost-to-go of every state of their task.
+        size : int
+        seed : int or Generator
+        setting : Setting, optional
+            The paper's unless given.
         population : Population or Mixture, optional
             From whom they are drawn; the paper's unless given.
         prior : Population or Mixture, optional
             From whom the robot takes them to be drawn; `population` unless given.
         solver : callable
             Gives the policy for one person's problem.
+        memory_limit_mb : float
+            What QMDP's policies of all may take, in megabytes; it is known before anything is allocated.
         progress : callable, optional
-            Called with how many POMDPs have been solved, and of how many.
+            Called with how many POMDPs have been solved, and of how many, at the beginning and after each.
+
+        Raises
+        ------
+        ValueError
+            What cannot be, such as a task whose goal cannot be reached.
+        LimitError
+            People's policies would take more memory than is allowed.
         """
+        size = whole("size", size, 1)
         setting = setting or Setting()
         population = population or Population()
         prior = prior or population
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+        models = size if setting.knowledge == "own" else 1
+        if not isinstance(table, Table | Choices):
+            raise TypeError(
+                f"{type(table).__name__}: expected the cost-to-go of every state (a Table, or Choices), since people "
+                "may come to any of them"
+            )
+        require_memory(setting.memory(len(table)), len(table), models, memory_limit_mb)  # before choices are made
+        choices = table if isinstance(table, Choices) else Choices.of(table)
+        if not np.isfinite(choices.h[choices.initial]):
+            raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+        offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
+        slots, most = choices.applicable.shape[1], int(offered.sum(axis=1).max(initial=0))
+        require_memory(setting.memory(len(choices), slots, most), len(choices), models, memory_limit_mb)
+        tell = progress or (lambda *_: None)
+        tell(0, models)
+        rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
         policies = []
         for done, human in enumerate(known, start=1):
             policies.append(solver(setting.problem(choices, human, prior)))
-            if progress is not None:
-                progress(done, len(known))
-        number = np.arange(size) if len(known) > 1 else np.zeros(size, dtype=np.int64)
+            tell(done, models)
+        number = np.arange(size) if models > 1 else np.zeros(size, dtype=np.int64)
         return cls(setting, tuple(people), tuple(policies), number)
 
     @classmethod
@@ -190,19 +162,20 @@ class Pool:
         Parameters
         ----------
         name : str
-            The paper's "none", "reactive" and "attention", "attention-never" for the other reading of its
-            Algorithm 1, and our own "priority".
+            One of `POLICIES`.
         travel : Travel, optional
             The way between people, if it is not that of the setting.
         """
-        if name == "none":
-            return NoAssistance()
-        if name == "reactive":
-            return Reactive()
-        if name == "attention":
-            return AttentionSwitching()
-        if name == "attention-never":
-            return AttentionSwitching.against_never(self.policies)
-        if name == "priority":  # as all places are equally far, two stand for any number
-            return Priority.of(self.policies, travel or self.setting.travel(2))
-        raise ValueError(f"unknown policy '{name}'; expected one of {', '.join(POLICIES)}")
+        # As all places are equally far, two stand for any number.
+        return named(name, self.policies, travel or self.setting.travel(2))
+
+
+def require_memory(one: int, states: int, models: int, limit_mb: float) -> None:
+    """Refuse policies, each of so many bytes, that would not fit the memory."""
+    needed = (models + 1) * one / 1e6  # while values are put in order they are there twice
+    if needed > positive("memory_limit_mb", limit_mb):
+        who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
+        raise LimitError(
+            f"policies for {who} on a task of {states:,} states take about {needed:,.0f} MB of memory, and "
+            f"{limit_mb:,.0f} MB are allowed; expected {less}a higher memory limit"
+        )

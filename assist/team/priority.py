@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from ..people.human import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import qmdp
-from .state import NOBODY, TeamAction, TeamState, Travel
+from .state import NOBODY, TeamAction, TeamState
 from .subproblem import HERE, Visits
+from .travel import Travel
 
 PRICE = 0.15
 """What a step of the robot's attention will be worth to others: this share of the cheapest action's cost."""

@@ -7,17 +7,16 @@ the same form will do.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..people.human import Floats
 from ..person.pomdp import Policy
+from .travel import Travel
 
 BASE = -1
 """The robot's place before it has gone to anybody; also the last row of a distance matrix."""
@@ -25,90 +24,8 @@ BASE = -1
 NOBODY = -1
 
 
-@dataclass(frozen=True)
-class Travel:
-    """The way between K people's places and the base, which comes last.
-
-    Attributes
-    ----------
-    distance : float array, shape (K + 1, K + 1)
-    steps : int array, shape (K + 1, K + 1)
-        How many steps the robot is under way. With 0 it speaks in the step in which it leaves.
-    c_move : float
-        Cost of moving by a distance of 1, in cost units; paid on leaving.
-    """
-
-    distance: Floats
-    steps: NDArray[np.int64]
-    c_move: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.c_move < math.inf:
-            raise ValueError(f"c_move {self.c_move:g}: expected 0 or more")
-        if self.distance.ndim != 2 or self.distance.shape[0] != self.distance.shape[1] or len(self.distance) < 2:
-            raise ValueError(
-                f"distance, shape {self.distance.shape}: expected a square, one row for each place and base"
-            )
-        if not ((self.distance >= 0) & np.isfinite(self.distance)).all() or self.distance.diagonal().any():
-            raise ValueError("distance: expected 0 from each place to itself, and 0 or more to the others")
-        if self.steps.shape != self.distance.shape or (self.steps < 0).any() or self.steps.diagonal().any():
-            raise ValueError("steps: expected one number of 0 or more for each distance, and 0 to stay")
-        self.distance.flags.writeable = False
-        self.steps.flags.writeable = False
-
-    @classmethod
-    def of(
-        cls, places: int, *, c_move: float = 0.5, travel_time: float = 0.0, distance: ArrayLike | None = None
-    ) -> Travel:
-        """Describe the way between so many people.
-
-        Parameters
-        ----------
-        places : int
-            K.
-        travel_time : float
-            Steps that a distance of 1 takes; what is left over counts as a whole step.
-        distance : array, shape (K + 1, K + 1), optional
-            1 between any two places unless given.
-        """
-        if not 0 <= travel_time < math.inf:
-            raise ValueError(f"travel_time {travel_time:g}: expected 0 or more")
-        if distance is None:
-            row = np.ones(2 * places + 1)
-            row[places] = 0.0
-            return cls(_windows(row), _windows(_whole_steps(row * travel_time)), c_move)
-        matrix = np.array(distance, dtype=float)
-        if matrix.shape != (places + 1, places + 1):
-            raise ValueError(
-                f"distance, shape {matrix.shape}: expected ({places + 1}, {places + 1}), {places} people and the base"
-            )
-        return cls(matrix, _whole_steps(matrix * travel_time), c_move)
-
-    def __len__(self) -> int:
-        return len(self.distance) - 1
-
-    @property
-    def entry(self) -> Floats:
-        """The least that it costs to come to each person from anywhere else, shape (K,)."""
-        return self.c_move * np.array([np.delete(column, k).min() for k, column in enumerate(self.distance.T[:-1])])
-
-    @property
-    def entry_steps(self) -> NDArray[np.int64]:
-        """The least number of steps that it takes to come to each person from anywhere else, shape (K,)."""
-        return np.array([np.delete(column, k).min() for k, column in enumerate(self.steps.T[:-1])], dtype=np.int64)
-
-
-def _whole_steps(steps: Floats) -> NDArray[np.int64]:
-    # 3 times a distance of 0.1 is a little more than 0.3 and yet no further step.
-    return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
-
-
-def _windows(row: NDArray[Any]) -> NDArray[Any]:
-    """Give the square matrix of which each row is the one before, one place further: without room of its own.
-
-    For 10,000 people it would take 800 MB.
-    """
-    return np.asarray(sliding_window_view(row, len(row) // 2 + 1)[::-1])
+class PolicyError(ValueError):
+    """A team policy that fails, or chooses what cannot be."""
 
 
 @dataclass(frozen=True)
@@ -149,6 +66,8 @@ def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> 
 class TeamState:
     """What the robot knows about N teams of K people each, where it is free to choose.
 
+    All arrays are read-only, and so are those of the policies and the way: who chooses changes nothing by looking.
+
     Attributes
     ----------
     step : int
@@ -179,6 +98,14 @@ class TeamState:
     belief: Floats | None
     policies: Sequence[Policy]
     travel: Travel
+
+    def __post_init__(self) -> None:
+        for name in ("x", "active", "erred", "location", "model", "belief"):
+            array = getattr(self, name)
+            if array is not None and array.flags.writeable:  # whoever made it can go on writing into it
+                view = array.view()
+                view.flags.writeable = False
+                object.__setattr__(self, name, view)
 
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
         """Give each model that somebody active has, and who that is: places in the arrays if they were flat."""
@@ -234,32 +161,33 @@ class TeamState:
 
         Raises
         ------
-        ValueError
+        PolicyError
             What the policy did, and in which step.
         """
         shape, people = (len(self.x),), self.x.shape[1]
-        if np.shape(action.person) != shape or np.shape(action.robot) != shape:
-            raise ValueError(
-                f"step {self.step}: the policy returned arrays of shapes {np.shape(action.person)} and "
-                f"{np.shape(action.robot)}; expected {shape}, one entry for each team"
-            )
+
+        def refused(fault: str) -> PolicyError:
+            return PolicyError(f"step {self.step}: the policy {fault}")
+
+        if not isinstance(action, TeamAction):
+            raise refused(f"returned {type(action).__name__}; expected a TeamAction, as TeamState.act gives it")
+        for array in (action.person, action.robot):
+            if not isinstance(array, np.ndarray) or array.dtype.kind not in "iu" or array.shape != shape:
+                found = f"an array of {array.dtype}, shape {array.shape}" if isinstance(array, np.ndarray) else array
+                raise refused(f"chose {found!s:.80}; expected two int arrays of shape {shape}, an entry for each team")
         wrong = (action.person < NOBODY) | (action.person >= people)
         if wrong.any():
-            raise ValueError(
-                f"step {self.step}: the policy goes to person {action.person[wrong][0]} in a team of {people}"
-            )
+            raise refused(f"goes to person {action.person[wrong][0]} in a team of {people}")
         teams = np.flatnonzero(action.person != NOBODY)
         to, robot = action.person[teams], action.robot[teams]
         if not self.active[teams, to].all():
-            raise ValueError(f"step {self.step}: the policy goes to a person who has finished or is not there")
+            raise refused("goes to a person who has finished or is not there")
         if (robot[self.travel.steps[self.location[teams], to] > 0] != 0).any():
-            raise ValueError(f"step {self.step}: the policy speaks to a person before the robot has arrived")
+            raise refused("speaks to a person before the robot has arrived")
         for number, rows in by_model(self.model[teams, to], np.flatnonzero(robot != 0), len(self.policies)):
             count = self.policies[number].pomdp.robot_actions[self.x[teams[rows], to[rows]]]
             if ((robot[rows] < 0) | (robot[rows] >= count)).any():
-                raise ValueError(
-                    f"step {self.step}: the policy makes a suggestion that the person's state does not have"
-                )
+                raise refused("makes a suggestion that the person's state does not have")
 
 
 class TeamPolicy(Protocol):

@@ -1,0 +1,241 @@
+"""Episodes in progress: all advance together, one step at a time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import NOTHING, Floats, perceived_cost, perceived_value
+from ..person.qmdp import Arrays
+from ..team.pool import Pool
+from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
+from ..team.travel import Travel
+from .dynamics import Minds, People, act
+from .episodes import Episodes, Trace
+from .luck import Luck
+from .presence import Presence
+
+World = Literal["people", "model"]
+
+
+class Run:
+    """A chunk of episodes in progress; all arrays have the episodes as their first axis."""
+
+    def __init__(
+        self,
+        pool: Pool,
+        policy: TeamPolicy,
+        *,
+        teams: NDArray[np.int64] | None,
+        numbers: NDArray[np.int64],
+        seed: int,
+        name: str,
+        travel: Travel,
+        presence: Presence,
+        world: World,
+        trace: Trace | None,
+        progress: Callable[[int], None] | None,
+    ) -> None:
+        self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
+        self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
+        shape = (len(numbers), len(travel))
+        self.luck, self.on_grid = Luck(seed, numbers, len(travel)), world == "model"
+        # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
+        self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
+        self.model = pool.model[self.people]
+        self.groups = {number: _Group.of(pool, number, self.on_grid) for number in np.unique(self.model).tolist()}
+        # Each person is of one group, and has row 0 in the others.
+        row = np.sum([group.row for group in self.groups.values()], axis=0)
+        self.who = row[self.people].reshape(-1)
+        self.beta = np.array([human.beta for human in pool.people])[self.people]
+        self.theta = np.array([human.theta for human in pool.people])[self.people]
+        if self.on_grid:
+            self._from_the_prior()
+        self.sigma = np.array([human.sigma for human in pool.people])[self.people]
+        self.first_theta = self.theta.copy()
+
+        self.x = np.array([pool.choices(number).initial for number in range(len(pool.people))])[self.people]
+        at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
+        self.finished = at_goal[self.people]
+        self.erred = np.zeros(shape, dtype=bool)
+        self.location = np.full(len(numbers), BASE, dtype=np.int64)
+        self.busy_until = np.zeros(len(numbers), dtype=np.int64)
+        self.belief: Floats | None = None
+        if getattr(policy, "uses_belief", True):
+            self.belief = np.array([p.pomdp.prior for p in pool.policies])[self.model]
+        self.actions = np.zeros(shape, dtype=np.int64)
+        self.costs = np.zeros(shape)
+        self.helped = np.zeros(shape, dtype=np.int64)
+        self.moves = np.zeros(len(numbers), dtype=np.int64)
+        self.steps = np.zeros(len(numbers), dtype=np.int64)
+        self.discounted = np.zeros(len(numbers))
+
+    def _from_the_prior(self) -> None:
+        """Replace everybody's beta and theta by a draw from their model's prior."""
+        drawn = self.luck.draw(0, np.arange(len(self.numbers)))
+        for group, solved in enumerate(self.pool.policies):
+            rows, grid = self.model == group, solved.pomdp.grid
+            cell = np.searchsorted(np.cumsum(solved.pomdp.prior.ravel()), drawn[rows], side="right")
+            last = int(np.flatnonzero(solved.pomdp.prior.ravel())[-1])
+            b, t = np.divmod(np.minimum(cell, last), len(grid.theta))
+            self.beta[rows], self.theta[rows] = grid.beta[b], grid.theta[t]
+
+    def run(self) -> Episodes:
+        """Step until all have finished or the limit is reached."""
+        ended = 0
+        for step in range(self.pool.setting.max_steps):
+            to_come = ~self.finished & (step < self.presence.leaves)
+            running = np.flatnonzero(to_come.any(axis=1))
+            if self.progress is not None and len(to_come) - len(running) > ended:
+                self.progress(len(to_come) - len(running) - ended)
+                ended = len(to_come) - len(running)
+            if not len(running):
+                break
+            self._step(step, running, to_come & (step >= self.presence.joins))
+        if self.progress is not None and ended < len(self.numbers):
+            self.progress(len(self.numbers) - ended)
+        return Episodes(
+            policy=self.name, episode=self.numbers, people=self.people, beta=self.beta, theta=self.first_theta,
+            sigma=self.sigma, actions=self.actions, costs=self.costs, finished=self.finished, helped=self.helped,
+            interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
+            discounted_return=self.discounted,
+        )  # fmt: skip
+
+    def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
+        robot, charged = self._robot(step, running, active)
+        flat = np.flatnonzero(active)
+        before = self.x.copy() if self.trace is not None else self.x
+        theta_before = self.theta.copy() if self.trace is not None else self.theta
+        slot, spent = np.full(self.x.size, NOTHING), np.zeros(self.x.size)
+        luck = np.empty((*self.x.shape, 2))
+        for kind in (1, 2) if self.on_grid else (1,):
+            luck[running, :, kind - 1] = self.luck.draw(kind, running)
+        # Views: people are changed in place.
+        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
+        people = People(
+            x=self.x.reshape(-1), robot=robot.reshape(-1), who=self.who, beta=self.beta.reshape(-1),
+            theta=self.theta.reshape(-1), luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent,
+            erred=self.erred.reshape(-1),
+        )  # fmt: skip
+        for number, rows in by_model(self.model.reshape(-1), flat, len(self.pool.policies)):
+            group = self.groups[number]
+            act(rows, people, group.minds, group.arrays)
+            self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
+        cost = spent.reshape(self.x.shape)
+        reward = -charged - cost
+        self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
+        self.actions += slot.reshape(self.x.shape) >= 0
+        self.costs += cost
+        self.steps[running] += 1
+        if self.trace is not None:
+            self._record(self.trace, step, flat, before, robot, slot, theta_before, reward)
+
+    def _robot(
+        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Ask the policy, and give what the robot does to each person and what that costs, both of shape (N, K)."""
+        robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
+        free = running[(self.busy_until[running] <= step) & active[running].any(axis=1)]
+        if not len(free):
+            return robot, charged
+        every = slice(None) if len(free) == len(self.x) else free
+        team = TeamState(
+            step=step, x=self.x[every], active=active[every], erred=self.erred[every],
+            location=self.location[every], model=self.model[every],
+            belief=None if self.belief is None else _rows(self.belief, every), policies=self.pool.policies,
+            travel=self.travel,
+        )  # fmt: skip
+        action = self.policy(team)
+        try:
+            team.check(action)
+        except PolicyError as error:
+            raise PolicyError(f"{getattr(self.policy, 'place', self.name)}: {error}") from None
+        goes = action.person != NOBODY
+        teams, to, does = free[goes], action.person[goes], action.robot[goes]
+        origin = self.location[teams]
+        charged[teams, to] = self.travel.c_move * self.travel.distance[origin, to]
+        self.busy_until[teams] = step + self.travel.steps[origin, to]
+        self.moves[teams] += origin != to
+        self.location[teams] = to
+        robot[teams, to] = does
+        for number, rows in by_model(self.model[teams, to], np.flatnonzero(does > 0), len(self.pool.policies)):
+            at = (teams[rows], to[rows])
+            charged[at] += self.groups[number].arrays.robot_costs[self.x[at], does[rows]]
+        self.helped[teams, to] += does > 0
+        return robot, charged
+
+    def _record(
+        self,
+        trace: Trace,
+        step: int,
+        flat: NDArray[np.int64],
+        before: NDArray[np.int64],
+        robot: NDArray[np.int64],
+        slot: NDArray[np.int64],
+        theta_before: Floats,
+        reward: Floats,
+    ) -> None:
+        for i in flat:
+            e, k = divmod(int(i), self.x.shape[1])
+            pomdp = self.pool.policies[self.model[e, k]].pomdp
+            choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
+            suggested = int(pomdp.suggested[x, r])
+            place = int(pomdp.afterstate[x, r])
+            there = self.location[e] != BASE and self.busy_until[e] <= step
+            row = {
+                "person": f"human-{self.people[e, k] + 1}",
+                "episode": f"{self.name}-{self.numbers[e]}",
+                "step": step,
+                "action": choices.name(place, int(slot[i])) if slot[i] >= 0 else None,
+                "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
+                "policy": self.name,
+                "place": k,
+                "robot_place": int(self.location[e]) if there else None,
+                "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
+                "cost_to_go": _finite(choices.h[x]),
+                "cost_to_go_after": _finite(choices.h[self.x[e, k]]),
+                "theta": float(theta_before[e, k]),
+                "reward": float(reward[e, k]),
+            }
+            trace.append(row)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """The people of one model, as compiled code reads them."""
+
+    number: int
+    arrays: Arrays
+    minds: Minds
+    row: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, pool: Pool, number: int, on_grid: bool) -> _Group:
+        pomdp = pool.policies[number].pomdp
+        model, choices = pomdp.model, pomdp.model.choices
+        own = np.flatnonzero(pool.model == number)
+        row = np.zeros(len(pool.people), dtype=np.int64)
+        if on_grid:  # everybody takes the costs for what the model says
+            q = model.q[None]
+        else:
+            q = np.array([perceived_cost(choices, pool.people[i].h) for i in own])
+            row[own] = np.arange(len(own))
+        value = np.array([perceived_value(choices, one) for one in q])
+        lapse = model.lapse if on_grid else 0.0
+        minds = Minds(q, value, choices.h, eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
+        return cls(number, Arrays.of(pomdp), minds, row)
+
+
+def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
+    """Some rows of a large array, copied only if they must be, and then a row at a time."""
+    return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
+
+
+def _finite(value: float) -> float | None:
+    """A number that JSON can hold: a dead end's cost-to-go is null."""
+    return float(value) if math.isfinite(value) else None

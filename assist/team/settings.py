@@ -1,0 +1,95 @@
+"""What a simulation takes for granted: costs, time, trust, and what the robot knows and may say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from numpy.typing import ArrayLike
+
+from ..people.belief import Grid
+from ..people.choices import Choices
+from ..people.human import Human, HumanModel, Mixture, Population
+from ..person.pomdp import AssistPOMDP, Suggestions
+from .arguments import whole
+from .travel import Travel
+
+Knowledge = Literal["own", "exact"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a simulation takes for granted.
+
+    Attributes
+    ----------
+    gamma : float
+        Discount factor per step.
+    c_suggest, c_move : float
+        Cost of a suggestion, and of moving by a distance of 1, in cost units.
+    travel_time : float
+        Steps that moving by a distance of 1 takes.
+    eta : float
+        Rate of the trust update.
+    utility_scale : float
+        The unit of value in the trust update, in cost units.
+    lapse : float
+        Weight of a uniform choice in the robot's model of people.
+    knowledge : "own" or "exact"
+        Whether the robot knows each person's perceived costs (as in the paper) or only h*.
+    suggestions : "optimal" or "all"
+        Which actions the robot may suggest: those that a cheapest way begins with, or any.
+    execute : bool
+        Whether the robot can also execute an action itself, at the cost `c_execute`.
+    max_steps : int
+        An episode is cut off after this many steps.
+    """
+
+    gamma: float = 0.99
+    c_suggest: float = 1.0
+    c_move: float = 0.5
+    travel_time: float = 0.0
+    eta: float = 0.2
+    utility_scale: float = 1.0
+    lapse: float = 1e-3
+    knowledge: Knowledge = "own"
+    suggestions: Suggestions = "optimal"
+    execute: bool = False
+    c_execute: float = 1.0
+    max_steps: int = 500
+
+    def __post_init__(self) -> None:
+        for name, expected in (("knowledge", get_args(Knowledge)), ("suggestions", get_args(Suggestions))):
+            if getattr(self, name) not in expected:
+                raise ValueError(f"{name} {getattr(self, name)!r}: expected {' or '.join(map(repr, expected))}")
+        if self.execute not in (True, False):
+            raise ValueError(f"execute {self.execute!r}: expected True or False")
+        whole("max_steps", self.max_steps, 1)
+        self.travel(1)  # refuses a way that cannot be
+
+    def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
+        """Give the way between so many people; `distance` as in `Travel.of`."""
+        return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
+
+    def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
+        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task."""
+        known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
+        model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
+        return AssistPOMDP.of(
+            model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
+            suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
+        )  # fmt: skip
+
+    def memory(self, states: int, slots: int = 1, offered: int = 1) -> int:
+        """Give the bytes that one person's problem and its QMDP policy take, at least.
+
+        Parameters
+        ----------
+        states : int
+        slots, offered : int
+            The most choices that a state has, and the most that are suggested.
+        """
+        betas, thetas = 6, 10  # as in `Grid.regular`
+        robots, hidden = 1 + offered * (1 + self.execute), betas * thetas
+        of_a_robot = 3 + betas + 2 * thetas  # charge, place and suggestion; rest; where theta goes
+        return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
