@@ -48,15 +48,15 @@ def cache_folder() -> Path:
 class Cache:
     """Costs-to-go of a task's states in a file, addressed by content.
 
-    The file's name has digests of the domain, the problem, their translation and Fast Downward's version, so
-    that a change of any of them begins a new one.
+    The file's name is a digest of the grounded task and Fast Downward's version, so that a change of either begins
+    a new one.
     """
 
     def __init__(self, task: Task, folder: Path | None = None) -> None:
-        translation = hashlib.sha256(task.sas.encode()).hexdigest()
+        digest = hashlib.sha256(f"{fast_downward.version()}\n{task.sas}".encode()).hexdigest()
         folder = folder or cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
-        self.file = folder / f"{fast_downward.digest(task.instance)[:32]}-{translation[:32]}.sqlite"
+        self.file = folder / f"{digest}.sqlite"
         with closing(self._open()) as connection, connection:
             connection.execute(
                 "CREATE TABLE IF NOT EXISTS cost (state BLOB PRIMARY KEY, cost INTEGER NOT NULL) WITHOUT ROWID"

@@ -8,14 +8,19 @@ goal, all numbers. It is what Fast Downward's translator writes (SAS+, BÃ¤ckstrÃ
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from . import fast_downward, pddl
+from . import built, fast_downward, pddl
 from .fast_downward import NO_LIMITS, Limits
 from .storage import atomic
+
+if TYPE_CHECKING:
+    from unified_planning.model import Problem
 
 Fact = tuple[int, int]
 """A variable and one of its values."""
@@ -58,7 +63,7 @@ class Task:
     Attributes
     ----------
     instance : Instance
-        The files that it was read from.
+        The files that it was read from; of a problem that was built in Python, names of files that do not exist.
     sas : str
         The text of Fast Downward's translator that everything else here was read from.
     variables : tuple of Variable
@@ -113,7 +118,7 @@ class Task:
 
 
 def load(
-    problem: str | Path | pddl.Instance,
+    problem: str | Path | pddl.Instance | Problem,
     domain: str | Path | None = None,
     *,
     limits: Limits = NO_LIMITS,
@@ -123,8 +128,8 @@ def load(
 
     Parameters
     ----------
-    problem : path or Instance
-        The problem file.
+    problem : path, Instance, or Problem of unified-planning
+        The problem file, or a problem that was built in Python. The latter's names stand in the task as they are.
     domain : path, optional
         The domain file; `domain.pddl` beside the problem unless given.
     limits : Limits
@@ -140,7 +145,11 @@ def load(
     LimitError
         Grounding ran out of time or memory.
     """
-    instance = problem if isinstance(problem, pddl.Instance) else pddl.instance(problem, domain)
+    if isinstance(problem, str | Path):
+        problem = pddl.instance(problem, domain)
+    if not isinstance(problem, pddl.Instance):
+        return _load_built(problem, limits)
+    instance = problem
     stored = None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
         stored = cache / f"{fast_downward.digest(instance)}.sas"
@@ -152,6 +161,17 @@ def load(
         with atomic(stored) as path:
             path.write_text(sas, encoding="utf-8")
     return from_sas(sas, instance)
+
+
+def _load_built(problem: Problem, limits: Limits) -> Task:
+    named = built.named(problem)
+    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
+        instance, names = built.write(problem, Path(folder))
+        try:
+            sas = fast_downward.translate(instance, limits)
+        except pddl.PDDLError as error:  # the places are those of files that nobody has seen
+            raise pddl.PDDLError(named.problem, None, error.message) from None
+    return from_sas(built.restore_names(sas, names), named)
 
 
 def from_sas(sas: str, instance: pddl.Instance) -> Task:
