@@ -20,7 +20,7 @@ ROOMS = {
     "assist.certify": "bounds",
     "assist.plots": "episode people study",
     "assist.study": "statistics study protocol runner summary report",
-    "assist.cli": "console task person team solve simulate policy bound export fit study",
+    "assist.cli": "interrupts options console progress task person team solve simulate policy bound export fit study",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

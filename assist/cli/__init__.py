@@ -2,7 +2,10 @@
 
 In the order in which they build on each other:
 
-console        numbers in; JSON, tables, progress and errors out
+interrupts     signals that end a command
+options        types and options that several commands share
+console        JSON, tables and errors out
+progress       how far a command is
 task           the task that people are assisted in, or were recorded in
 person         one person's problem, and the options that describe it
 team           a team, and the options that describe it
@@ -17,12 +20,32 @@ fit            the command `fit`
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from . import bound, export, fit, policy, simulate, solve, study
+from .console import one_line_errors, print_in_any_encoding
+from .interrupts import interruptible
+
+
+class Commands(click.Group):
+    """What holds for every command: encodings, signals, and errors in one line."""
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run the command line."""
+        print_in_any_encoding()
+        with interruptible():
+            return super().main(*args, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run one command."""
+        with one_line_errors():
+            return super().invoke(ctx)
 
 
 @click.group(
+    cls=Commands,
     commands=[
         solve.solve,
         simulate.simulate,

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from planner.solving import versions
 
 from ..team.policies import POLICIES
 from .console import one_line_errors, print_json, print_table
+from .options import GAP, JOBS, SECONDS, instance_argument, json_option
+from .progress import stages
 from .team import team_of, team_options
 
 
 @click.command()
-@click.argument("instance", metavar="INSTANCE")
+@instance_argument
 @click.option(
     "--policy", "names", type=click.Choice(POLICIES), multiple=True, default=("attention",), show_default=True,
     help="Team policy; repeat it to certify several with the same bound.",
@@ -33,18 +31,16 @@ from .team import team_of, team_options
     help="From which its value is estimated.",
 )
 @click.option(
-    "--gap", type=click.FloatRange(min=0), default=1e-3, show_default=True,
+    "--gap", type=GAP, default=1e-3, show_default=True,
     help="Relative gap to which each person's problem is solved.",
 )  # fmt: skip
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True, metavar="S",
+    "--time-limit", type=SECONDS, default=60.0, show_default=True, metavar="S",
     help="Seconds for each of these.",
 )  # fmt: skip
-@click.option(
-    "--jobs", type=click.IntRange(min=1), help="Problems solved at a time; as many as processors unless given."
-)
+@click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+@json_option
 def bound(
     instance: str,
     names: tuple[str, ...],
@@ -98,22 +94,3 @@ def bound(
         f"mean ± standard error over {episodes} episodes; the solver of single people's problems accounts for "
         f"{best.slack_percent:.2f} % of the gap"
     )
-
-
-@contextmanager
-def stages() -> Iterator[Callable[[str, int, int], None]]:
-    """Show on stderr what is being done, and how much of it has been, where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task("")
-        shown = ""
-
-        def show(what: str, done: int, total: int) -> None:
-            nonlocal shown
-            if what != shown:
-                bar.reset(task, total=total, description=what)
-                shown = what
-            bar.update(task, completed=done)
-
-        yield show

@@ -1,34 +1,25 @@
-"""What every command does on the console: pairs of numbers in; JSON, tables, progress and errors out."""
+"""What every command says on the console: JSON and tables out; what is wrong, in one line and an exit code."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
 from rich.table import Table
-from rich.text import Text
 
 from planner import InstanceError, LimitError, PDDLError
 from planner.batch import ResultsExistError
-from planner.errors import MissingExtraError
+from planner.errors import DamagedFileError, MissingExtraError
 from planner.fast_downward import FastDownwardError
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
-
-Range = tuple[float, float]
-
-
-def range_option(name: str, default: Range, text: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """An option with two numbers."""
-    return click.option(name, nargs=2, type=float, metavar="LOW HIGH", default=default, show_default=True, help=text)
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
@@ -42,32 +33,30 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
     """Turn what is wrong with the input into one line and the exit code of the contract."""
     try:
         yield
-    except (InstanceError, ResultsExistError) as error:
+    except (InstanceError, ResultsExistError, DamagedFileError) as error:
         fail(str(error), EXIT_USAGE)
     except (PDDLError, LimitError, FastDownwardError, MissingExtraError) as error:
         fail(str(error), EXIT_FAILED)
+    except MemoryError as error:
+        fail(f"out of memory{f': {error}' if str(error) else ''}", EXIT_FAILED)
     except OSError as error:
-        fail(f"{error.filename}: {error.strerror}", EXIT_FAILED)
-    except KeyboardInterrupt:
-        fail(interrupted, EXIT_INTERRUPTED)
+        if isinstance(error, BrokenPipeError) and error.filename is None:
+            raise  # nobody reads on; click ends without a word
+        fail(_said(error), EXIT_FAILED)
+    except KeyboardInterrupt as error:
+        fail(interrupted, getattr(error, "exit_code", EXIT_INTERRUPTED))
 
 
-class Rate(ProgressColumn):
-    """How many are done per second."""
-
-    def render(self, task: Task) -> Text:
-        """Give the mean rate since the start."""
-        return Text("" if not task.elapsed else f"{task.completed / task.elapsed:.1f}/s")
+def _said(error: OSError) -> str:
+    """Say an error of the system in one line; libraries raise it without its fields, too."""
+    what = error.strerror or " ".join(str(error).split()) or type(error).__name__
+    return what if error.filename is None else f"{error.filename}: {what}"
 
 
-@contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar with rate and time left on stderr, where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda count: bar.advance(task, count)
+def print_in_any_encoding() -> None:
+    """Let stdout replace signs that its encoding does not have; where that is ASCII, click writes UTF-8."""
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def print_json(document: Any) -> None:
@@ -77,4 +66,7 @@ def print_json(document: Any) -> None:
 
 def print_table(table: Table, width: int = 140) -> None:
     """Print a table as wide as the terminal, or as `width` where a file or a pipe has no width of its own."""
-    Console(width=None if sys.stdout.isatty() else width).print(table)
+    console = Console(width=None if sys.stdout.isatty() else width)
+    with console.capture() as printed:
+        console.print(table)
+    click.echo(printed.get(), nl=False)

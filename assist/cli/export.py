@@ -8,16 +8,17 @@ from typing import Any
 import click
 
 from .console import EXIT_FAILED, fail, one_line_errors, print_json
+from .options import OUTPUT_FILE, instance_argument
 from .person import person_options, person_problem
 
 
 @click.command()
-@click.argument("instance", metavar="INSTANCE")
+@instance_argument
 @click.option(
     "--format", "form", type=click.Choice(["pomdpx", "pomdp"]), default="pomdpx", show_default=True,
     help="POMDPX with mixed observability, or the flat format, for small tasks.",
 )  # fmt: skip
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), required=True, help="The file to write.")
+@click.option("--out", type=OUTPUT_FILE, required=True, help="The file to write.")
 @person_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
 def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:

@@ -16,37 +16,47 @@ from rich.table import Table
 from planner import Cache, LimitError, Limits, OnDemand, cost_to_go, load
 from planner.solving import SolveOptions
 
-from .console import EXIT_FAILED, fail, one_line_errors, print_json, print_table, progress_bar
+from .console import EXIT_FAILED, fail, one_line_errors, print_json, print_table
+from .options import (
+    INPUT_FILE,
+    JOBS,
+    NUMBER,
+    OUTPUT_FILE,
+    OUTPUT_FOLDER,
+    SECONDS,
+    SEED,
+    domain_option,
+    instance_argument,
+)
+from .progress import progress_bar
 from .task import one_instance
 
 FEWEST_FOR_CROWD = 3
 
 
 @click.command()
-@click.argument("instance", metavar="INSTANCE")
-@click.argument("log", metavar="LOG", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given.")
+@instance_argument
+@click.argument("log", metavar="LOG", type=INPUT_FILE)
+@domain_option
+@click.option("--out", type=OUTPUT_FILE, help="Write a record of each person (JSON Lines).")
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a record of each person (JSON Lines)."
-)
-@click.option(
-    "--population", "crowd_file", type=click.Path(dir_okay=False, path_type=Path),
+    "--population", "crowd_file", type=OUTPUT_FILE,
     help="Write the distribution of beta and theta over people, for `simulate --population`.",
 )  # fmt: skip
 @click.option(
     "--family", type=click.Choice(["uniform", "log-uniform", "log-normal", "histogram"]),
     help="Of beta's distribution over people; the parametric one that fits best unless given.",
 )  # fmt: skip
-@click.option("--figures", "folder", type=click.Path(file_okay=False, path_type=Path), help="Draw into this folder.")
+@click.option("--figures", "folder", type=OUTPUT_FOLDER, help="Draw into this folder.")
 @click.option("--misconception", is_flag=True, help="Also estimate sigma, and what people take for the cost-to-go.")
-@click.option("--eta", type=float, help="Rate of the trust update where it is known; estimated unless given.")
+@click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given.")
 @click.option(
-    "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."
+    "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
 )
-@click.option("--lapse", type=float, default=1e-3, show_default=True, help="Weight of a uniform choice.")
-@click.option("--level", type=float, default=0.95, show_default=True, help="Of the intervals.")
+@click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help="Weight of a uniform choice.")
+@click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Of the intervals.")
 @click.option(
-    "--largest-beta", type=float,
+    "--largest-beta", type=NUMBER,
     help="Where beta's range ends.  [default: 10, divided by the cost of the smallest possible mistake]",
 )  # fmt: skip
 @click.option("--drop", multiple=True, metavar="NAME", help="Leave actions of this name out; may be repeated.")
@@ -58,15 +68,13 @@ FEWEST_FOR_CROWD = 3
     "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
     help="On a larger task evaluate only states that were visited, and their successors.",
 )  # fmt: skip
+@click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each of these states.")
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each of these states."
-)
-@click.option(
-    "--cache", type=click.Path(file_okay=False, path_type=Path),
+    "--cache", type=OUTPUT_FOLDER,
     help="Folder where these states are kept.  [default: kitassist in the user's cache folder]",
 )  # fmt: skip
-@click.option("--jobs", type=click.IntRange(min=1), help="Processors to use; all unless given.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the check of the model.")
+@click.option("--jobs", type=JOBS, help="Processors to use; all unless given.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Of the check of the model.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str,

@@ -12,7 +12,8 @@ import numpy as np
 
 from planner import Cache, CostToGo, Instance, Table, cost_to_go, load
 
-from .console import Range, progress_bar, range_option
+from .options import NUMBER, SEED, Range, domain_option, range_option
+from .progress import progress_bar
 from .task import one_instance, require_goal, table_of
 
 if TYPE_CHECKING:
@@ -24,20 +25,20 @@ if TYPE_CHECKING:
 def model_options() -> tuple[Callable[[Callable[..., None]], Callable[..., None]], ...]:
     """Give the options that say what the robot takes for granted, of a person or of a team."""
     return (
-        click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."),
-        click.option("--gamma", type=float, default=0.99, show_default=True, help="Discount factor per step."),
-        click.option("--c-suggest", type=float, default=1.0, show_default=True, help="Cost of a suggestion."),
-        click.option("--eta", type=float, default=0.2, show_default=True, help="Rate of the trust update."),
+        domain_option,
+        click.option("--gamma", type=NUMBER, default=0.99, show_default=True, help="Discount factor per step."),
+        click.option("--c-suggest", type=NUMBER, default=1.0, show_default=True, help="Cost of a suggestion."),
+        click.option("--eta", type=NUMBER, default=0.2, show_default=True, help="Rate of the trust update."),
         click.option(
-            "--utility-scale", type=float, default=1.0, show_default=True, help="Cost units that change trust by eta."
+            "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
         ),
         click.option(
-            "--lapse", type=float, default=1e-3, show_default=True,
+            "--lapse", type=NUMBER, default=1e-3, show_default=True,
             help="Weight of a uniform choice in the robot's model.",
         ),
         click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True),
         click.option("--execute", is_flag=True, help="The robot can also do such an action itself."),
-        click.option("--c-execute", type=float, default=1.0, show_default=True, help="What that costs."),
+        click.option("--c-execute", type=NUMBER, default=1.0, show_default=True, help="What that costs."),
     )  # fmt: skip
 
 
@@ -48,10 +49,10 @@ def person_options(command: Callable[..., None]) -> Callable[..., None]:
         range_option("--beta", (0.1, 3.0), "Range of the person's expertise."),
         range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
         click.option(
-            "--sigma", type=float, default=0.0, show_default=True,
+            "--sigma", type=NUMBER, default=0.0, show_default=True,
             help="Size of a misconception, drawn once and known to the robot; with 0 it knows the task only.",
         ),
-        click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the misconception."),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="Of the misconception."),
     )  # fmt: skip
     for option in reversed(options):
         command = option(command)

@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn
 from rich.table import Table
 
 from planner.solving import SolveOptions, versions
 
 from .console import one_line_errors, print_json, print_table
+from .options import GAP, MEGABYTES, OUTPUT_FILE, SECONDS, instance_argument, json_option
 from .person import Part, person_options, person_problem
+from .progress import status_line
 
 
 @click.command()
-@click.argument("instance", metavar="INSTANCE")
+@instance_argument
 @click.option(
-    "--gap", type=click.FloatRange(min=0), default=1e-3, show_default=True,
+    "--gap", type=GAP, default=1e-3, show_default=True,
     help="Stop when (upper - lower) / |lower| is at most this.",
 )  # fmt: skip
 @click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True, metavar="S",
+    "--time-limit", type=SECONDS, default=60.0, show_default=True, metavar="S",
     help="Seconds for the search.",
 )  # fmt: skip
 @click.option(
-    "--memory-limit", type=click.FloatRange(min=0, min_open=True), default=2000.0, show_default=True, metavar="MB",
+    "--memory-limit", type=MEGABYTES, default=2000.0, show_default=True, metavar="MB",
     help="Memory for the task's table, and for the search.",
 )  # fmt: skip
 @click.option(
@@ -40,9 +38,9 @@ from .person import Part, person_options, person_problem
     "--region-states", type=click.IntRange(min=1), default=20_000, show_default=True,
     help="Of a larger task look at so many states, those that are met most likely.",
 )  # fmt: skip
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Save policy and bounds (.npz).")
+@click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+@json_option
 def policy(
     instance: str,
     gap: float,
@@ -62,9 +60,13 @@ def policy(
     part = Part(max_states, region_states, memory_limit, time_limit)
     with one_line_errors():
         problem = person_problem(instance, part=part, **person)
-        with bounds_line() as show:
+        with status_line("first bounds") as show:
             solution = solve_person(
-                problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit, progress=show
+                problem.pomdp,
+                gap=gap,
+                time_limit=time_limit,
+                memory_limit_mb=memory_limit,
+                progress=lambda *found: show(_bounds(*found)),
             )
         if out is not None:
             solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)
@@ -93,19 +95,9 @@ def policy(
         _show_policy(record)
 
 
-@contextmanager
-def bounds_line() -> Iterator[Callable[[float, float, float], None]]:
-    """Show time, bounds and gap on stderr while they improve, where that is a terminal."""
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as line:
-        task = line.add_task("first bounds")
-
-        def show(seconds: float, lower: float, upper: float) -> None:
-            gap = (upper - lower) / abs(lower) if lower else 0.0
-            line.update(task, description=f"{seconds:.1f} s  lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}")
-
-        yield show
+def _bounds(seconds: float, lower: float, upper: float) -> str:
+    gap = (upper - lower) / abs(lower) if lower else 0.0
+    return f"{seconds:.1f} s  lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}"
 
 
 def _show_policy(record: dict[str, Any]) -> None:

@@ -13,7 +13,9 @@ from rich.table import Table
 from planner.solving import versions
 
 from ..team.policies import POLICIES
-from .console import one_line_errors, print_json, print_table, progress_bar
+from .console import one_line_errors, print_json, print_table
+from .options import OUTPUT_FILE, instance_argument, json_option
+from .progress import progress_bar
 from .team import team_of, team_options
 
 SHOWN = {
@@ -25,7 +27,7 @@ SHOWN = {
 
 
 @click.command()
-@click.argument("instance", metavar="INSTANCE")
+@instance_argument
 @click.option(
     "--policy", "names", type=click.Choice(POLICIES), multiple=True, default=("attention",), show_default=True,
     help="Team policy; repeat it to compare several on the same people and luck.",
@@ -35,19 +37,15 @@ SHOWN = {
     "--pool", "size", type=click.IntRange(min=1),
     help="People from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
+@click.option("--out", type=OUTPUT_FILE, help="Write a record of each episode (JSON Lines).")
+@click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option(
-    "--out", type=click.Path(dir_okay=False, path_type=Path), help="Write a record of each episode (JSON Lines)."
-)
-@click.option(
-    "--trace", type=click.Path(dir_okay=False, path_type=Path), help="Write every action of every person (JSON Lines)."
-)
-@click.option(
-    "--figure", type=click.Path(dir_okay=False, path_type=Path),
+    "--figure", type=OUTPUT_FILE,
     help="Draw an episode in which the last policy saved actions (.png, .svg or .pdf).",
 )  # fmt: skip
 @click.option("--max-steps", type=click.IntRange(min=1), default=500, show_default=True, help="Cut an episode off.")
 @team_options
-@click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
+@json_option
 def simulate(
     instance: str,
     names: tuple[str, ...],

@@ -12,22 +12,18 @@ from planner import find_instances
 from planner.batch import DONE, solve_batch
 from planner.solving import Record, SolveOptions
 
-from .console import EXIT_FAILED, one_line_errors, print_json, print_table, progress_bar
+from .console import EXIT_FAILED, one_line_errors, print_json, print_table
+from .options import JOBS, MEGABYTES, OUTPUT_FOLDER, SECONDS
+from .progress import progress_bar
 
 
 @click.command()
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
 @click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside each problem unless given.")
-@click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), help="Folder for results.jsonl, tables and plans."
-)
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
-@click.option(
-    "--time-limit", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Seconds for each instance."
-)
-@click.option(
-    "--memory-limit", type=click.FloatRange(min=0, min_open=True), metavar="MB", help="Memory for each instance."
-)
+@click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
+@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
+@click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each instance.")
+@click.option("--memory-limit", type=MEGABYTES, metavar="MB", help="Memory for each instance.")
 @click.option(
     "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
     help="Solve only the initial state of a larger task.",

@@ -8,7 +8,9 @@ from typing import Any
 import click
 from rich.table import Table
 
-from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table, progress_bar
+from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
+from .options import JOBS, OUTPUT_FOLDER
+from .progress import progress_bar
 
 
 @click.command()
@@ -19,10 +21,10 @@ from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json,
 @click.option(
     "--repeats", type=click.IntRange(min=1), metavar="N", help="Pools of people; as the study says unless given."
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Worker processes.")
+@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`).")
 @click.option(
-    "--out", type=click.Path(file_okay=False, path_type=Path), required=True,
+    "--out", type=OUTPUT_FOLDER, required=True,
     help="Folder for episodes, summary, figures and report.",
 )  # fmt: skip
 @click.option("--resume", is_flag=True, help="Keep what --out holds of this study, and run the rest.")

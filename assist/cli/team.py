@@ -12,8 +12,9 @@ import click
 
 from planner import Instance
 
-from .console import Range, progress_bar, range_option
+from .options import INPUT_FILE, NUMBER, SEED, Range, range_option
 from .person import model_options
+from .progress import progress_bar
 from .task import one_instance, table_of
 
 if TYPE_CHECKING:
@@ -26,14 +27,16 @@ def team_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that say what team it is; `team_of` takes them all."""
     options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
         click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team."),
-        click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True),
+        click.option("--seed", type=SEED, default=0, show_default=True),
         *model_options(),
-        click.option("--c-move", type=float, default=0.5, show_default=True, help="Cost of moving by a distance of 1."),
         click.option(
-            "--travel-time", type=float, default=0.0, show_default=True, help="Steps that a distance of 1 takes."
+            "--c-move", type=NUMBER, default=0.5, show_default=True, help="Cost of moving by a distance of 1."
         ),
         click.option(
-            "--distances", type=click.Path(exists=True, dir_okay=False, path_type=Path), metavar="FILE",
+            "--travel-time", type=NUMBER, default=0.0, show_default=True, help="Steps that a distance of 1 takes."
+        ),
+        click.option(
+            "--distances", type=INPUT_FILE, metavar="FILE",
             help="Distances between the K places and the base, which comes last (JSON list of lists); 1 unless given.",
         ),
         click.option(
@@ -44,7 +47,7 @@ def team_options(command: Callable[..., None]) -> Callable[..., None]:
         range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
         click.option(
-            "--population", "crowd_file", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            "--population", "crowd_file", type=INPUT_FILE,
             help="Draw people from what `fit --population` has written, in place of these three ranges.",
         ),
     )  # fmt: skip

@@ -1,0 +1,104 @@
+"""Types and options that several commands share: numbers, files, and what is said of them."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from planner import storage
+
+Range = tuple[float, float]
+Command = TypeVar("Command", bound=Callable[..., Any])
+Option = Callable[[Command], Command]
+
+
+class Number(click.FloatRange):
+    """A finite number, within a range."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Read it."""
+        found: float = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return found
+
+
+NUMBER = Number()
+GAP = Number(min=0)
+SECONDS = Number(min=0, max=1e9, min_open=True)
+MEGABYTES = Number(min=0, max=1e12, min_open=True)
+JOBS = click.IntRange(min=1, max=10_000)
+SEED = click.IntRange(min=0)
+
+
+class Output(click.Path):
+    """A file that will be written, or a folder for several; it is looked at before the work begins."""
+
+    def __init__(self, *, folder: bool = False) -> None:
+        super().__init__(file_okay=not folder, dir_okay=folder, path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Read it."""
+        if not os.fspath(value):
+            self.fail(f"expected the name of a {'folder' if self.dir_okay else 'file'}.", param, ctx)
+        path = Path(os.fsdecode(super().convert(value, param, ctx)))
+        if self.file_okay:
+            try:
+                storage.writable(path)
+            except OSError as error:
+                self.fail(f"{path}: {error.strerror}.", param, ctx)
+        return path
+
+
+INPUT_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+OUTPUT_FILE = Output()
+OUTPUT_FOLDER = Output(folder=True)
+
+
+def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
+    """Refuse outputs that would end in one file, or in a file that the command reads.
+
+    Parameters
+    ----------
+    outputs, inputs : mapping
+        Each file by the name that the command line has for it; None where it is not given.
+
+    Raises
+    ------
+    click.UsageError
+    """
+    seen = {_identity(path): name for name, path in (inputs or {}).items() if path is not None}
+    for name, path in outputs.items():
+        if path is None or (path.exists() and not path.is_file()):  # into a pipe or a device several can be written
+            continue
+        other = seen.setdefault(_identity(path), name)
+        if other != name:
+            raise click.UsageError(f"{name} {path}: this is the file of {other}; expected another one")
+
+
+def _identity(path: Path) -> Any:
+    """What two names of the same file have in common, hard links included."""
+    try:
+        status = path.stat()
+    except OSError:
+        return os.path.realpath(path)
+    return status.st_dev, status.st_ino
+
+
+def range_option(name: str, default: Range, text: str) -> Option[Command]:
+    """Give an option with two numbers."""
+    return click.option(name, nargs=2, type=NUMBER, metavar="LOW HIGH", default=default, show_default=True, help=text)
+
+
+instance_argument = click.argument("instance", metavar="INSTANCE")
+domain_option = click.option(
+    "--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
