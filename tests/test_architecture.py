@@ -13,7 +13,7 @@ ROOMS = {
         kernels coding sweep ondemand methods solving batch""",
     "assist.people": "choices human belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
-    "assist.learning": "log fit misconception population diagnostics record",
+    "assist.learning": "actions log recording fit misconception population diagnostics record",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.interop": "exchange",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace",

@@ -25,7 +25,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtri
 
 from ..people.human import NOTHING, Floats, choice, influence, lapse
-from .log import Recording
+from .recording import Recording
 
 Ints = NDArray[np.int64]
 

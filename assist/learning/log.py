@@ -1,34 +1,36 @@
-"""Recorded actions: what people did, as a log has it and as the task has it.
+"""A log: what people did and what had been suggested to them, line by line, as a file has it.
 
-`read` takes a log, JSON Lines as `kitassist simulate --trace` writes them, to `Entry`s; `replay` follows each
-episode through the task, one step of all episodes at a time, and gives a `Recording`: arrays of what each person
-could choose from in every step, and what they chose. What cannot be used becomes a `Fault`, which says where it is
-and what would be right; a fault costs its own episode and no other.
+`read_log` takes JSON Lines, as `kitassist simulate --trace` writes them, or CSV with the same names of columns, to
+`Entry`s. What cannot be used becomes a `Fault`, which says where it is and what would be right.
 
-Nothing here needs a cost-to-go: only the choices of states that were visited are asked for, so that a task may
-have any number of states.
+An episode is of use only if none of its actions is missing: what came after a missing one would be taken for actions
+in other states than people were in. So a line that cannot be used costs its episode, and no other; and where a number
+of a step is missing, so is a line. What is left of a broken line often says whose it was. Where it does not, whatever
+episode may have begun with it is left out.
 """
 
 from __future__ import annotations
 
-import difflib
+import csv
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, BOM_UTF32_BE, BOM_UTF32_LE
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any
+from unicodedata import category
 
-import numpy as np
-from numpy.typing import NDArray
+from .actions import words_of
 
-from planner import CostToGo
+COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed")
+NEEDED = COLUMNS[:4]
+EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
-from ..people.human import NOTHING
-
-STAND_STILL = "(wait)"
-"""What the only choice in a state without applicable actions is called."""
+Names = tuple[str, str]
+"""A person and one of their episodes."""
 
 
 @dataclass(frozen=True)
@@ -43,68 +45,114 @@ class Fault:
         Whose it is; None where the line does not say so.
     message : str
         What is wrong, and what would be right.
+    spoils : bool
+        Whether the whole episode is left out.
     """
 
     line: int
     person: str | None
     episode: str | None
     message: str
+    spoils: bool = True
+
+    def __str__(self) -> str:
+        whose = "" if self.person is None else f"person '{self.person}', "
+        left_out = ", which is left out" if self.spoils else ""
+        return whose + ("" if self.episode is None else f"episode '{self.episode}'{left_out}: ") + self.message
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a log: an action of a person, and what had been suggested to them."""
+    """One line of a log: an action of a person, and what the robot had suggested to them, or had done itself.
+
+    Attributes
+    ----------
+    line : int
+    person, episode : str
+    step : int
+    action : str or None
+        None where the robot's own action left nothing to do.
+    suggestion, executed : str or None
+        What the robot said, and what it did itself, before the person acted.
+    """
 
     line: int
     person: str
     episode: str
     step: int
-    action: str
-    suggestion: str | None
+    action: str | None
+    suggestion: str | None = None
+    executed: str | None = None
+
+    @property
+    def names(self) -> Names:
+        """Whose it is."""
+        return self.person, self.episode
+
+    @property
+    def texts(self) -> list[str]:
+        """All actions that it names."""
+        return [text for text in (self.action, self.suggestion, self.executed) if text is not None]
 
 
-def read(file: Path) -> tuple[list[Entry], list[Fault]]:
-    """Read a log.
+@dataclass(frozen=True)
+class Log:
+    """What a log has, but for the episodes that cannot be used.
 
-    Fields other than those of `Entry` are ignored. Person and episode may be numbers.
+    Attributes
+    ----------
+    entries : tuple of Entry
+        In the order of the lines.
+    faults : tuple of Fault
+        In the order of the lines.
+    people : frozenset of str
+        Everybody who is named in it.
+    called : frozenset of str
+        The names of all actions in it, also of those that cannot be used; in lower case.
+    name : str
+        Of the file.
+    """
 
-    Returns
-    -------
-    entries : list of Entry
-        In the order of the lines; those of an episode of which a line is at fault are left out.
-    faults : list of Fault
-        Lines that are no entries.
+    entries: tuple[Entry, ...]
+    faults: tuple[Fault, ...] = ()
+    people: frozenset[str] = frozenset()
+    called: frozenset[str] = frozenset()
+    name: str = "log"
+
+    @classmethod
+    def of(cls, records: Iterable[Mapping[str, Any]], *, gaps: bool = False, name: str = "log") -> Log:
+        """Take records as a log's lines have them, such as a simulation's trace, for a log; they count as lines."""
+        return _log(((number, record) for number, record in enumerate(records, start=1)), gaps, name)
+
+
+def read_log(file: str | PathLike[str], *, gaps: bool = False) -> Log:
+    """Read a log of recorded actions, JSON Lines or CSV.
+
+    Parameters
+    ----------
+    file : path
+        UTF-8, with or without a byte order mark. Other columns than those of `Entry` are ignored. Person and episode
+        may be numbers.
+    gaps : bool
+        Whether `step` may skip numbers without a line missing, as where it counts what several people do.
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    entries: list[Entry] = []
-    faults: list[Fault] = []
-    text = file.read_text(encoding="utf-8", errors="replace")
-    for number, line in enumerate(text.split("\n"), start=1):
-        if not line.strip():
-            continue
-        try:
-            record = json.loads(line)
-        except (json.JSONDecodeError, RecursionError):
-            cut = number == text.count("\n") + 1  # a whole last line ends with a line feed
-            what = "the last line is cut off; the lines before it are used" if cut else "no JSON; expected one object"
-            faults.append(Fault(number, None, None, what))
-            continue
-        fault = _fault(record)
-        if fault is not None:
-            names = record if isinstance(record, dict) else {}
-            person, episode = (_name(names.get(key)) for key in ("person", "episode"))
-            faults.append(Fault(number, person, episode, fault))
-            continue
-        suggestion = record.get("suggestion")
-        entries.append(
-            Entry(number, str(record["person"]), str(record["episode"]), record["step"], record["action"], suggestion)
-        )
-    spoilt = {(fault.person, fault.episode) for fault in faults}
-    return [entry for entry in entries if (entry.person, entry.episode) not in spoilt], faults
+    path = Path(file)
+    data = path.read_bytes()
+    encoding = _foreign(data)
+    if encoding:
+        return Log((), (Fault(1, None, None, f"the file is encoded in {encoding}; expected UTF-8"),), name=str(path))
+    raw = data.removeprefix(BOM_UTF8).split(b"\n")
+    lines = [_decoded(line) for line in raw]
+    head = next((line for line in lines if isinstance(line, str) and line.strip()), "")
+    delimiter = _delimiter(head)
+    if delimiter is None and path.suffix.lower() == ".csv":
+        delimiter = ","
+    return _log(_objects(lines) if delimiter is None else _rows(lines, delimiter), gaps, str(path))
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:
@@ -112,304 +160,222 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
 
 
+@dataclass(frozen=True)
+class _Broken:
+    """A line that is no record.
+
+    Attributes
+    ----------
+    message : str
+    owners : set of Names
+        Whose it was, by what is left of it; empty where that does not say so.
+    ends : bool
+        Whether the file breaks off with it, so that nothing came after it.
+    """
+
+    message: str
+    owners: frozenset[Names] = frozenset()
+    ends: bool = False
+
+
+def _foreign(data: bytes) -> str | None:
+    """Name the encoding of a text that cannot be UTF-8."""
+    for mark, name in (
+        (BOM_UTF32_LE, "UTF-32"), (BOM_UTF32_BE, "UTF-32"), (BOM_UTF16_LE, "UTF-16"), (BOM_UTF16_BE, "UTF-16"),
+    ):  # fmt: skip
+        if data.startswith(mark):
+            return name
+    zeros = [k for k, byte in enumerate(data[:4]) if byte == 0]
+    return {(1, 3): "UTF-16", (0, 2): "UTF-16", (1, 2, 3): "UTF-32", (0, 1, 2): "UTF-32"}.get(tuple(zeros))
+
+
+def _decoded(line: bytes) -> str | _Broken:
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError as error:
+        text = line.decode("utf-8", errors="replace")
+        owners = frozenset(names for names in _owners(text) if "\ufffd" not in "".join(names))
+        return _Broken(f"byte {line[error.start]:#04x} is not UTF-8; expected a file that is encoded in UTF-8", owners)
+
+
+def _objects(lines: Sequence[str | _Broken]) -> Iterator[tuple[int, Any]]:
+    """Read JSON Lines."""
+    for number, line in enumerate(lines, start=1):
+        if isinstance(line, _Broken):
+            yield number, line
+        elif line.strip():
+            try:
+                yield number, json.loads(line)
+            except (ValueError, RecursionError):
+                if number == len(lines):  # a whole last line ends with a line feed
+                    cut = "the last line is cut off; the lines before it are used"
+                    yield number, _Broken(cut, _owners(line), ends=True)
+                else:
+                    yield number, _Broken("no JSON; expected one object", _owners(line))
+
+
+NAMED = re.compile(r'"(person|episode)"\s*:\s*(?:("(?:[^"\\]|\\.)*")|(-?\d+)(?=\s*[,}]))')
+
+
+def _owners(text: str) -> frozenset[Names]:
+    """Read off a broken line whose it was; it may hold several records, whole or in part."""
+    found: dict[str, list[str]] = {"person": [], "episode": []}
+    for key, quoted, number in NAMED.findall(text):
+        try:
+            found[key].append(json.loads(quoted) if quoted else number)
+        except ValueError:
+            return frozenset()
+    pairs = len(found["person"]) == len(found["episode"])
+    return frozenset(zip(found["person"], found["episode"], strict=True)) if pairs else frozenset()
+
+
+def _delimiter(head: str) -> str | None:
+    """Give what separates the columns that a first line names; None if it names none."""
+    names = {delimiter: _columns(head, delimiter) for delimiter in ",;\t"}
+    best = max(names, key=lambda delimiter: len(set(names[delimiter]) & set(COLUMNS)))
+    return best if "person" in names[best] else None
+
+
+def _columns(head: str, delimiter: str) -> list[str]:
+    try:
+        return [cell.strip().lower() for cell in next(csv.reader([head], delimiter=delimiter))]
+    except csv.Error:
+        return []
+
+
+def _rows(lines: Sequence[str | _Broken], delimiter: str) -> Iterator[tuple[int, Any]]:
+    """Read CSV; an empty cell stands for null."""
+    broken = [(number, line) for number, line in enumerate(lines, start=1) if isinstance(line, _Broken)]
+    yield from broken
+    texts = [line if isinstance(line, str) else "" for line in lines]
+    reader = csv.reader((f"{text}\n" for text in texts), delimiter=delimiter, strict=True)
+    columns: list[str] = []
+    while True:
+        number = reader.line_num + 1
+        try:
+            cells = next(reader, None)
+        except csv.Error as error:
+            yield number, _Broken(f"no CSV ({error}); what comes after it is not read")
+            return
+        if cells is None:
+            return
+        if not any(cell.strip() for cell in cells):
+            continue
+        if not columns:
+            columns = [cell.strip().lower() for cell in cells]
+            missing = [name for name in NEEDED if name not in columns]
+            if missing:
+                yield number, _Broken(f"no column is called {' or '.join(missing)}; expected {', '.join(COLUMNS[:5])}")
+                return
+        elif len(cells) != len(columns):
+            whole = dict(zip(columns, cells[:-1], strict=False))  # the last cell may be cut off
+            names = whole.get("person", ""), whole.get("episode", "")
+            owners = frozenset({names}) if all(names) and len(cells) < len(columns) else frozenset()
+            message = f"{len(cells)} cells; expected {len(columns)}, as in the first line"
+            ends = number == len(lines)
+            yield number, _Broken("the last line is cut off; the lines before it are used" if ends else message, owners, ends)
+        else:
+            record: dict[str, Any] = {name: cell.strip() or None for name, cell in zip(columns, cells, strict=True)}
+            step = record["step"]
+            if step is not None and re.fullmatch(r"[+-]?\d{1,20}", step):
+                record["step"] = int(step)
+            yield number, record
+
+
+def _log(records: Iterable[tuple[int, Any]], gaps: bool, name: str) -> Log:
+    """Sort lines into entries and faults."""
+    entries: list[Entry] = []
+    faults: list[Fault] = []
+    lost: list[int] = []  # lines that may have been of any episode
+    for number, record in records:
+        if isinstance(record, _Broken):
+            for person, episode in sorted(record.owners) or [(None, None)]:
+                faults.append(Fault(number, person, episode, record.message, spoils=not record.ends))
+            if not record.owners and not record.ends:
+                lost.append(number)
+            continue
+        message = _fault(record)
+        if message is None:
+            entries.append(
+                Entry(
+                    number, str(record["person"]), str(record["episode"]), record["step"], record["action"],
+                    record.get("suggestion"), record.get("executed"),
+                )
+            )  # fmt: skip
+        else:
+            known = record if isinstance(record, Mapping) else {}
+            person, episode = (_name(known.get(key)) for key in ("person", "episode"))
+            faults.append(Fault(number, person, episode, message))
+            if person is None or episode is None:
+                lost.append(number)
+    called = {words[0] for entry in entries for words in map(words_of, entry.texts) if words}
+    people = {entry.person for entry in entries} | {fault.person for fault in faults if fault.person is not None}
+    spoilt = {(fault.person, fault.episode) for fault in faults if fault.spoils}
+    entries = [entry for entry in entries if entry.names not in spoilt]
+    incomplete = _incomplete(entries, sorted(lost), gaps)
+    faults += incomplete.values()
+    return Log(
+        tuple(entry for entry in entries if entry.names not in incomplete),
+        tuple(sorted(faults, key=lambda fault: fault.line)), frozenset(people), frozenset(called), name,
+    )  # fmt: skip
+
+
+def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool) -> dict[Names, Fault]:
+    """Find episodes of which an action is missing, or may be because of the lines that may have been of any."""
+    episodes: dict[Names, list[Entry]] = {}
+    for entry in entries:
+        episodes.setdefault(entry.names, []).append(entry)
+    first = {names: min(rows, key=lambda entry: entry.step) for names, rows in episodes.items()}
+    starts = [entry.step for entry in first.values()]
+    begin = 1 if 0 not in starts and starts.count(1) > 1 else 0  # what this log begins to count with
+    found = {}
+    for names, rows in episodes.items():
+        if gaps:
+            last = max(rows, key=lambda entry: entry.line)
+            if lost and lost[0] < last.line:
+                found[names] = Fault(last.line, *names, f"line {lost[0]}, which cannot be read, may be of it")
+            continue
+        if lost and first[names].step != begin:
+            message = f"step {first[names].step} is its first; line {lost[0]}, which cannot be read, may be of it"
+            found[names] = Fault(first[names].line, *names, message)
+            continue
+        rows = sorted(rows, key=lambda entry: entry.step)
+        for before, after in pairwise(rows):
+            if after.step > before.step + 1:
+                message = f"step {after.step} comes after step {before.step}: a line is missing (--gaps: the log counts otherwise)"
+                found[names] = Fault(after.line, *names, message)
+                break
+    return found
+
+
 def _name(value: object) -> str | None:
     return str(value) if isinstance(value, str | int) else None
 
 
 def _fault(record: Any) -> str | None:
-    """Say what is wrong with a line's JSON; None where nothing is."""
-    if not isinstance(record, dict):
-        return 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
+    """Say what is wrong with a record; None where nothing is."""
+    if not isinstance(record, Mapping):
+        return EXPECTED
+    executed = record.get("executed")
     for key, types, wanted in (
         ("person", (str, int), "a name"),
         ("episode", (str, int), "a name"),
         ("step", (int,), "a whole number"),
-        ("action", (str,), 'an action as text, "(name argument ...)"'),
+        ("action", (str, type(None)) if executed is not None else (str,), 'an action as text, "(name argument ...)"'),
+        ("suggestion", (str, type(None)), "an action as text, or null"),
+        ("executed", (str, type(None)), "an action as text, or null"),
     ):
-        if key not in record:
+        if key not in record and key in NEEDED:
             return f"there is no '{key}'; expected {wanted}"
-        if not isinstance(record[key], types) or isinstance(record[key], bool):
-            return f"'{key}' is {json.dumps(record[key])}; expected {wanted}"
-    if not isinstance(record.get("suggestion"), str | None):
-        return f"'suggestion' is {json.dumps(record['suggestion'])}; expected an action as text, or null"
+        value = record.get(key)
+        if not isinstance(value, types) or isinstance(value, bool):
+            return f"'{key}' is {json.dumps(value, default=str)}; expected {wanted}"
+        if isinstance(value, str) and any(category(sign) in ("Cc", "Cs") for sign in " ".join(value.split())):
+            return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"
+    if not -(2**63) <= record["step"] < 2**63:
+        return "'step' is too large; expected a whole number of at most 64 bits"
+    for key in ("action", "suggestion", "executed"):
+        text = (record.get(key) or "").strip()
+        if text.startswith("(") != text.endswith(")"):
+            return f"'{key}' is {json.dumps(text)}, with one bracket; expected (name argument ...)"
     return None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What people could choose from, step by step, and what they chose; N steps of up to A choices.
-
-    The steps of an episode are in order, episodes of a person follow each other in the order of their names, and so
-    do people.
-
-    Attributes
-    ----------
-    people : tuple of str
-        Their names.
-    episodes : tuple of str
-        The name of each episode.
-    person, episode : int arrays, shape (N,)
-        Places in the two.
-    step : int array, shape (N,)
-        As the log counts.
-    state : int array, shape (N,)
-        The state in which the choice was made: a number of the `CostToGo` that the log was replayed on.
-    applicable : bool array, shape (N, A)
-        Which slots hold a choice; they are filled from the left, in the order of the actions' numbers.
-    targets : int array, shape (N, A)
-        The state after each choice; the state itself in empty slots.
-    costs : float array, shape (N, A)
-        What each costs, in cost units.
-    chosen, suggested : int arrays, shape (N,)
-        Slots; `NOTHING` where nothing was suggested.
-    """
-
-    people: tuple[str, ...]
-    episodes: tuple[str, ...]
-    person: NDArray[np.int64]
-    episode: NDArray[np.int64]
-    step: NDArray[np.int64]
-    state: NDArray[np.int64]
-    applicable: NDArray[np.bool_]
-    targets: NDArray[np.int64]
-    costs: NDArray[np.float64]
-    chosen: NDArray[np.int64]
-    suggested: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-
-    def __len__(self) -> int:
-        return len(self.state)
-
-    def wanted(self) -> NDArray[np.int64]:
-        """Give the states whose cost-to-go the choices depend on, ascending: those that a choice leads to."""
-        return np.unique(self.targets[self.applicable])
-
-    def evaluated(self, h: NDArray[np.float64]) -> tuple[Recording, dict[str, int]]:
-        """Leave out choices that depend on a cost-to-go that is not known; say how many of whom.
-
-        Where something was suggested in such a choice, nobody knows what that did to trust, so that the rest of the
-        episode is left out as well.
-
-        Parameters
-        ----------
-        h : float array, shape (states,)
-            The cost-to-go, NaN where it is not known.
-        """
-        rows = np.arange(len(self))
-        unknown = (self.applicable & np.isnan(h[self.targets])).any(axis=1)
-        begins = np.ones(len(self), dtype=bool)
-        begins[1:] = self.episode[1:] != self.episode[:-1]
-        lost = np.maximum.accumulate(np.where(unknown & (self.suggested != NOTHING), rows, -1))
-        kept = ~unknown & (lost < np.maximum.accumulate(np.where(begins, rows, 0)))
-        who, person = np.unique(self.person[kept], return_inverse=True)
-        counts = np.bincount(self.person[~kept], minlength=len(self.people))
-        left = replace(
-            self,
-            people=tuple(self.people[k] for k in who),
-            person=person,
-            **{
-                name: getattr(self, name)[kept]
-                for name in ("episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested")
-            },
-        )
-        return left, {self.people[k]: int(counts[k]) for k in np.flatnonzero(counts)}
-
-
-def replay(
-    entries: Iterable[Entry],
-    answers: CostToGo,
-    *,
-    drop: Sequence[str] = (),
-    rename: Mapping[str, str] | None = None,
-) -> tuple[Recording, list[Fault]]:
-    """Follow recorded actions through the task.
-
-    An action is matched without regard to case. It may be given by its name and the first of its arguments where
-    exactly one applicable ground action begins so. Steps are taken in the order of their numbers, which need not
-    be consecutive.
-
-    Parameters
-    ----------
-    entries : iterable of Entry
-    answers : CostToGo
-        Only its `choices` and `is_goal` are asked for.
-    drop : sequence of str
-        Names of actions that are no choices (a log may say so of standing still); their lines are left out.
-    rename : mapping of str to str, optional
-        Names in the log, and what the task calls those actions.
-
-    Returns
-    -------
-    recording : Recording
-        Of all episodes without a fault.
-    faults : list of Fault
-        In the order of the lines.
-    """
-    dropped = {name.lower() for name in drop}
-    renamed = {old.lower(): new.lower() for old, new in (rename or {}).items()}
-    faults: list[Fault] = []
-    episodes: dict[tuple[str, str], list[tuple[Entry, Words, Words | None]]] = {}
-    for entry in entries:
-        action = _words(entry.action, renamed)
-        suggestion = None if entry.suggestion is None else _words(entry.suggestion, renamed)
-        if action and action[0] in dropped:
-            continue
-        episodes.setdefault((entry.person, entry.episode), []).append((entry, action, suggestion))
-    walks = []
-    for key in sorted(episodes, key=lambda names: [in_order(name) for name in names]):
-        rows = sorted(episodes[key], key=lambda row: (row[0].step, row[0].line))
-        twice = [(a[0], b[0]) for a, b in pairwise(rows) if a[0].step == b[0].step]
-        if twice:
-            first, second = twice[0]
-            faults.append(
-                _at(
-                    second,
-                    f"step {second.step} is on line {first.line} already; are these two episodes, or two people?",
-                )
-            )
-        else:
-            walks.append(_Walk(rows))
-    matcher = _Matcher(answers.task.actions)
-    for step in range(max((len(walk.rows) for walk in walks), default=0)):
-        going = [walk for walk in walks if walk.fault is None and step < len(walk.rows)]
-        if not going:
-            break
-        states = np.array([walk.states[-1] if walk.states else answers.initial for walk in going], dtype=np.int64)
-        finished = answers.is_goal(states)
-        offsets, actions, targets = answers.choices(states)
-        for i, walk in enumerate(going):
-            entry, words, suggestion = walk.rows[step]
-            if finished[i]:
-                walk.fault = _at(entry, "the goal was reached before this step")
-                continue
-            options = actions[offsets[i] : offsets[i + 1]]
-            try:
-                slot = matcher.slot(words, options)
-                told = NOTHING if suggestion is None else matcher.slot(suggestion, options)
-            except _UnmatchedError as error:
-                walk.fault = _at(entry, f"step {entry.step}: {error}")
-                faults += walk.unknown(step + 1, matcher)
-                continue
-            walk.take(int(states[i]), options, targets[offsets[i] : offsets[i + 1]], slot, told)
-    faults += [walk.fault for walk in walks if walk.fault is not None]
-    costs = np.asarray(answers.task.costs, dtype=float)
-    return _record([walk for walk in walks if walk.fault is None], costs), sorted(faults, key=lambda fault: fault.line)
-
-
-Words = tuple[str, ...]
-
-
-def _words(action: str, renamed: Mapping[str, str]) -> Words:
-    """Split an action into its name and arguments, in lower case; brackets are optional."""
-    words = action.lower().replace("(", " ").replace(")", " ").split()
-    return (renamed.get(words[0], words[0]), *words[1:]) if words else ()
-
-
-def _at(entry: Entry, message: str) -> Fault:
-    return Fault(entry.line, entry.person, entry.episode, message)
-
-
-class _Walk:
-    """An episode in progress: its lines, and where they have led."""
-
-    def __init__(self, rows: list[tuple[Entry, Words, Words | None]]) -> None:
-        self.rows = rows
-        self.fault: Fault | None = None
-        self.states: list[int] = []  # after each step
-        self.taken: list[tuple[int, NDArray[np.int32], NDArray[np.int64], int, int]] = []
-
-    def take(
-        self, state: int, actions: NDArray[np.int32], targets: NDArray[np.signedinteger], slot: int, told: int
-    ) -> None:
-        if not len(actions):  # the person can only stand still
-            targets = np.array([state], dtype=np.int64)
-        self.taken.append((state, actions, targets.astype(np.int64), slot, told))
-        self.states.append(int(targets[slot]))
-
-    def unknown(self, start: int, matcher: _Matcher) -> list[Fault]:
-        """Name the lines from a step on that fit no action of the task, whatever the state."""
-        rows = [(entry, own) for entry, *both in self.rows[start:] for own in both if own is not None]
-        reasons = [(entry, matcher.unknown(own)) for entry, own in rows]
-        return [_at(entry, f"step {entry.step}: {why}") for entry, why in reasons if why is not None]
-
-
-class _UnmatchedError(ValueError):
-    """Words that stand for no applicable action, or for several."""
-
-
-class _Matcher:
-    """Finds the ground action that is meant."""
-
-    def __init__(self, actions: Sequence[str]) -> None:
-        self.actions = actions
-        self.words = [tuple(action[1:-1].lower().split()) for action in actions]
-        self.number = {words: number for number, words in enumerate(self.words)}
-        self.beginnings = {words[:end] for words in self.words for end in range(1, len(words) + 1)}
-
-    def slot(self, words: Words, options: NDArray[np.int32]) -> int:
-        """Give the slot of the action that is meant among those that are applicable (ground actions, ascending)."""
-        if not len(options):
-            if words == (STAND_STILL[1:-1],):
-                return 0
-            raise _UnmatchedError(f"{_shown(words)} is not applicable; here one can only stand still, {STAND_STILL}")
-        number = self.number.get(words)
-        if number is not None:
-            slot = int(np.searchsorted(options, number))
-            if slot < len(options) and options[slot] == number:
-                return slot
-        slots = [slot for slot, option in enumerate(options) if self.words[option][: len(words)] == words]
-        if words and len(slots) == 1:
-            return slots[0]
-        if words and slots:
-            several = ", ".join(self.actions[options[slot]] for slot in slots)
-            raise _UnmatchedError(f"{_shown(words)} may be any of {several}")
-        why = self.unknown(words) or f"{_shown(words)} is not applicable here"
-        raise _UnmatchedError(f"{why}; {self._nearest(words, options)}")
-
-    def unknown(self, words: Words) -> str | None:
-        """Say why words stand for no action of the task, in whatever state; None if they may."""
-        if not words:
-            return "an empty action"
-        if words in self.beginnings or words == (STAND_STILL[1:-1],):
-            return None
-        if words[:1] not in self.beginnings:
-            return f"{_shown(words)}: no action of the task is called '{words[0]}'"
-        return f"{_shown(words)} is no action of the task"
-
-    def _nearest(self, words: Words, options: NDArray[np.int32]) -> str:
-        """Name the applicable actions that are nearest in writing, three at the most."""
-        applicable = [self.actions[option] for option in options]
-        near = difflib.get_close_matches(_shown(words), applicable, n=3, cutoff=0.5) or applicable[:3]
-        return f"nearest of the {len(applicable)} applicable: {', '.join(near)}"
-
-
-def _shown(words: Words) -> str:
-    return f"({' '.join(words)})"
-
-
-def _record(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
-    """Arrange what episodes consist of."""
-    people = tuple(sorted({walk.rows[0][0].person for walk in walks}, key=in_order))
-    number = {person: place for place, person in enumerate(people)}
-    size = sum(len(walk.rows) for walk in walks)
-    width = max((len(targets) for walk in walks for _, _, targets, _, _ in walk.taken), default=1)
-    person, episode, step, state, chosen, suggested = (np.zeros(size, dtype=np.int64) for _ in range(6))
-    applicable, price = np.zeros((size, width), dtype=bool), np.zeros((size, width))
-    after = np.zeros((size, width), dtype=np.int64)
-    row = 0
-    for place, walk in enumerate(walks):
-        for (entry, _, _), (x, actions, targets, slot, told) in zip(walk.rows, walk.taken, strict=True):
-            person[row], episode[row], step[row], state[row] = number[entry.person], place, entry.step, x
-            chosen[row], suggested[row] = slot, told
-            applicable[row, : len(targets)] = True
-            after[row] = x
-            after[row, : len(targets)] = targets
-            price[row, : len(targets)] = costs[actions] if len(actions) else 1.0
-            row += 1
-    names = tuple(walk.rows[0][0].episode for walk in walks)
-    return Recording(people, names, person, episode, step, state, applicable, after, price, chosen, suggested)

@@ -237,6 +237,13 @@ class AssistPOMDP:
         slot = int(self.suggested[x, robot])
         return None if slot == NOTHING else self.model.choices.name(x, slot)
 
+    def executes(self, x: int, robot: int) -> str | None:
+        """Name in PDDL what a robot action executes; None for nothing."""
+        if robot == 0 or self.suggested[x, robot] != NOTHING:
+            return None
+        suggestions = (int(self.robots[x]) - 1) // 2  # the executions come after them, in the same order
+        return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
+
 
 class Policy(Protocol):
     """A policy for one person's problem; the methods work on N people at a time."""

@@ -193,6 +193,7 @@ class Run:
                 "step": step,
                 "action": choices.name(place, int(slot[i])) if slot[i] >= 0 else None,
                 "suggestion": choices.name(x, suggested) if suggested != NOTHING else None,
+                **({"executed": pomdp.executes(x, r)} if self.pool.setting.execute else {}),
                 "policy": self.name,
                 "place": k,
                 "robot_place": int(self.location[e]) if there else None,
