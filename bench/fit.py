@@ -25,9 +25,10 @@ from scipy.stats import spearmanr
 
 from assist.learning.diagnostics import check
 from assist.learning.fit import Method, Observations, fit, largest_beta, log_likelihood, observe
-from assist.learning.log import Entry, replay
+from assist.learning.log import Log
 from assist.learning.misconception import MarginalLikelihood, fit_misconception
 from assist.learning.population import fit_crowd
+from assist.learning.recording import replay
 from assist.people.belief import Grid as BeliefGrid
 from assist.people.choices import Choices
 from assist.people.human import NOTHING, HumanModel, choice, influence, trust
@@ -152,11 +153,7 @@ def record(
 
 def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
     """Read what `record` has written, as `kitassist fit` does."""
-    entries = [
-        Entry(line, row["person"], row["episode"], row["step"], row["action"], row["suggestion"])
-        for line, row in enumerate(rows, start=1)
-    ]
-    recording, faults = replay(entries, answers)
+    recording, faults = replay(Log.of(rows), answers)
     assert not faults
     h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
     wanted = recording.wanted()

@@ -17,11 +17,11 @@ from click.testing import CliRunner
 from conftest import KITTING, kitassist
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
 
 from assist.cli import main
 from assist.learning.diagnostics import calibrate, check
-from assist.learning.fit import Method, Observations, fit, log_likelihood, observe
-from assist.learning.log import Entry, read, replay
+from assist.learning.fit import Method, Observations, fit, log_likelihood
 from assist.learning.misconception import MarginalLikelihood, fit_misconception
 from assist.learning.population import fit_crowd, mixture
 from assist.people.belief import Grid
@@ -38,72 +38,6 @@ from assist.people.human import (
 )
 from assist.person.pomdp import AssistPOMDP
 from planner import Cache, LimitError, Table, Task, load, ondemand, sweep
-
-RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
-FETCH = "(fetch box-a)"
-
-
-def lines(*actions: str, person: str = "ann", episode: str = "1", told: dict[int, str] | None = None) -> list[dict]:
-    return [
-        {"person": person, "episode": episode, "step": step, "action": action, "suggestion": (told or {}).get(step)}
-        for step, action in enumerate(actions)
-    ]
-
-
-def entries_of(rows: list[dict]) -> list[Entry]:
-    return [
-        Entry(n, r["person"], r["episode"], r["step"], r["action"], r["suggestion"])
-        for n, r in enumerate(rows, start=1)
-    ]
-
-
-def observed(table: Table, rows: list[dict]) -> list[Observations]:
-    recording, faults = replay(entries_of(rows), table)
-    assert faults == []
-    states = np.arange(len(table))
-    return observe(recording, table.h, table.is_goal(states))
-
-
-def people_at_work(
-    choices: Choices,
-    beta: list[float],
-    rng: np.random.Generator,
-    *,
-    theta: float = 0.6,
-    eta: float = 0.2,
-    suggest: float = 0.0,
-    episodes: int = 3,
-    noise: np.ndarray | None = None,
-) -> list[dict]:
-    """Simulate people with the functions of the model, and write down what they do."""
-    rows = []
-    h = choices.h if noise is None else np.where(choices.goal, 0.0, choices.h + noise)
-    q = perceived_cost(choices, h)
-    v = perceived_value(choices, q)
-    for k, own in enumerate(beta):
-        for episode in range(episodes):
-            x, trusts = choices.initial, theta
-            for step in range(2000):
-                slots = np.flatnonzero(choices.applicable[x])
-                told = int(rng.choice(slots)) if rng.random() < suggest else -1
-                p = influence(choice(q[x], choices.applicable[x], own), told, trusts)
-                slot = int(rng.choice(len(p), p=p))
-                name = None if told < 0 else choices.name(x, told)
-                rows.append(
-                    {
-                        "person": f"p{k}",
-                        "episode": str(episode),
-                        "step": step,
-                        "action": choices.name(x, slot),
-                        "suggestion": name,
-                    }
-                )
-                if told >= 0:
-                    trusts = float(trust(trusts, v[x], v[choices.targets[x, told]], eta))
-                x = int(choices.targets[x, slot])
-                if choices.goal[x]:
-                    break
-    return rows
 
 
 @pytest.fixture(scope="module")
@@ -395,145 +329,6 @@ def test_the_online_belief_with_suggestions(tiny: Table, tiny_choices: Choices) 
     np.testing.assert_allclose(belief[0].sum(axis=1), offline / offline.sum(), rtol=0.02)
 
 
-def test_actions_as_people_write_them(tiny: Table) -> None:
-    rows = lines(
-        "(FETCH Box-A)", "place hammer slot-1", "( return )", "(open box-b)", told={1: "(place HAMMER slot-2)"}
-    )
-    rows.insert(1, {"person": "ann", "episode": "1", "step": 0.5, "action": "(Wait-a-little)", "suggestion": None})
-    recording, faults = replay(entries_of(rows), tiny, drop=["wait-a-little"], rename={"open": "fetch"})
-    assert faults == []
-    assert recording.state.tolist()[0] == tiny.initial
-    assert [int(n) for n in recording.suggested >= 0] == [0, 1, 0, 0]
-    plain, _ = replay(entries_of(lines(FETCH, RIGHT, BACK, "(fetch box-b)", told={1: WRONG})), tiny)
-    np.testing.assert_array_equal(recording.state, plain.state)
-    np.testing.assert_array_equal(recording.chosen, plain.chosen)
-    np.testing.assert_array_equal(recording.suggested, plain.suggested)
-
-
-def write_log(file: Path, rows: list[dict], tail: str = "") -> Path:
-    file.write_text("".join(json.dumps(row) + "\n" for row in rows) + tail)
-    return file
-
-
-GOOD = lines(*PLAN, person="bob")
-MALFORMED = [
-    (
-        lines(FETCH, "(plce hammer slot-1 box-a)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (plce hammer slot-1 box-a): no action of the task is "
-        f"called 'plce'; nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
-    ),
-    (
-        lines(FETCH, "(fetch box-b)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; nearest of the 3 "
-        f"applicable: {BACK}",
-    ),
-    (
-        lines(FETCH, "(place hamer slot-1 box-a)"),
-        8,
-        "person 'ann', episode '1', which is left out: step 1: (place hamer slot-1 box-a) is no action of the task; "
-        f"nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
-    ),
-    (
-        lines(FETCH, "(place hammer)"),
-        8,
-        f"person 'ann', episode '1', which is left out: step 1: (place hammer) may be any of {RIGHT}, {WRONG}",
-    ),
-    (
-        [*lines(FETCH), *lines(FETCH)],
-        8,
-        "person 'ann', episode '1', which is left out: step 0 is on line 7 already; are these two episodes, or two "
-        "people?",
-    ),
-    (
-        [*lines(FETCH, WRONG), *(dict(row, step=10) for row in lines(FETCH))],  # two people under one name
-        9,
-        "person 'ann', episode '1', which is left out: step 10: (fetch box-a) is not applicable here; nearest of the 2 "
-        "applicable: (return box-a)",
-    ),
-    (lines(*PLAN, FETCH), 13, "person 'ann', episode '1', which is left out: the goal was reached before this step"),
-    (
-        [{"person": "ann", "episode": "1", "step": "one", "action": FETCH}],
-        7,
-        "person 'ann', episode '1', which is left out: 'step' is \"one\"; expected a whole number",
-    ),
-    (
-        [{"person": "ann", "episode": "1", "step": 0}],
-        7,
-        "person 'ann', episode '1', which is left out: there is no 'action'; expected an action as text, "
-        '"(name argument ...)"',
-    ),
-]
-
-
-@pytest.mark.parametrize(("bad", "line", "message"), MALFORMED, ids=[str(n) for n in range(len(MALFORMED))])
-def test_faults_are_named_and_good_episodes_used(
-    tmp_path: Path, tiny: Table, bad: list[dict], line: int, message: str
-) -> None:
-    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad])
-    entries, faults = read(file)
-    recording, more = replay(entries, tiny)
-    (fault,) = faults + more
-    whose = f"person '{fault.person}', episode '{fault.episode}', which is left out: {fault.message}"
-    assert (fault.line, whose) == (line, message)
-    assert recording.people == ("bob",)
-    assert len(recording) == 6
-
-
-def test_every_line_that_fits_no_action_is_reported(tiny: Table) -> None:
-    rows = lines(FETCH, "(fetch box-b)", "(hammer)", WRONG, "(place hammer box-a)", told={1: BACK})
-    _, faults = replay(entries_of(rows), tiny)
-    assert [(f.line, f.message.partition(";")[0]) for f in faults] == [
-        (2, "step 1: (fetch box-b) is not applicable here"),
-        (3, "step 2: (hammer): no action of the task is called 'hammer'"),
-        (5, "step 4: (place hammer box-a) is no action of the task"),
-    ]
-
-
-def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
-    bad, line, message = MALFORMED[0]
-    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad], tail='{"person": "bob", "epi')
-    result = kitassist("fit", KITTING / "tiny.pddl", file, "--json")
-    assert result.returncode == 1
-    cut = f"{file}:9: the last line is cut off; the lines before it are used"
-    assert result.stderr.splitlines() == [f"{file}:{line}: {message}", cut]
-    ann, bob = json.loads(result.stdout)
-    assert (ann["person"], ann["beta"], ann["error"]) == ("ann", None, "no episode can be used")
-    assert list(ann)[:5] == ["person", "beta", "beta_interval", "beta_open", "theta"]
-    assert (bob["person"], bob["actions"], bob["suboptimal_actions"], bob["error"]) == ("bob", 6, 0, None)
-    assert bob["beta_open"] == ["above"]
-    assert "made no mistake: beta is at least" in bob["notes"][0]
-    strict = kitassist("fit", KITTING / "tiny.pddl", file, "--json", "--strict")
-    assert (strict.returncode, strict.stdout) == (1, "")
-    assert strict.stderr.splitlines()[-1] == f"{file}: nothing is fitted, because of --strict"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text", "code", "words"),
-    [
-        ((), "", 1, "log.jsonl: no recorded actions"),
-        ((), '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}\n', 1, "log of another instance?"),
-        ((), "no json\n", 1, "log.jsonl:1: no JSON"),
-        ((), "[1]\n", 1, "log.jsonl:1: expected an object"),
-        (("--rename", "a"), "", 2, "expected OLD=NEW"),
-        (("--level", "2"), "", 2, "0 < level < 1"),
-        (("--eta", "-1"), "", 2, "eta -1"),
-        (("--largest-beta", "0"), "", 2, "largest beta 0"),
-    ],
-)
-def test_fit_refuses_what_makes_no_sense(
-    tmp_path: Path, arguments: tuple[str, ...], text: str, code: int, words: str
-) -> None:
-    file = tmp_path / "log.jsonl"
-    file.write_text(text)
-    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *arguments])
-    assert result.exit_code == code
-    assert words in result.stderr
-    assert "Traceback" not in result.stderr
-    assert result.stdout == ""
-
-
 def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) -> None:
     trace = tmp_path / "trace.jsonl"
     team = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
@@ -590,28 +385,6 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     assert len(Cache(task, tmp_path / "cache").read()) > known
 
 
-def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
-    """Of ann the step in which something was suggested and all after it in that episode, of bob that step alone."""
-    rows = [
-        *lines(FETCH, RIGHT, BACK, told={1: WRONG}),
-        *lines(FETCH, episode="2"),
-        *lines(*PLAN, person="bob"),
-    ]
-    recording, _ = replay(entries_of(rows), tiny)
-    h = tiny.h.copy()
-    h[recording.targets[1, 1]] = np.nan
-    left, counts = recording.evaluated(h)
-    assert counts == {"ann": 2, "bob": 1}
-    assert left.people == ("ann", "bob")
-    assert (left.person == 0).sum() == 2
-    assert not np.isnan(h[left.wanted()]).any()
-    whole, none = recording.evaluated(tiny.h)
-    assert none == {}
-    np.testing.assert_array_equal(whole.targets, recording.targets)
-    left, counts = recording.evaluated(np.full(len(tiny), np.nan))
-    assert (len(left), left.people, counts) == (0, (), {"ann": 4, "bob": 6})
-
-
 def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_log(tmp_path / "log.jsonl", [*lines(*PLAN), *lines(FETCH, person="bob")])
     command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--max-states", "1", "--jobs", "1"]
@@ -637,7 +410,7 @@ def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, mon
 
 
 def test_a_task_without_a_way_to_the_goal(tmp_path: Path) -> None:
-    file = write_log(tmp_path / "log.jsonl", GOOD)
+    file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
     result = CliRunner().invoke(main, ["fit", str(KITTING / "unsolvable.pddl"), str(file)])
     assert (result.exit_code, result.stdout) == (1, "")
     assert "unsolvable.pddl: the goal cannot be reached" in result.stderr

@@ -63,6 +63,9 @@ FEWEST_FOR_CROWD = 3
 @click.option(
     "--rename", multiple=True, metavar="OLD=NEW", help="What the log calls OLD the task calls NEW; may be repeated."
 )
+@click.option(
+    "--gaps", is_flag=True, help="Steps may skip numbers without a line missing, since the log counts otherwise."
+)
 @click.option("--strict", is_flag=True, help="Fit nothing if any line cannot be used, or if any state takes too long.")
 @click.option(
     "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
@@ -87,6 +90,7 @@ def fit(
     misconception: bool,
     drop: tuple[str, ...],
     rename: tuple[str, ...],
+    gaps: bool,
     strict: bool,
     max_states: int,
     time_limit: float | None,
@@ -107,6 +111,7 @@ def fit(
     from ..learning import log as logs
     from ..learning import population as populations
     from ..learning.record import failed, profiles
+    from ..learning.recording import replay
     from ..plots import episode as figures
     from ..plots import people as fit_figures
 
@@ -114,6 +119,10 @@ def fit(
     wrong = next((pair for pair in rename if not all(part.strip() for part in pair.partition("=")[::2])), None)
     if wrong is not None:
         raise click.UsageError(f"--rename {wrong}: expected OLD=NEW")
+    names: dict[str, str] = {}
+    for old, _, new in (pair.partition("=") for pair in rename):
+        if names.setdefault(old.strip().lower(), new.strip()) != new.strip():
+            raise click.UsageError(f"--rename {old}={new}: '{old}' is renamed already")
     try:
         method = fitting.Method(**setting)
     except ValueError as error:
@@ -128,19 +137,19 @@ def fit(
                 f"{found}: the goal cannot be reached, or holds from the start; there is nothing to learn from",
                 EXIT_FAILED,
             )
-        entries, faults = logs.read(log)
+        records_of = logs.read_log(log, gaps=gaps)
         walked = OnDemand(task)
-        names = {old.strip(): new.strip() for old, _, new in (pair.partition("=") for pair in rename)}
-        recording, more = logs.replay(entries, walked, drop=drop, rename=names)
-        faults = sorted(faults + more, key=lambda fault: fault.line)
-        for fault in faults:
-            whose = "" if fault.person is None else f"person '{fault.person}', "
-            whose += "" if fault.episode is None else f"episode '{fault.episode}', which is left out: "
-            click.echo(f"{log}:{fault.line}: {whose}{fault.message}", err=True)
+        try:
+            recording, more = replay(records_of, walked, drop=drop, rename=names)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        faults = sorted([*records_of.faults, *more], key=lambda fault: fault.line)
+        for line in logs.told(faults, log):
+            click.echo(line, err=True)
         if strict and faults:
             fail(f"{log}: nothing is fitted, because of --strict", EXIT_FAILED)
         if not len(recording):
-            if not entries and not faults:
+            if not records_of.people:
                 fail(f"{log}: no recorded actions", EXIT_FAILED)
             fail(f"{log}: no episode can be followed through {found}; is it the log of another instance?", EXIT_FAILED)
         h, goal = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
@@ -158,8 +167,7 @@ def fit(
                 observations, method, np.random.default_rng(seed),
                 misconceptions=misconception, jobs=jobs, progress=advance,
             )  # fmt: skip
-        people_of_faults = {fault.person for fault in faults if fault.person is not None} | {e.person for e in entries}
-        left = sorted(people_of_faults - set(recording.people))
+        left = sorted(records_of.people - set(recording.people))
         records = [
             profile.record(
                 lambda states: [task.facts(values) for values in walked.values(states).tolist()],

@@ -76,5 +76,3 @@ class Matcher:
 
 def _shown(words: Words) -> str:
     return f"({' '.join(words)})"
-
-

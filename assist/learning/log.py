@@ -155,6 +155,18 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False) -> Log:
     return _log(_objects(lines) if delimiter is None else _rows(lines, delimiter), gaps, str(path))
 
 
+def told(faults: Iterable[Fault], name: object) -> list[str]:
+    """Give a line for each fault, as compilers do; what is wrong with many lines is said once."""
+    alike: dict[str, list[Fault]] = {}
+    for fault in faults:
+        alike.setdefault(fault.message, []).append(fault)
+    lines = []
+    for first, *others in alike.values():
+        also = f" (and so {len(others)} more, to line {others[-1].line})" if others else ""
+        lines.append(f"{name}:{first.line}: {first}{also}")
+    return lines
+
+
 def in_order(name: str) -> list[tuple[int, int, str]]:
     """Give a key by which names are sorted, numbers in them by their size: episode 9 comes before episode 10."""
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
@@ -225,8 +237,8 @@ def _owners(text: str) -> frozenset[Names]:
             found[key].append(json.loads(quoted) if quoted else number)
         except ValueError:
             return frozenset()
-    pairs = len(found["person"]) == len(found["episode"])
-    return frozenset(zip(found["person"], found["episode"], strict=True)) if pairs else frozenset()
+    known = len(found["person"]) == len(found["episode"]) and not any(map(_hidden, found["person"] + found["episode"]))
+    return frozenset(zip(found["person"], found["episode"], strict=True)) if known else frozenset()
 
 
 def _delimiter(head: str) -> str | None:
@@ -273,7 +285,10 @@ def _rows(lines: Sequence[str | _Broken], delimiter: str) -> Iterator[tuple[int,
             owners = frozenset({names}) if all(names) and len(cells) < len(columns) else frozenset()
             message = f"{len(cells)} cells; expected {len(columns)}, as in the first line"
             ends = number == len(lines)
-            yield number, _Broken("the last line is cut off; the lines before it are used" if ends else message, owners, ends)
+            yield (
+                number,
+                _Broken("the last line is cut off; the lines before it are used" if ends else message, owners, ends),
+            )
         else:
             record: dict[str, Any] = {name: cell.strip() or None for name, cell in zip(columns, cells, strict=True)}
             step = record["step"]
@@ -289,10 +304,11 @@ def _log(records: Iterable[tuple[int, Any]], gaps: bool, name: str) -> Log:
     lost: list[int] = []  # lines that may have been of any episode
     for number, record in records:
         if isinstance(record, _Broken):
-            for person, episode in sorted(record.owners) or [(None, None)]:
-                faults.append(Fault(number, person, episode, record.message, spoils=not record.ends))
-            if not record.owners and not record.ends:
-                lost.append(number)
+            spoils = not record.ends
+            faults += [Fault(number, *names, record.message, spoils) for names in sorted(record.owners)]
+            if not record.owners:
+                faults.append(Fault(number, None, None, record.message, spoils))
+                lost += [number] * spoils
             continue
         message = _fault(record)
         if message is None:
@@ -304,10 +320,9 @@ def _log(records: Iterable[tuple[int, Any]], gaps: bool, name: str) -> Log:
             )  # fmt: skip
         else:
             known = record if isinstance(record, Mapping) else {}
-            person, episode = (_name(known.get(key)) for key in ("person", "episode"))
-            faults.append(Fault(number, person, episode, message))
-            if person is None or episode is None:
-                lost.append(number)
+            own = _name(known.get("person")), _name(known.get("episode"))
+            faults.append(Fault(number, *own, message))
+            lost += [number] * (None in own)
     called = {words[0] for entry in entries for words in map(words_of, entry.texts) if words}
     people = {entry.person for entry in entries} | {fault.person for fault in faults if fault.person is not None}
     spoilt = {(fault.person, fault.episode) for fault in faults if fault.spoils}
@@ -342,14 +357,19 @@ def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool) -> di
         rows = sorted(rows, key=lambda entry: entry.step)
         for before, after in pairwise(rows):
             if after.step > before.step + 1:
-                message = f"step {after.step} comes after step {before.step}: a line is missing (--gaps: the log counts otherwise)"
-                found[names] = Fault(after.line, *names, message)
+                message = f"step {after.step} comes after step {before.step}, as if a line were missing"
+                found[names] = Fault(after.line, *names, f"{message}; --gaps if the log counts otherwise")
                 break
     return found
 
 
 def _name(value: object) -> str | None:
-    return str(value) if isinstance(value, str | int) else None
+    return str(value) if isinstance(value, str | int) and not _hidden(str(value)) else None
+
+
+def _hidden(text: str) -> bool:
+    """Whether a text has signs that no terminal can show, or no file hold."""
+    return any(category(sign) in ("Cc", "Cs") for sign in " ".join(text.split()))
 
 
 def _fault(record: Any) -> str | None:
@@ -370,7 +390,7 @@ def _fault(record: Any) -> str | None:
         value = record.get(key)
         if not isinstance(value, types) or isinstance(value, bool):
             return f"'{key}' is {json.dumps(value, default=str)}; expected {wanted}"
-        if isinstance(value, str) and any(category(sign) in ("Cc", "Cs") for sign in " ".join(value.split())):
+        if isinstance(value, str) and _hidden(value):
             return f"'{key}' is {json.dumps(value)}, which cannot be shown; expected {wanted}"
     if not -(2**63) <= record["step"] < 2**63:
         return "'step' is too large; expected a whole number of at most 64 bits"

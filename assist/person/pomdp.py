@@ -241,7 +241,7 @@ class AssistPOMDP:
         """Name in PDDL what a robot action executes; None for nothing."""
         if robot == 0 or self.suggested[x, robot] != NOTHING:
             return None
-        suggestions = (int(self.robots[x]) - 1) // 2  # the executions come after them, in the same order
+        suggestions = (int(self.robot_actions[x]) - 1) // 2  # the executions come after them, in the same order
         return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
 
 

@@ -1,0 +1,83 @@
+"""Recorded actions for tests: rows as a log's lines have them, written by hand or by simulated people."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from assist.learning.fit import Observations, observe
+from assist.learning.log import Entry, Log
+from assist.learning.recording import replay
+from assist.people.choices import Choices
+from assist.people.human import choice, influence, perceived_cost, perceived_value, trust
+from planner import Table
+
+RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"
+FETCH = "(fetch box-a)"
+
+
+def lines(*actions: str, person: str = "ann", episode: str = "1", told: dict[int, str] | None = None) -> list[dict]:
+    return [
+        {"person": person, "episode": episode, "step": step, "action": action, "suggestion": (told or {}).get(step)}
+        for step, action in enumerate(actions)
+    ]
+
+
+def log_of(rows: list[dict]) -> Log:
+    return Log(tuple(Entry(n, **row) for n, row in enumerate(rows, start=1)))
+
+
+def observed(table: Table, rows: list[dict]) -> list[Observations]:
+    recording, faults = replay(log_of(rows), table)
+    assert faults == []
+    states = np.arange(len(table))
+    return observe(recording, table.h, table.is_goal(states))
+
+
+def people_at_work(
+    choices: Choices,
+    beta: list[float],
+    rng: np.random.Generator,
+    *,
+    theta: float = 0.6,
+    eta: float = 0.2,
+    suggest: float = 0.0,
+    episodes: int = 3,
+    noise: np.ndarray | None = None,
+) -> list[dict]:
+    """Simulate people with the functions of the model, and write down what they do."""
+    rows = []
+    h = choices.h if noise is None else np.where(choices.goal, 0.0, choices.h + noise)
+    q = perceived_cost(choices, h)
+    v = perceived_value(choices, q)
+    for k, own in enumerate(beta):
+        for episode in range(episodes):
+            x, trusts = choices.initial, theta
+            for step in range(2000):
+                slots = np.flatnonzero(choices.applicable[x])
+                told = int(rng.choice(slots)) if rng.random() < suggest else -1
+                p = influence(choice(q[x], choices.applicable[x], own), told, trusts)
+                slot = int(rng.choice(len(p), p=p))
+                name = None if told < 0 else choices.name(x, told)
+                rows.append(
+                    {
+                        "person": f"p{k}",
+                        "episode": str(episode),
+                        "step": step,
+                        "action": choices.name(x, slot),
+                        "suggestion": name,
+                    }
+                )
+                if told >= 0:
+                    trusts = float(trust(trusts, v[x], v[choices.targets[x, told]], eta))
+                x = int(choices.targets[x, slot])
+                if choices.goal[x]:
+                    break
+    return rows
+
+
+def write_log(file: Path, rows: list[dict], tail: str = "") -> Path:
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows) + tail)
+    return file

@@ -1,0 +1,440 @@
+"""Logs: what can be read of them, what costs an episode, and how the rest is followed through the task."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
+
+from assist.cli import main
+from assist.learning.fit import Method, fit, observe
+from assist.learning.log import Log, read_log, told
+from assist.learning.recording import replay
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.simulation.episodes import Trace
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool, Setting
+from assist.team.state import TeamAction, TeamState
+from planner import Table, load, sweep
+
+PAPER = sweep(load(KITTING / "paper.pddl"))
+PAPER_PLAN = PAPER.optimal_plan() or []
+PLAN = sweep(load(KITTING / "tiny.pddl")).optimal_plan() or []
+
+
+def text_of(rows: list[dict]) -> list[str]:
+    return [json.dumps(row) for row in rows]
+
+
+def used(file: Path, table: Table, **options: bool) -> dict[str, int]:
+    """How many actions of each person are replayed."""
+    recording, _ = replay(read_log(file, **options), table)
+    return {person: int((recording.person == k).sum()) for k, person in enumerate(recording.people)}
+
+
+@pytest.mark.parametrize("line", [1, 2, 5, 8, 9])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.5, 0.8])
+def test_a_broken_line_costs_its_episode_and_no_other(tmp_path: Path, line: int, share: float) -> None:
+    """However little is left of a line, nothing is replayed from states that the person was not in."""
+    first, second = lines(*PAPER_PLAN), lines(*PAPER_PLAN, person="bob")
+    texts = text_of(first)
+    texts[line - 1] = texts[line - 1][: int(share * len(texts[line - 1]))] + "#"
+    file = tmp_path / "log.jsonl"
+    for others in ([], text_of(second)):
+        file.write_text("\n".join([*texts, *others]) + "\n")
+        log = read_log(file)
+        assert used(file, PAPER) == ({"bob": len(PAPER_PLAN)} if others else {})
+        assert line in {fault.line for fault in log.faults}
+        assert [str(fault) for fault in log.faults if fault.episode == "1" and "which is left out" in str(fault)]
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None)
+def test_no_broken_line_makes_a_mistake(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    """People who follow the plan are never seen to err, whichever lines of a log are cut, joined, lost or damaged."""
+    rows = [row for k in range(3) for row in lines(*PAPER_PLAN, person=f"p{k % 2}", episode=str(k))]
+    order = data.draw(st.permutations(range(3)))
+    raw = [json.dumps(row).encode() for k in order for row in rows[k * len(PAPER_PLAN) : (k + 1) * len(PAPER_PLAN)]]
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(raw) - 2))
+        begin, end = sorted(data.draw(st.tuples(*[st.integers(0, len(raw[at]))] * 2)))
+        kind = data.draw(st.sampled_from(["cut", "bytes", "join", "lose"]))
+        if kind == "cut":
+            raw[at] = raw[at][:begin] + raw[at][end:] if data.draw(st.booleans()) else raw[at][:begin]
+        elif kind == "bytes":
+            raw[at] = raw[at][:begin] + b"\xff" + raw[at][begin:]
+        elif kind == "join":
+            raw[at : at + 2] = [raw[at] + raw[at + 1]]
+        else:
+            raw[at : at + 1] = []
+    file = tmp_path_factory.mktemp("log") / "log.jsonl"
+    file.write_bytes(b"\n".join(raw) + b"\n")
+    recording, _ = replay(read_log(file), PAPER)
+    after = PAPER.h[recording.targets[np.arange(len(recording)), recording.chosen]]
+    assert (after < PAPER.h[recording.state]).all()
+
+
+def test_actions_as_people_write_them(tiny: Table) -> None:
+    rows = lines(
+        "(FETCH Box-A)", "place hammer slot-1", "( return )", "(open box-b)", told={1: "(place HAMMER slot-2)"}
+    )
+    rows = [dict(row, step=2 * row["step"]) for row in rows]
+    rows.insert(1, {"person": "ann", "episode": "1", "step": 1, "action": "(Wait-a-little)", "suggestion": None})
+    recording, faults = replay(log_of(rows), tiny, drop=["wait-a-little"], rename={"open": "fetch"})
+    assert faults == []
+    assert recording.state.tolist()[0] == tiny.initial
+    assert [int(n) for n in recording.suggested >= 0] == [0, 1, 0, 0]
+    plain, _ = replay(log_of(lines(FETCH, RIGHT, BACK, "(fetch box-b)", told={1: WRONG})), tiny)
+    np.testing.assert_array_equal(recording.state, plain.state)
+    np.testing.assert_array_equal(recording.chosen, plain.chosen)
+    np.testing.assert_array_equal(recording.suggested, plain.suggested)
+
+
+GOOD = lines(*PLAN, person="bob")
+MALFORMED = [
+    (
+        lines(FETCH, "(plce hammer slot-1 box-a)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (plce hammer slot-1 box-a): no action of the task is "
+        f"called 'plce'; nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+    ),
+    (
+        lines(FETCH, "(fetch box-b)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (fetch box-b) is not applicable here; nearest of the 3 "
+        f"applicable: {BACK}",
+    ),
+    (
+        lines(FETCH, "(place hamer slot-1 box-a)"),
+        8,
+        "person 'ann', episode '1', which is left out: step 1: (place hamer slot-1 box-a) is no action of the task; "
+        f"nearest of the 3 applicable: {RIGHT}, {WRONG}, {BACK}",
+    ),
+    (
+        lines(FETCH, "(place hammer)"),
+        8,
+        f"person 'ann', episode '1', which is left out: step 1: (place hammer) may be any of {RIGHT}, {WRONG}",
+    ),
+    (
+        [*lines(FETCH), *lines(FETCH)],
+        8,
+        "person 'ann', episode '1', which is left out: step 0 is on line 7 already; are these two episodes, or two "
+        "people?",
+    ),
+    (
+        [*lines(FETCH, WRONG), *(dict(row, step=10) for row in lines(FETCH))],
+        9,
+        "person 'ann', episode '1', which is left out: step 10 comes after step 1, as if a line were missing; --gaps "
+        "if the log counts otherwise",
+    ),
+    (
+        [*lines(FETCH, WRONG), *(dict(row, step=2) for row in lines(FETCH))],  # two people under one name
+        9,
+        "person 'ann', episode '1', which is left out: step 2: (fetch box-a) is not applicable here; nearest of the 2 "
+        "applicable: (return box-a)",
+    ),
+    (
+        [{"person": "ann", "episode": "1", "step": 2**63, "action": FETCH}],
+        7,
+        "person 'ann', episode '1', which is left out: 'step' is too large; expected a whole number of at most 64 bits",
+    ),
+    (
+        [{"person": "ann", "episode": "1", "step": 0, "action": "(fetch box-a"}],
+        7,
+        "person 'ann', episode '1', which is left out: 'action' is \"(fetch box-a\", with one bracket; expected (name "
+        "argument ...)",
+    ),
+    (
+        [{"person": "\ud800", "episode": "1", "step": 0, "action": FETCH}],
+        7,
+        "episode '1', which is left out: 'person' is \"\\ud800\", which cannot be shown; expected a name",
+    ),
+    (
+        [{"person": "ann", "episode": "1", "step": "one", "action": FETCH}],
+        7,
+        "person 'ann', episode '1', which is left out: 'step' is \"one\"; expected a whole number",
+    ),
+    (
+        [{"person": "ann", "episode": "1", "step": 0}],
+        7,
+        "person 'ann', episode '1', which is left out: there is no 'action'; expected an action as text, "
+        '"(name argument ...)"',
+    ),
+]
+
+
+@pytest.mark.parametrize(("bad", "line", "message"), MALFORMED, ids=[str(n) for n in range(len(MALFORMED))])
+def test_faults_are_named_and_good_episodes_used(
+    tmp_path: Path, tiny: Table, bad: list[dict], line: int, message: str
+) -> None:
+    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad])
+    read = read_log(file)
+    recording, more = replay(read, tiny)
+    (fault,) = [*read.faults, *more]
+    assert (fault.line, str(fault)) == (line, message)
+    assert recording.people == ("bob",)
+    assert len(recording) == 6
+
+
+def test_what_comes_after_the_goal_is_left_out(tiny: Table) -> None:
+    rows = lines(*PLAN, FETCH, WRONG, person="ann")
+    recording, (fault,) = replay(log_of(rows), tiny)
+    assert (len(recording), fault.line, fault.spoils) == (len(PLAN), len(PLAN) + 1, False)
+    assert str(fault) == (
+        "person 'ann', episode '1': the goal was reached before this step; the actions up to it are used"
+    )
+
+
+def test_steps_that_count_otherwise(tmp_path: Path, tiny: Table) -> None:
+    """Without knowing what steps count, a broken line may be of every episode that goes on after it."""
+    rows = [dict(row, step=3 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    file = write_log(tmp_path / "log.jsonl", rows)
+    assert used(file, tiny) == {}
+    assert used(file, tiny, gaps=True) == {"ann": len(PLAN), "bob": len(PLAN)}
+    file.write_text("\n".join([*text_of(rows[:8]), "#", *text_of(rows[8:])]) + "\n")
+    assert used(file, tiny, gaps=True) == {"ann": len(PLAN)}
+
+
+@pytest.mark.parametrize(("begin", "kept"), [(0, ["ann", "bob"]), (1, ["ann", "bob"]), (2, [])])
+def test_a_line_that_may_have_been_the_first_of_an_episode(tmp_path: Path, tiny: Table, begin: int, kept: list) -> None:
+    """It cannot have been where each episode begins with the number that this log begins with."""
+    rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
+    file = tmp_path / "log.jsonl"
+    file.write_text("\n".join(["#", *text_of(rows)]) + "\n")
+    assert list(used(file, tiny)) == kept
+    file.write_text("\n".join(text_of(rows)) + "\n")
+    assert list(used(file, tiny)) == ["ann", "bob"]
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_csv_is_read_as_json_lines_are(tmp_path: Path, tiny: Table, delimiter: str) -> None:
+    rows = [*lines(FETCH, RIGHT, told={1: WRONG}), *lines(*PLAN, person='Zoë, Ann\'s "twin"', episode="2")]
+    file = tmp_path / "log.csv"
+    with file.open("w", newline="", encoding="utf-8-sig") as out:
+        writer = csv.DictWriter(out, ["note", *rows[0]], delimiter=delimiter)
+        writer.writeheader()
+        writer.writerows({"note": "two\nlines", **row} for row in rows)
+    log = read_log(file)
+    assert log.faults == ()
+    assert [entry.line for entry in log.entries][:3] == [2, 4, 6]
+    same = Log.of(rows)
+    for mine, theirs in zip(log.entries, same.entries, strict=True):
+        assert {**vars(mine), "line": 0} == {**vars(theirs), "line": 0}
+    assert len(replay(log, tiny)[0]) == len(rows)
+
+
+CSV = "person,episode,step,action\nann,1,0,(fetch box-a)\nann,1,1,(place hammer slot-1 box-a)\nbob,2,0,(fetch box-b)\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "people"),
+    [
+        (CSV.replace("episode", "trial"), "log.csv:1: no column is called episode; expected person, episode, step", []),
+        ("a,b\n1,2\n", "log.csv:1: no column is called person or episode or step or action; expected", []),
+        (CSV.replace("ann,1,1,(place", "ann,1,(place"), "log.csv:3: person 'ann', episode '1', which is left out: 3 "
+         "cells; expected 4, as in the first line", ["bob"]),
+        (CSV.replace("ann,1,0,(fetch box-a)", "a"), "log.csv:2: 1 cells; expected 4, as in the first line", ["bob"]),
+        (CSV.replace("bob,2,0", "bob,2,first"), "log.csv:4: person 'bob', episode '2', which is left out: 'step' is "
+         '"first"', ["ann"]),
+        (CSV.replace("ann,1,0", ",1,0"), "log.csv:2: episode '1', which is left out: 'person' is null; expected a name",
+         ["bob"]),
+        (CSV[:-16], "log.csv:4: person 'bob', episode '2': the last line is cut off; the lines before it are used",
+         ["ann"]),
+        (CSV[:-3], "log.csv:4: person 'bob', episode '2', which is left out: 'action' is \"(fetch box-\", with one",
+         ["ann"]),
+        (CSV.replace("bob", '"bob'), "log.csv:4: no CSV (unexpected end of data); what comes after it is not read",
+         ["ann"]),
+    ],
+    ids=[str(n) for n in range(9)],
+)  # fmt: skip
+def test_broken_csv(tmp_path: Path, tiny: Table, text: str, message: str, people: list[str]) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(text)
+    assert message in told(read_log(file).faults, file.name)[0]
+    assert list(used(file, tiny)) == people
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_other_encodings_are_named(tmp_path: Path, encoding: str) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text("\n".join(text_of(lines(*PLAN))) + "\n", encoding=encoding)
+    log = read_log(file)
+    assert log.entries == ()
+    assert told(log.faults, "log") == [f"log:1: the file is encoded in {encoding[:6].upper()}; expected UTF-8"]
+
+
+def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text("\n".join(text_of(lines(*PLAN))) + "\n", encoding="utf-8-sig")
+    assert len(read_log(file).entries) == len(PLAN)
+
+
+def test_bytes_that_are_not_utf8_make_no_new_person(tmp_path: Path, tiny: Table) -> None:
+    raw = "\n".join(json.dumps(row, ensure_ascii=False) for row in lines(*PLAN, person="Zoë")) + "\n"
+    file = tmp_path / "log.jsonl"
+    file.write_bytes(raw.encode("latin-1") + "\n".join(text_of(lines(*PLAN))).encode() + b"\n")
+    log = read_log(file)
+    assert log.people == {"ann"}
+    assert told(log.faults, "log") == [
+        "log:1: byte 0xeb is not UTF-8; expected a file that is encoded in UTF-8 (and so 5 more, to line 6)"
+    ]
+    assert used(file, tiny) == {"ann": len(PLAN)}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--drop", "nosuch"], "drop nosuch: no action in "),
+        (["--drop", "nosuch", "--drop", "fetch"], "drop nosuch: no action in "),
+        (["--rename", "nosuch=fetch"], "rename nosuch=fetch: no action in "),
+        (["--rename", "fetch=nosuch"], "rename fetch=nosuch: no action of the task is called 'nosuch'"),
+        (["--rename", "fetch=return", "--rename", "fetch=place"], "--rename fetch=place: 'fetch' is renamed already"),
+    ],
+)
+def test_names_that_stand_for_nothing_are_refused(tmp_path: Path, options: list[str], message: str) -> None:
+    file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *options])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert message in result.stderr
+
+
+def test_what_the_robot_does_itself_is_no_choice(tiny: Table) -> None:
+    """It moves the task on before the person chooses; where it ends the task there is nothing left to choose."""
+    rows = [{**line, "executed": PLAN[2 * k]} for k, line in enumerate(lines(*PLAN[1::2]))]
+    recording, faults = replay(log_of(rows), tiny)
+    assert faults == []
+    plain, _ = replay(log_of(lines(*PLAN)), tiny)
+    np.testing.assert_array_equal(recording.state, plain.state[1::2])
+    np.testing.assert_array_equal(recording.chosen, plain.chosen[1::2])
+    last = {**lines(*PLAN)[-1], "action": None, "executed": PLAN[-1]}
+    recording, faults = replay(log_of([*lines(*PLAN)[:-1], last]), tiny)
+    assert (len(recording), faults) == (len(PLAN) - 1, [])
+    _, (fault,) = replay(log_of([*lines(*PLAN)[:-1], {**last, "action": FETCH}]), tiny)
+    assert fault.message.startswith("the goal was reached before this step")
+    alone = [{**line, "action": None, "executed": line["action"]} for line in lines(*PLAN)]
+    recording, faults = replay(log_of(alone), tiny)
+    assert (len(recording), recording.people, faults) == (0, (), [])
+    _, (fault,) = replay(log_of([{**line, "executed": RIGHT} for line in lines(FETCH)]), tiny)
+    assert fault.message.startswith(f"step 0: {RIGHT} is not applicable here")
+
+
+class Busy:
+    """A robot that does anything it can do, to anybody."""
+
+    uses_belief = False
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(8)
+
+    def __call__(self, team: TeamState) -> TeamAction:
+        person = (self.rng.random(team.active.shape) * team.active).argmax(axis=1)
+        x = team.x[np.arange(len(person)), person]
+        count = team.policies[0].pomdp.robot_actions[x]
+        return TeamAction(person, (self.rng.random(len(x)) * count).astype(int))
+
+
+def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
+    """All of them, and they say of people what episodes without executions say."""
+    for execute in (False, True):
+        setting = Setting(execute=execute, knowledge="exact")
+        pool = Pool.sample(Choices.of(PAPER), 6, 5, setting=setting, population=Population(sigma=(0, 0)))
+        trace: Trace = []
+        simulate(pool, Busy(), humans=2, episodes=20, seed=3, trace=trace)
+        recording, faults = replay(Log.of(trace), PAPER)
+        assert (list(Log.of(trace).faults), faults) == ([], [])
+        assert len(recording) == sum(row["action"] is not None for row in trace)
+        assert len(recording.episodes) == 2 * 20
+        assert any(row.get("executed") for row in trace) == execute
+        assert any(row["action"] is None for row in trace) == execute
+        covered = []
+        for found in fit(observe(recording, PAPER.h, PAPER.is_goal(np.arange(len(PAPER)))), Method(eta=0.2)):
+            human = pool.people[int(found.observations.person.removeprefix("human-")) - 1]
+            assert found.theta is not None
+            covered.append(found.beta.interval[0] <= human.beta <= found.beta.interval[1])
+            covered.append(found.theta.interval[0] <= human.theta <= found.theta.interval[1])
+        assert (len(covered), covered.count(False) <= 1) == (12, True)  # of 95 % intervals
+
+
+def test_every_line_that_fits_no_action_is_reported(tiny: Table) -> None:
+    rows = lines(FETCH, "(fetch box-b)", "(hammer)", WRONG, "(place hammer box-a)", told={1: BACK})
+    _, faults = replay(log_of(rows), tiny)
+    assert [(f.line, f.message.partition(";")[0]) for f in faults] == [
+        (2, "step 1: (fetch box-b) is not applicable here"),
+        (3, "step 2: (hammer): no action of the task is called 'hammer'"),
+        (5, "step 4: (place hammer box-a) is no action of the task"),
+    ]
+
+
+def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
+    bad, line, message = MALFORMED[0]
+    file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad], tail='{"person": "bob", "epi')
+    command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json"]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == 1
+    cut = f"{file}:9: the last line is cut off; the lines before it are used"
+    assert result.stderr.splitlines() == [f"{file}:{line}: {message}", cut]
+    ann, bob = json.loads(result.stdout)
+    assert (ann["person"], ann["beta"], ann["error"]) == ("ann", None, "no episode can be used")
+    assert list(ann)[:5] == ["person", "beta", "beta_interval", "beta_open", "theta"]
+    assert (bob["person"], bob["actions"], bob["suboptimal_actions"], bob["error"]) == ("bob", 6, 0, None)
+    assert bob["beta_open"] == ["above"]
+    assert "made no mistake: beta is at least" in bob["notes"][0]
+    strict = CliRunner().invoke(main, [*command, "--strict"])
+    assert (strict.exit_code, strict.stdout) == (1, "")
+    assert strict.stderr.splitlines()[-1] == f"{file}: nothing is fitted, because of --strict"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text", "code", "words"),
+    [
+        ((), "", 1, "log.jsonl: no recorded actions"),
+        ((), '{"person": "a", "episode": 1, "step": 0, "action": "(stack a b)"}\n', 1, "log of another instance?"),
+        ((), "no json\n", 1, "log.jsonl:1: no JSON"),
+        ((), "[1]\n", 1, "log.jsonl:1: expected an object"),
+        (("--rename", "a"), "", 2, "expected OLD=NEW"),
+        (("--level", "2"), "", 2, "0 < level < 1"),
+        (("--eta", "-1"), "", 2, "eta -1"),
+        (("--largest-beta", "0"), "", 2, "largest beta 0"),
+    ],
+)
+def test_fit_refuses_what_makes_no_sense(
+    tmp_path: Path, arguments: tuple[str, ...], text: str, code: int, words: str
+) -> None:
+    file = tmp_path / "log.jsonl"
+    file.write_text(text)
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), *arguments])
+    assert result.exit_code == code
+    assert words in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
+    """Of ann the step in which something was suggested and all after it in that episode, of bob that step alone."""
+    rows = [
+        *lines(FETCH, RIGHT, BACK, told={1: WRONG}),
+        *lines(FETCH, episode="2"),
+        *lines(*PLAN, person="bob"),
+    ]
+    recording, _ = replay(log_of(rows), tiny)
+    h = tiny.h.copy()
+    h[recording.targets[1, 1]] = np.nan
+    left, counts = recording.evaluated(h)
+    assert counts == {"ann": 2, "bob": 1}
+    assert left.people == ("ann", "bob")
+    assert (left.person == 0).sum() == 2
+    assert not np.isnan(h[left.wanted()]).any()
+    whole, none = recording.evaluated(tiny.h)
+    assert none == {}
+    np.testing.assert_array_equal(whole.targets, recording.targets)
+    left, counts = recording.evaluated(np.full(len(tiny), np.nan))
+    assert (len(left), left.people, counts) == (0, (), {"ann": 4, "bob": 6})
