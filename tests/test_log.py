@@ -346,7 +346,7 @@ def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
     """All of them, and they say of people what episodes without executions say."""
     for execute in (False, True):
         setting = Setting(execute=execute, knowledge="exact")
-        pool = Pool.sample(Choices.of(PAPER), 6, 5, setting=setting, population=Population(sigma=(0, 0)))
+        pool = Pool.sample(Choices.of(PAPER), 6, seed=5, setting=setting, population=Population(sigma=(0, 0)))
         trace: Trace = []
         simulate(pool, Busy(), humans=2, episodes=20, seed=3, trace=trace)
         recording, faults = replay(Log.of(trace), PAPER)
