@@ -21,6 +21,7 @@ ROOMS = {
     "assist.plots": "episode people study",
     "assist.study": "statistics study protocol runner summary report",
     "assist.cli": "interrupts options console progress task person team solve simulate policy bound export fit study",
+    "assist.live": "advice problem assistant",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

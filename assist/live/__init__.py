@@ -1,0 +1,1 @@
+"""The live assistant: one team of real people, action by action."""

@@ -1,0 +1,111 @@
+"""What the assistant says: to whom to go, what to suggest, and why, in numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..people.belief import Grid, Spread
+from ..people.human import Floats
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why somebody is to be helped: the numbers of Algorithm 1, whatever the team's policy goes by.
+
+    Attributes
+    ----------
+    saving : float
+        By how much the suggestion improves the person's expected discounted return, in cost units: what they and
+        the suggestion cost, against saying nothing in this step. While the robot has a way to go, that of the best
+        suggestion there would be now.
+    moving : float
+        Cost of going there, in cost units.
+    score : float
+        `saving` less `moving`.
+    beta, theta : float
+        What is believed of their expertise, and of the robot's influence on them: means.
+    beta_interval, theta_interval : pair of float
+        Between these lie nine tenths of the belief.
+    """
+
+    saving: float
+    moving: float
+    score: float
+    beta: float
+    beta_interval: tuple[float, float]
+    theta: float
+    theta_interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What the robot is to do next.
+
+    Attributes
+    ----------
+    person : str or None
+        To whom it goes; None where nothing is worth saying to anybody.
+    suggestion : str or None
+        The action that it suggests to them, in PDDL; None on the way, and where it is only to be there.
+    reason : Reason or None
+        None where there is no person.
+    arrived : bool
+        Whether the robot is there: False until `Assistant.arrived`, where the way takes time.
+    """
+
+    person: str | None
+    suggestion: str | None
+    reason: Reason | None
+    arrived: bool
+
+
+@dataclass(frozen=True)
+class PersonState:
+    """What is known of one person of a live team.
+
+    Attributes
+    ----------
+    person : str
+    present : bool
+        Whether they are there; people who have left can come back.
+    finished : bool
+        Whether they have reached their goal.
+    state : int
+        The state of their task, as the task's `CostToGo` numbers it.
+    applicable : tuple of str
+        What they can do, in PDDL.
+    suggestion : str or None
+        What was suggested to them since their last action.
+    cost_to_go : float
+        Exact, in cost units; infinite in a dead end.
+    steps : int
+        Their actions in this task so far.
+    grid : Grid
+        The values of beta and theta that the belief distinguishes.
+    belief : float array, shape (B, T)
+        How likely each pair of them is.
+    """
+
+    person: str
+    present: bool
+    finished: bool
+    state: int
+    applicable: tuple[str, ...]
+    suggestion: str | None
+    cost_to_go: float
+    steps: int
+    grid: Grid
+    belief: Floats
+
+    def __post_init__(self) -> None:
+        self.belief.flags.writeable = False
+
+    @property
+    def beta(self) -> Spread:
+        """Their expertise, as far as it is known."""
+        return Spread.of(self.grid.beta, self.belief.sum(axis=1))
+
+    @property
+    def theta(self) -> Spread:
+        """The robot's influence on them, as far as it is known."""
+        return Spread.of(self.grid.theta, self.belief.sum(axis=0))

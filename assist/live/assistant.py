@@ -1,0 +1,573 @@
+"""A team of real people and its robot, action by action: whom to help now, and with what.
+
+`Assistant` keeps what there is to know while people work: the state of each person's task, the belief in them, where
+the robot is, what has been suggested. People's actions come in by name (`observe`), advice goes out (`recommend`).
+
+Timing. The model has steps: the robot does one thing, then everybody acts once. Asked once before everybody has acted
+once, the assistant is that model, choice by choice. Real people are not in step, and nothing here waits for them:
+
+- Asking decides. What has been advised is said and done; asking again before anything else has happened gives the
+  same advice.
+- A suggestion stands until the person to whom it was made acts, and that action is taken for their answer to it.
+  Until then they are asked nothing more, and the robot is free for others. So a decision may follow every observation.
+- Where the way takes time the robot is under way until its arrival is reported (`arrived`), says nothing meanwhile, and
+  is not called back. Elsewhere it counts as being where it was sent.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner import CostToGo
+
+from ..people.belief import Spread
+from ..people.human import Floats, Mixture, Population
+from ..person.pomdp import Policy
+from ..simulation.dynamics import update
+from ..team.policies import POLICIES, named
+from ..team.settings import Setting
+from ..team.state import BASE, NOBODY, TeamPolicy, TeamState, by_model
+from .advice import Advice, PersonState, Reason
+from .problem import InapplicableError, Part, Problem, UnknownError, digest
+
+FORMAT = "kitassist team 1"
+"""Of saved teams."""
+
+NAMED = 10  # people, in a message
+
+
+class Step(NamedTuple):
+    """An action of a person: where, after what of the robot's, and which."""
+
+    part: int
+    row: int
+    robot: int
+    slot: int
+
+
+@dataclass
+class _Person:
+    """Somebody's record: the task that they are at, their steps in it, and what was believed when they began it."""
+
+    name: str
+    place: int
+    problem: Problem
+    before: Floats
+    steps: list[Step] = field(default_factory=list)
+    past: list[tuple[Problem, list[Step]]] = field(default_factory=list)
+
+    def episodes(self) -> list[tuple[Problem, list[Step]]]:
+        """Give all tasks that they have been at, with their steps."""
+        return [*self.past, (self.problem, self.steps)]
+
+
+@dataclass(frozen=True)
+class _LiveTeam(TeamState):
+    """A team of whom one at a time acts: what everything is worth to the others is known already."""
+
+    worth: Floats
+
+    def q_values(self) -> Floats:
+        """As `TeamState.q_values`."""
+        return np.where(self.active[:, :, None], self.worth[None], -np.inf)
+
+
+class Assistant:
+    """A live team: one or many people at work, and a robot that can be with one of them at a time.
+
+    Parameters
+    ----------
+    task : CostToGo or Policy
+        What `planner.cost_to_go` gives, a table or on demand; or a policy for one person that has been worked out
+        already, for a human model of one's own say.
+    people : iterable of str, or mapping of str to task
+        Who is there, and each one's task where they have different ones. More may `join`.
+    policy : str or callable
+        A team policy: "none", "reactive", "attention", "attention-never", "priority", or a function as in
+        `assist.team`.
+    setting : Setting, optional
+        Costs, discount, trust. Not looked at are `knowledge`, since all that is known of real people is their task,
+        and `max_steps`.
+    population : Population or Mixture, optional
+        Of whom people are taken to be: the paper's, unless given. `fit(...).population()` is one.
+    distance : array, shape (P + 1, P + 1), optional
+        Between the places of P people, in the order in which they come, and the base, which is last; 1 between any
+        two unless given.
+
+    Raises
+    ------
+    ValueError
+        What cannot be, such as a goal that cannot be reached.
+    """
+
+    def __init__(
+        self,
+        task: CostToGo | Policy | None = None,
+        people: Iterable[str] | Mapping[str, CostToGo | Policy] = (),
+        *,
+        policy: str | TeamPolicy = "attention",
+        setting: Setting | None = None,
+        population: Population | Mixture | None = None,
+        distance: ArrayLike | None = None,
+    ) -> None:
+        if isinstance(people, str):
+            raise TypeError(f"people {people!r}: expected a list of names")
+        self.setting, self.population = setting or Setting(), population or Population()
+        if self.setting.execute:
+            raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
+        self.policy = policy
+        self._task = task
+        self._distance = None if distance is None else np.array(distance, dtype=float)
+        self._parts: list[Part] = []
+        self._problems: dict[tuple[int, Population | Mixture], Problem] = {}
+        self._people: dict[str, _Person] = {}
+        self._order: list[_Person] = []
+        self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
+        if isinstance(policy, str) and policy not in POLICIES:
+            named(policy, (), self.setting.travel(1))  # says what there is
+        self._advice: Advice | None = None
+        self._step = 0
+        self._location, self._under_way = BASE, False
+        names = list(people)
+        places = len(names) if self._distance is None else len(self._distance) - 1
+        self._travel = self.setting.travel(max(1, places), self._distance)
+        self._allocate(len(self._travel), (0, 0))
+        for name in names:
+            self.join(name, people[name] if isinstance(people, Mapping) else None)
+        if names:
+            self._policy()
+
+    def _allocate(self, places: int, shape: tuple[int, int]) -> None:
+        """Make room for so many people, and keep what there is."""
+        old = len(self._order)
+
+        def room(like: NDArray[Any] | None, fill: Any, dtype: Any, *more: int) -> NDArray[Any]:
+            array = np.full((places, *more), fill, dtype=dtype)
+            if like is not None and old:
+                array[:old] = like[:old]
+            return array
+
+        mine = self.__dict__.get
+        self._x = room(mine("_x"), 0, np.int64)
+        self._model = room(mine("_model"), 0, np.int64)
+        self._robot = room(mine("_robot"), 0, np.int64)
+        self._erred = room(mine("_erred"), False, np.bool_)
+        self._present = room(mine("_present"), False, np.bool_)
+        self._ended = room(mine("_ended"), False, np.bool_)
+        self._stale = room(mine("_stale"), True, np.bool_)
+        self._belief = room(mine("_belief"), 0.0, np.float64, *shape)
+        self._worth = room(mine("_worth"), -np.inf, np.float64, mine("_worth", np.empty((0, 1))).shape[1])
+        self._after = np.empty(shape)
+
+    # People come and go.
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Who is there."""
+        return tuple(person.name for person in self._order if self._present[person.place])
+
+    @property
+    def finished(self) -> bool:
+        """Whether everybody who is there has reached their goal."""
+        return not (self._present & ~self._ended).any()
+
+    def join(
+        self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
+    ) -> None:
+        """Let somebody come: at the beginning of a task, or back to what they left.
+
+        Parameters
+        ----------
+        person : str
+        task : CostToGo or Policy, optional
+            The team's unless given.
+        population : Population or Mixture, optional
+            Of whom they are taken to be; that of the team unless given.
+        """
+        if not isinstance(person, str) or not person.strip():
+            raise ValueError(f"person {person!r}: expected a name")
+        if person in self._people:
+            place = self._people[person].place
+            if self._present[place]:
+                raise ValueError(f"{person} is there already")
+            if task is not None or population is not None:
+                raise ValueError(f"{person} comes back to the task that they left; `begin` gives them another")
+            self._present[place] = True
+            self._advice = None
+            return
+        place = len(self._order)
+        if place == len(self._travel) and self._distance is not None:
+            raise ValueError(f"{person}: there is a place for {place} people; expected a larger matrix of distances")
+        problem = self._problem(task, population)
+        number, row = problem.at(problem.initial)
+        prior = self._parts[number].policy.pomdp.prior
+        shape = (prior.shape[0], prior.shape[1])
+        if self._belief.shape[1:] != shape:
+            if self._order:
+                raise ValueError(
+                    f"{person}: a belief of shape {shape}; expected {self._belief.shape[1:]}, as that in others"
+                )
+            self._allocate(len(self._x), shape)
+        if place == len(self._x):
+            self._travel = self.setting.travel(2 * place)
+            self._allocate(2 * place, shape)
+        record = _Person(person, place, problem, prior.copy())
+        self._people[person] = record
+        self._order.append(record)
+        self._present[place] = True
+        self._place(record, number, row)
+        self._belief[place] = prior
+
+    def leave(self, person: str) -> None:
+        """Let somebody go, finished or not."""
+        self._present[self._known(person).place] = False
+        self._advice = None
+
+    def begin(
+        self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
+    ) -> None:
+        """Let somebody begin the next task, finished or not; what is believed of them remains.
+
+        Parameters
+        ----------
+        person : str
+        task : CostToGo or Policy, optional
+            The same again unless given.
+        population : Population or Mixture, optional
+            Of whom those are taken to be whose policy it will be; as before unless given.
+        """
+        record = self._known(person)
+        problem = record.problem
+        if task is not None or population is not None:
+            problem = self._problem(task or record.problem.task, population or record.problem.prior)
+        number, row = problem.at(problem.initial)
+        here, there = self._parts[self._model[record.place]].policy.pomdp.grid, self._parts[number].policy.pomdp.grid
+        if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
+            raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
+        record.past.append((record.problem, record.steps))
+        record.problem, record.before, record.steps = problem, self._belief[record.place].copy(), []
+        self._place(record, number, row)
+
+    def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> Problem:
+        task, population = task or self._task, population or self.population
+        if task is None:
+            raise ValueError("there is no task; expected one for the team, or for each person")
+        key = (id(task), population)
+        if key not in self._problems:
+            self._problems[key] = Problem(task, self.setting, population, self._parts)
+            self._worked_out()
+        return self._problems[key]
+
+    def _worked_out(self) -> None:
+        """Take note of further parts of tasks."""
+        if isinstance(self.policy, str):
+            self._made = None
+        widest = max(part.policy.pomdp.suggested.shape[1] for part in self._parts)
+        if widest > self._worth.shape[1]:
+            more = np.full((len(self._worth), widest - self._worth.shape[1]), -np.inf)
+            self._worth = np.concatenate([self._worth, more], axis=1)
+
+    def _known(self, person: str) -> _Person:
+        record = self._people.get(person)
+        if record is None or not self._present[record.place]:
+            there = ", ".join(self.people[:10]) + (
+                f" and {len(self.people) - 10} more" if len(self.people) > 10 else ""
+            )
+            raise UnknownError(f"{person!r} is not in the team; there {'are' if there else 'is'} {there or 'nobody'}")
+        return record
+
+    def _place(self, record: _Person, number: int, row: int, *, erred: bool = False, robot: int = 0) -> None:
+        """Put somebody into a state."""
+        k = record.place
+        self._model[k], self._x[k], self._erred[k], self._robot[k] = number, row, erred, robot
+        self._ended[k] = self._parts[number].choices.goal[row]
+        self._stale[k] = True
+        self._advice = None
+
+    # Observations come in.
+
+    def observe(self, person: str, action: str, *, heard: bool = True) -> None:
+        """Take note of what somebody did.
+
+        Parameters
+        ----------
+        person : str
+        action : str
+            In PDDL, `(name argument ...)`; without regard to case.
+        heard : bool
+            Whether they knew what had been suggested to them, if anything was.
+
+        Raises
+        ------
+        UnknownError
+            There is no such person, or no such action in their task.
+        InapplicableError
+            It cannot be done now; says what can.
+        LimitError
+            The state that it leads to could not be evaluated. Nothing has changed, in this case as in the others.
+        """
+        record = self._known(person)
+        k, problem = record.place, record.problem
+        number, row = int(self._model[k]), int(self._x[k])
+        part = self._parts[number]
+        if self._ended[k]:
+            raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
+        slot = problem.slot(number, row, action)
+        count = len(self._parts)
+        to = problem.at(part.state(int(part.choices.targets[row, slot])))
+        if len(self._parts) > count:
+            self._worked_out()
+        step = Step(number, row, int(self._robot[k]) if heard else 0, slot)
+        update(self._belief[k], self._after, row, step.robot, slot, part.arrays)
+        record.steps.append(step)
+        self._place(record, *to, erred=self._was_no_progress(step))
+
+    def undo(self, person: str) -> str:
+        """Take somebody's last action back, as if it had not been observed.
+
+        What was suggested to them before it stands again. The robot stays where it is.
+
+        Returns
+        -------
+        str
+            The action.
+
+        Raises
+        ------
+        InapplicableError
+            They have done nothing yet in this task.
+        """
+        record = self._known(person)
+        if not record.steps:
+            raise InapplicableError(f"{person} has done nothing yet that could be taken back")
+        last = record.steps.pop()
+        belief = self._belief[record.place]
+        belief[:] = record.before
+        for step in record.steps:
+            update(belief, self._after, step.row, step.robot, step.slot, self._parts[step.part].arrays)
+        erred = bool(record.steps) and self._was_no_progress(record.steps[-1])
+        self._place(record, last.part, last.row, erred=erred, robot=last.robot)
+        return self._parts[last.part].choices.name(last.row, last.slot)
+
+    def _was_no_progress(self, step: Step) -> bool:
+        choices = self._parts[step.part].choices
+        return not choices.h[choices.targets[step.row, step.slot]] < choices.h[step.row]
+
+    # Advice goes out.
+
+    def recommend(self) -> Advice:
+        """Decide what the robot does next: to whom it goes, and what it suggests.
+
+        The same as before if nothing has happened since.
+        """
+        if self._advice is None:
+            self._advice = self._decide()
+            self._step += 1
+        return self._advice
+
+    def arrived(self, person: str | None = None) -> None:
+        """Take note of where the robot is: with somebody, or at its base."""
+        self._location = BASE if person is None else self._known(person).place
+        self._under_way = False
+        self._advice = None
+
+    def _decide(self) -> Advice:
+        if self._under_way:
+            going_to = self._order[self._location]
+            return Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
+        active = self._present & ~self._ended & (self._robot == 0)
+        if not active.any():
+            return Advice(None, None, None, arrived=True)
+        team = self._team(active)
+        action = self._policy()(team)
+        team.check(action)
+        k, robot = int(action.person[0]), int(action.robot[0])
+        if k == NOBODY:
+            return Advice(None, None, None, arrived=True)
+        moving = self._travel.c_move * float(self._travel.distance[self._location, k])
+        self._under_way = bool(self._travel.steps[self._location, k] > 0)
+        self._location, self._robot[k] = k, robot
+        return Advice(
+            self._order[k].name, self._suggestion(k), self._reason(k, robot, moving), arrived=not self._under_way
+        )
+
+    def _team(self, active: NDArray[np.bool_]) -> TeamState:
+        policies = [part.policy for part in self._parts]
+        rows = np.flatnonzero(self._stale & active)
+        for number, mine in by_model(self._model, rows, len(policies)):
+            values = policies[number].q_values(self._x[mine], self._belief[mine])
+            self._worth[mine] = -np.inf
+            self._worth[mine, : values.shape[1]] = values
+        self._stale[rows] = False
+        return _LiveTeam(
+            self._step, self._x[None], active[None], self._erred[None], np.array([self._location]), self._model[None],
+            self._belief[None], policies, self._travel, self._worth,
+        )  # fmt: skip
+
+    def _policy(self) -> TeamPolicy:
+        if self._made is None:
+            assert isinstance(self.policy, str)
+            # As all places are equally far unless distances are given, two stand for any number.
+            travel = self._travel if self._distance is not None else self.setting.travel(2)
+            self._made = named(self.policy, [part.policy for part in self._parts], travel)
+        return self._made
+
+    def _suggestion(self, k: int) -> str | None:
+        return self._parts[self._model[k]].policy.pomdp.suggestion(int(self._x[k]), int(self._robot[k]))
+
+    def _reason(self, k: int, robot: int, moving: float) -> Reason:
+        policy, belief = self._parts[self._model[k]].policy, self._belief[k]
+        q = policy.q_values(self._x[k : k + 1], belief[None])[0]
+        saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
+        grid = policy.pomdp.grid
+        beta, theta = Spread.of(grid.beta, belief.sum(axis=1)), Spread.of(grid.theta, belief.sum(axis=0))
+        return Reason(
+            saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high)
+        )
+
+    # What is known.
+
+    def person(self, person: str) -> PersonState:
+        """Give what is known of somebody, there or not."""
+        record = self._people.get(person) or self._known(person)
+        k, part = record.place, self._parts[self._model[record.place]]
+        row, choices = int(self._x[k]), part.choices
+        names = () if self._ended[k] else tuple(
+            choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
+        )  # fmt: skip
+        return PersonState(
+            person, bool(self._present[k]), bool(self._ended[k]), part.state(row), names, self._suggestion(k),
+            float(choices.h[row]), len(record.steps), part.policy.pomdp.grid, self._belief[k].copy(),
+        )  # fmt: skip
+
+    @property
+    def robot(self) -> str | None:
+        """With whom the robot is, or to whom it is under way; None at its base."""
+        return None if self._location == BASE else self._order[self._location].name
+
+    def log(self) -> list[dict[str, Any]]:
+        """Give everybody's actions as `fit` reads them: one dictionary each, a person's in their order."""
+        rows = []
+        for record in self._order:
+            for number, (_, steps) in enumerate(record.episodes(), start=1):
+                for count, step in enumerate(steps):
+                    rows.append({"person": record.name, "episode": str(number), "step": count, **self._named(step)})
+        return rows
+
+    def _named(self, step: Step) -> dict[str, str | None]:
+        pomdp = self._parts[step.part].policy.pomdp
+        return {
+            "action": pomdp.model.choices.name(step.row, step.slot),
+            "suggestion": pomdp.suggestion(step.row, step.robot),
+        }
+
+    # Saved and restored.
+
+    def to_json(self) -> str:
+        """Save the team: one JSON document, in PDDL's names, without the tasks themselves.
+
+        What is believed follows from what has been observed, and is worked out again by `from_json`.
+        """
+        people = [
+            {
+                "person": record.name,
+                "present": bool(self._present[record.place]),
+                "episodes": [
+                    {"task": digest(p.task), "population": asdict(p.prior), "steps": [self._named(s) for s in steps]}
+                    for p, steps in record.episodes()
+                ],
+                "suggestion": self._suggestion(record.place),
+            }
+            for record in self._order
+        ]
+        return json.dumps(
+            {
+                "format": FORMAT,
+                "policy": self.policy if isinstance(self.policy, str) else None,
+                "setting": asdict(self.setting),
+                "population": asdict(self.population),
+                "distance": None if self._distance is None else self._distance.tolist(),
+                "step": self._step,
+                "robot": self.robot,
+                "under_way": self._under_way,
+                "advice": None if self._advice is None else asdict(self._advice),
+                "people": people,
+            }
+        )
+
+    @classmethod
+    def from_json(cls, document: str, *tasks: CostToGo | Policy, policy: TeamPolicy | None = None) -> Assistant:
+        """Restore a team that was saved, to the same beliefs, bit for bit.
+
+        Parameters
+        ----------
+        document : str
+            What `to_json` gave.
+        *tasks : CostToGo or Policy
+            The tasks of the team, in any order; who joins without a task gets the first.
+        policy : callable, optional
+            The team's policy, if that was a function.
+
+        Raises
+        ------
+        ValueError
+            No such document, or a task is missing.
+        """
+        try:
+            saved = json.loads(document)
+            if saved["format"] != FORMAT:
+                raise ValueError(f"format {saved['format']!r}; expected {FORMAT!r}")
+            if policy is None and saved["policy"] is None:
+                raise ValueError("the policy was a function; expected it as `policy`")
+            team = cls(
+                tasks[0] if tasks else None, policy=policy or saved["policy"], setting=Setting(**saved["setting"]),
+                population=_population(saved["population"]), distance=saved["distance"],
+            )  # fmt: skip
+            team._restore(saved, {digest(task): task for task in tasks})
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"this is no saved team that can be restored: {error}") from error
+        return team
+
+    def _restore(self, saved: dict[str, Any], tasks: Mapping[str, CostToGo | Policy]) -> None:
+        for one in saved["people"]:
+            for number, episode in enumerate(one["episodes"]):
+                task = tasks.get(episode["task"])
+                if task is None:
+                    raise ValueError(f"the task of {one['person']} is not among the {len(tasks)} that were given")
+                enter = self.begin if number else self.join
+                enter(one["person"], task, population=_population(episode["population"]))
+                record = self._people[one["person"]]
+                for step in episode["steps"]:
+                    self._suggest(record, step["suggestion"])
+                    self.observe(record.name, step["action"])
+            self._suggest(record, one["suggestion"])
+            self._present[record.place] = one["present"]
+        self._step, self._under_way = saved["step"], saved["under_way"]
+        self._location = BASE if saved["robot"] is None else self._people[saved["robot"]].place
+        advice = saved["advice"]
+        if advice is not None:
+            reason = advice["reason"]
+            if reason is not None:
+                intervals = {name: tuple(reason[name]) for name in ("beta_interval", "theta_interval")}
+                reason = Reason(**(reason | intervals))
+            self._advice = Advice(**(advice | {"reason": reason}))
+
+    def _suggest(self, record: _Person, suggestion: str | None) -> None:
+        k = record.place
+        self._robot[k] = record.problem.robot(int(self._model[k]), int(self._x[k]), suggestion)
+
+
+def _population(plain: dict[str, Any]) -> Population | Mixture:
+    if "parts" in plain:
+        return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
+    return _ranges(plain)
+
+
+def _ranges(plain: dict[str, Any]) -> Population:
+    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"])

@@ -1,0 +1,191 @@
+"""A task as people live through it, and what the robot has worked out about it.
+
+Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand, the
+`Region` is that people most likely get to; whoever leaves it has another one begun where they are. What is believed of
+a person does not depend on where regions end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import TypeGuard, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo, Table
+
+from ..learning.log import _Matcher as Matcher
+from ..learning.log import _UnmatchedError as UnmatchedError
+from ..learning.log import _words
+from ..people.choices import Choices
+from ..people.human import Mixture, Population
+from ..person.pomdp import AssistPOMDP, Policy
+from ..person.qmdp import Arrays, qmdp
+from ..person.region import Region
+from ..team.settings import Setting
+
+WHOLE = 20_000
+"""States of a table up to which everything is worked out; beyond it, those of a region."""
+
+ASKED = 200
+"""States of a region where each has to be asked for."""
+
+
+class UnknownError(ValueError):
+    """A person, or an action, that there is not."""
+
+
+class InapplicableError(ValueError):
+    """Something that cannot be done now; the message says what can."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """States of a task, with the policy for one person there.
+
+    Attributes
+    ----------
+    policy : Policy
+    arrays : Arrays
+        Its problem, as compiled code reads it.
+    states : int array, shape (n,), or None
+        The number of each state in the task; None if the same.
+    rows : dict of int, or None
+        The other way round, of states that are not on the region's frontier.
+    """
+
+    policy: Policy
+    arrays: Arrays
+    states: NDArray[np.int64] | None = None
+    rows: dict[int, int] | None = None
+
+    @classmethod
+    def whole(cls, policy: Policy) -> Part:
+        """All states of a task."""
+        return cls(policy, Arrays.of(policy.pomdp))
+
+    @classmethod
+    def of(cls, region: Region, pomdp: AssistPOMDP) -> Part:
+        """Those of a region."""
+        kept = np.ones(len(region.states), dtype=bool)
+        kept[region.frontier] = False
+        rows = {int(region.states[row]): int(row) for row in np.flatnonzero(kept)}
+        return cls(qmdp(pomdp), Arrays.of(pomdp), region.states, rows)
+
+    @property
+    def choices(self) -> Choices:
+        """What can be done in each state."""
+        return self.policy.pomdp.model.choices
+
+    def row(self, state: int) -> int | None:
+        """Give the row of a task's state; None if it is not in this part."""
+        return state if self.rows is None else self.rows.get(state)
+
+    def state(self, row: int) -> int:
+        """Give the task's state of a row."""
+        return row if self.states is None else int(self.states[row])
+
+    def options(self, row: int) -> NDArray[np.int32]:
+        """Give the ground actions that can be taken, in the order of their slots; none where one can only wait."""
+        actions = self.choices.actions[row][self.choices.applicable[row]]
+        return actions[actions >= 0].astype(np.int32)
+
+
+class Problem:
+    """One task with one prior, for any number of people.
+
+    Parameters
+    ----------
+    task : CostToGo or Policy
+        A task, or a policy for one person in it.
+    setting : Setting
+    prior : Population or Mixture
+        Of whom people are taken to be.
+    parts : list of Part
+        To which those of this task are added; a part is known by its place there.
+    """
+
+    def __init__(
+        self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture, parts: list[Part]
+    ) -> None:
+        self.task, self.setting, self.prior, self.parts = task, setting, prior, parts
+        self.own: list[int] = []
+        self.initial = task.pomdp.model.choices.initial if is_policy(task) else cast(CostToGo, task).initial
+        if is_policy(task):
+            self._add(Part.whole(task))
+        elif isinstance(task, Table) and len(task) <= WHOLE:
+            self._add(Part.whole(qmdp(setting.problem(Choices.of(task), None, prior))))
+        number, row = self.at(self.initial)
+        if not np.isfinite(parts[number].choices.h[row]):
+            raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+        self.matcher = Matcher(parts[number].choices.names)
+
+    def _add(self, part: Part) -> int:
+        self.parts.append(part)
+        self.own.append(len(self.parts) - 1)
+        return self.own[-1]
+
+    def at(self, state: int) -> tuple[int, int]:
+        """Find the part in which a state is, and its row there; one is worked out if there is none."""
+        for number in self.own:
+            row = self.parts[number].row(state)
+            if row is not None:
+                return number, row
+        return self._region(state), 0
+
+    def _region(self, state: int) -> int:
+        known, s = cast(CostToGo, self.task), self.setting
+        size = WHOLE if isinstance(known, Table) else ASKED
+        region = Region.of(known, start=state, states=size, population=self.prior)
+        pomdp = region.problem(
+            population=self.prior, eta=s.eta, lapse=s.lapse, utility_scale=s.utility_scale, gamma=s.gamma,
+            c_suggest=s.c_suggest, suggestions=s.suggestions,
+        )  # fmt: skip
+        return self._add(Part.of(region, pomdp))
+
+    def slot(self, number: int, row: int, action: str) -> int:
+        """Find the slot of an action.
+
+        Raises
+        ------
+        UnknownError
+            The task has no such action.
+        InapplicableError
+            It cannot be taken there; says what can be.
+        """
+        words = _words(action, {})
+        try:
+            return self.matcher.slot(words, self.parts[number].options(row))
+        except UnmatchedError as error:
+            kind = InapplicableError if self.matcher.unknown(words) is None else UnknownError
+            raise kind(str(error)) from None
+
+    def robot(self, number: int, row: int, suggestion: str | None) -> int:
+        """Find the robot action that suggests an action; 0 for None."""
+        if suggestion is None:
+            return 0
+        slot = self.slot(number, row, suggestion)
+        found = np.flatnonzero(self.parts[number].policy.pomdp.suggested[row] == slot)
+        if not len(found):
+            raise InapplicableError(f"{suggestion}: not one of the suggestions that there are")
+        return int(found[0])
+
+
+def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
+    """Tell a policy for one person from a task's cost-to-go."""
+    return hasattr(task, "pomdp")
+
+
+def digest(task: CostToGo | Policy) -> str:
+    """Give what tells a task from others, wherever it was loaded."""
+    content = hashlib.sha256()
+    if is_policy(task):
+        choices = task.pomdp.model.choices
+        content.update("\n".join(choices.names).encode())
+        for array in (choices.h, choices.actions, choices.targets, task.pomdp.model.q):
+            content.update(np.ascontiguousarray(array).tobytes())
+    else:
+        content.update(cast(CostToGo, task).task.sas.encode())
+    return content.hexdigest()[:32]

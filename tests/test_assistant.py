@@ -1,0 +1,312 @@
+"""The live assistant: it is the simulated robot, action by action, and forgets nothing."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.live import problem
+from assist.live.assistant import Assistant
+from assist.live.problem import InapplicableError, UnknownError
+from assist.people.human import Mixture, Population
+from assist.simulation.belief_trace import Watched
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from planner import CostToGo, OnDemand, Table
+
+WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
+
+
+def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[list[dict[str, Any]], Watched]:
+    """Simulate one episode of a team; give its actions, and what the robot believed when it chose."""
+    watched, trace = Watched(pool.policy(policy)), []
+    simulate(pool, watched, humans=team, episodes=1, seed=3, trace=trace, **more)
+    return trace, watched
+
+
+@pytest.mark.parametrize(
+    ("policy", "setting"),
+    [
+        ("none", Setting()),
+        ("reactive", Setting()),
+        ("attention", Setting(c_suggest=0.2)),
+        ("attention-never", Setting(c_suggest=0.2)),
+        ("priority", Setting(c_suggest=0.2)),
+        ("attention", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
+        ("priority", Setting(c_suggest=0.1, travel_time=2, c_move=0.1)),
+        ("attention", Setting(c_suggest=0.2, knowledge="exact", suggestions="all")),
+    ],
+)
+def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting: Setting) -> None:
+    """With the same policy, people and luck: the same places, suggestions and beliefs, to the last bit."""
+    pool = Pool.sample(tiny, 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.6)))
+    team = [2, 0, 3]
+    trace, watched = trace_of(pool, policy, team)
+    people = {str(place): pool.policies[pool.model[number]] for place, number in enumerate(team)}
+    desk = Assistant(people=people, policy=policy, setting=setting)
+    travel = setting.travel(3)
+    home, there_at, spoken = 3, 0, 0
+    for step in range(trace[-1]["step"] + 1):
+        if desk.robot is not None and step == there_at:
+            desk.arrived(desk.robot)
+        before = desk.robot
+        advice = desk.recommend()
+        if desk.robot != before:
+            assert desk.robot is not None
+            there_at = step + travel.steps[home if before is None else int(before), int(desk.robot)]
+        for row in (row for row in trace if row["step"] == step):
+            name = str(row["place"])
+            known = desk.person(name)
+            if step in watched.beliefs:
+                assert (known.belief == watched.beliefs[step][row["place"]]).all()
+            assert known.cost_to_go == row["cost_to_go"]
+            assert known.suggestion == row["suggestion"] == (advice.suggestion if advice.person == name else None)
+            assert row["robot_place"] == (int(desk.robot) if desk.robot and there_at <= step else None)
+            spoken += row["suggestion"] is not None
+            desk.observe(name, row["action"])
+    assert desk.finished
+    assert (spoken > 0) == (policy != "none")
+    assert [(r["person"], r["action"], r["suggestion"]) for r in desk.log()] == sorted(
+        ((str(r["place"]), r["action"], r["suggestion"]) for r in trace), key=lambda r: r[0]
+    )
+
+
+def answers(task: CostToGo, actions: list[str]) -> Assistant:
+    """A person who does so, whatever they are advised, and finds the suggestions good."""
+    desk = Assistant(task, ["ann"], setting=Setting(c_suggest=0.05))
+    for action in actions:
+        desk.recommend()
+        desk.observe("ann", action)
+    return desk
+
+
+MANY_MISTAKES = ["(fetch box-a)", WRONG, "(return box-a)", "(fetch box-a)", "(remove hammer slot-2 box-a)", RIGHT]
+
+
+def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = answers(tiny, MANY_MISTAKES)
+    monkeypatch.setattr(problem, "WHOLE", 3)
+    monkeypatch.setattr(problem, "ASKED", 2)
+    for task in (tiny, OnDemand(tiny.task)):
+        parts = answers(task, MANY_MISTAKES)
+        assert len(parts._parts) > 1
+        assert [row["action"] for row in parts.log()] == [row["action"] for row in whole.log()]
+        silent = {step: row["suggestion"] for step, row in enumerate(parts.log())}
+        told = Assistant.from_json(parts.to_json(), task)
+        assert told.to_json() == parts.to_json()
+        # The same suggestions, followed through the whole table.
+        replayed = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05))
+        record = replayed._people["ann"]
+        for step, action in enumerate(MANY_MISTAKES):
+            replayed._suggest(record, silent[step])
+            replayed.observe("ann", action)
+        for desk in (parts, told):
+            assert (desk.person("ann").belief == replayed.person("ann").belief).all()
+            assert desk.person("ann").cost_to_go == replayed.person("ann").cost_to_go
+
+
+def test_a_suggestion_stands_until_it_is_answered(tiny: Table) -> None:
+    desk = Assistant(tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.0))
+    for name in desk.people:
+        desk.observe(name, "(fetch box-a)")
+        desk.observe(name, WRONG)
+    first = desk.recommend()
+    assert first == desk.recommend()
+    assert first.person
+    assert first.suggestion
+    assert first.reason is not None
+    assert first.reason.score == first.reason.saving - first.reason.moving > 0
+    assert first.reason.beta_interval[0] <= first.reason.beta <= first.reason.beta_interval[1]
+    other = "bob" if first.person == "ann" else "ann"
+    desk.observe(other, "(return box-a)")
+    second = desk.recommend()
+    assert second.person == other
+    assert desk.person(first.person).suggestion == first.suggestion
+    before = desk.person(first.person)
+    desk.observe(first.person, first.suggestion)
+    assert desk.log()[2 if first.person == "ann" else 5]["suggestion"] == first.suggestion
+    assert desk.person(first.person).theta.mean > before.theta.mean
+
+
+def test_what_was_not_heard_tells_nothing_of_influence(tiny: Table) -> None:
+    desk = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05, c_move=0.0))
+    for action in ("(fetch box-a)", WRONG):
+        desk.observe("ann", action)
+    advice, before = desk.recommend(), desk.person("ann").belief
+    assert advice.suggestion == "(remove hammer slot-2 box-a)"
+    desk.observe("ann", advice.suggestion, heard=False)
+    np.testing.assert_allclose(desk.person("ann").belief.sum(axis=0), before.sum(axis=0))
+    desk.undo("ann")
+    desk.observe("ann", advice.suggestion)
+    assert desk.log()[-1]["suggestion"] is None  # it was taken back unheard
+
+
+EVENTS = st.lists(
+    st.tuples(
+        st.sampled_from(["act", "act", "act", "advise", "advise", "undo", "leave", "join", "begin", "arrive"]),
+        st.integers(0, 2), st.integers(0, 9),
+    ),
+    max_size=25,
+)  # fmt: skip
+
+
+def happen(desk: Assistant, events: list[tuple[str, int, int]]) -> None:
+    """Let things happen to a team of a, b and c, as far as they can."""
+    for what, who, luck in events:
+        name = "abc"[who]
+        there = name in desk.people
+        if what == "advise":
+            desk.recommend()
+        elif what == "join" and not there:
+            desk.join(name)
+        elif not there:
+            continue
+        elif what == "act" and not desk.person(name).finished:
+            applicable = desk.person(name).applicable
+            desk.observe(name, applicable[luck % len(applicable)], heard=luck < 8)
+        elif what == "undo" and desk.person(name).steps:
+            desk.undo(name)
+        elif what == "leave":
+            desk.leave(name)
+        elif what == "begin":
+            desk.begin(name)
+        elif what == "arrive":
+            desk.arrived(name if luck else None)
+
+
+@settings(max_examples=40, deadline=None)
+@given(EVENTS, EVENTS)
+def test_a_restored_team_is_the_same_and_goes_on_the_same(
+    tiny: Table, events: list[tuple[str, int, int]], more: list[tuple[str, int, int]]
+) -> None:
+    mixed = Mixture((Population(), Population(theta=(0.6, 0.7))), (0.25, 0.75))
+    setting = Setting(c_suggest=0.05, c_move=0.1, travel_time=0.5 * (len(events) % 2))
+    desk = Assistant(tiny, list("abc"), setting=setting, population=mixed)
+    happen(desk, events)
+    again = Assistant.from_json(desk.to_json(), tiny)
+    for _ in range(2):
+        assert again.to_json() == desk.to_json()
+        for name in desk.people:
+            assert (again.person(name).belief == desk.person(name).belief).all()
+        assert again.recommend() == desk.recommend()
+        happen(desk, more)
+        happen(again, more)
+
+
+@settings(max_examples=30, deadline=None)
+@given(EVENTS, st.integers(0, 9))
+def test_undo_takes_back_what_was_observed(tiny: Table, events: list[tuple[str, int, int]], luck: int) -> None:
+    desk = Assistant(tiny, list("abc"), setting=Setting(c_suggest=0.05))
+    happen(desk, events)
+    for name in desk.people:
+        before = desk.person(name)
+        if before.finished:
+            continue
+        desk.observe(name, before.applicable[luck % len(before.applicable)])
+        assert desk.undo(name) == before.applicable[luck % len(before.applicable)]
+        after = desk.person(name)
+        assert (after.belief == before.belief).all()
+        assert (after.state, after.steps, after.suggestion) == (before.state, before.steps, before.suggestion)
+
+
+def test_what_is_kept_of_others_is_what_would_be_worked_out(tiny: Table) -> None:
+    """Only whoever has acted is looked at anew; a policy sees the same as if all had been."""
+    seen = []
+
+    def policy(team: Any) -> Any:
+        seen.append(np.array_equal(team.q_values(), super(type(team), team).q_values()))
+        return team.act(np.array([-1]), team.first_optimal())
+
+    desk = Assistant(tiny, list("abc"), policy=policy)
+    happen(desk, [(what, who, 0) for who in (0, 2, 1, 0) for what in ("act", "advise")])
+    assert seen == [True] * 4
+
+
+def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
+    desk = Assistant(tiny, ["ann"])
+    desk.join("bob", fixed)
+    assert desk.people == ("ann", "bob")
+    assert desk.person("bob").cost_to_go == fixed[fixed.initial]
+    desk.observe("bob", desk.person("bob").applicable[0])
+    desk.leave("bob")
+    assert desk.people == ("ann",)
+    with pytest.raises(UnknownError, match="'bob' is not in the team; who is there: ann"):
+        desk.observe("bob", "(return box-a)")
+    for action in tiny.optimal_plan() or []:
+        assert not desk.finished
+        desk.observe("ann", action)
+    assert desk.finished
+    with pytest.raises(InapplicableError, match="ann has reached the goal"):
+        desk.observe("ann", "(fetch box-a)")
+    believed = desk.person("ann").belief
+    desk.join("bob")
+    assert desk.person("bob").steps == 1
+    assert not desk.finished
+    desk.begin("ann", fixed)
+    assert (desk.person("ann").belief == believed).all()
+    assert [row["episode"] for row in desk.log()] == ["1"] * 7
+    desk.observe("ann", desk.person("ann").applicable[0])
+    assert [row["episode"] for row in desk.log() if row["person"] == "ann"] == ["1"] * 6 + ["2"]
+    restored = Assistant.from_json(desk.to_json(), fixed, tiny)
+    assert (restored.person("ann").belief == desk.person("ann").belief).all()
+    with pytest.raises(ValueError, match="the task of ann is not among the 1"):
+        Assistant.from_json(desk.to_json(), fixed)
+
+
+def test_a_large_team_has_room_for_more(tiny: Table) -> None:
+    desk = Assistant(tiny, [str(number) for number in range(3000)], setting=Setting(c_suggest=0.05, c_move=0.0))
+    for action in ("(fetch box-a)", WRONG):
+        desk.observe("1234", action)
+    desk.join("last")
+    assert desk.recommend().person == "1234"
+    assert len(desk.people) == 3001
+
+
+def test_the_robot_is_where_it_says(tiny: Table) -> None:
+    desk = Assistant(tiny, ["ann", "bob"], setting=Setting(c_suggest=0.05, c_move=0.1, travel_time=1))
+    assert desk.robot is None
+    for action in ("(fetch box-a)", WRONG):
+        desk.observe("bob", action)
+    advice = desk.recommend()
+    assert (advice.person, advice.suggestion, advice.arrived) == ("bob", None, False)
+    desk.observe("ann", "(fetch box-a)")
+    assert desk.recommend().arrived is False
+    assert desk.robot == "bob"
+    desk.arrived("bob")
+    assert desk.recommend().suggestion == "(remove hammer slot-2 box-a)"
+    desk.arrived()
+    assert desk.robot is None
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda desk: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; who is there: ann, bob"),
+        (lambda desk: desk.observe("ann", "(fetch box-c)"), "box-c\\) is no action of the task; nearest of the 2"),
+        (lambda desk: desk.observe("ann", "(return box-a)"), r"not applicable here; nearest of the 2.*\(fetch box-a\)"),
+        (lambda desk: desk.undo("ann"), "ann has done nothing yet"),
+        (lambda desk: desk.join("ann"), "ann is there already"),
+        (lambda desk: desk.join(" "), "expected a name"),
+        (lambda desk: Assistant(desk._task, "ann"), "expected a list of names"),
+        (lambda desk: Assistant(desk._task, policy="atention"), "unknown policy 'atention'; expected one of none"),
+        (lambda _: Assistant(None, ["ann"]), "there is no task"),
+        (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
+        (lambda desk: Assistant.from_json("{}", desk._task), "no saved team"),
+        (lambda desk: Assistant.from_json(desk.to_json()[:-9], desk._task), "no saved team"),
+        (lambda desk: Assistant(desk._task, ["a", "b"], distance=np.zeros((2, 2))), "b: there is a place for 1 people"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(tiny: Table, call: Any, says: str) -> None:
+    desk = Assistant(tiny, ["ann", "bob"])
+    before = desk.to_json()
+    with pytest.raises((TypeError, ValueError), match=says) as error:
+        call(desk)
+    assert "\n" not in str(error.value)
+    assert desk.to_json() == before
+    assert json.loads(before)["people"][0]["person"] == "ann"
