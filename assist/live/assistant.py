@@ -276,10 +276,9 @@ class Assistant:
     def _known(self, person: str) -> _Person:
         record = self._people.get(person)
         if record is None or not self._present[record.place]:
-            there = ", ".join(self.people[:10]) + (
-                f" and {len(self.people) - 10} more" if len(self.people) > 10 else ""
-            )
-            raise UnknownError(f"{person!r} is not in the team; there {'are' if there else 'is'} {there or 'nobody'}")
+            names = self.people
+            there = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
+            raise UnknownError(f"{person!r} is not in the team; who is there: {there or 'nobody'}")
         return record
 
     def _place(self, record: _Person, number: int, row: int, *, erred: bool = False, robot: int = 0) -> None:
