@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 
-from ..learning.log import _Matcher as Matcher
-from ..learning.log import _UnmatchedError as UnmatchedError
-from ..learning.log import _words
+from ..learning.actions import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices
 from ..people.human import Mixture, Population
 from ..person.pomdp import AssistPOMDP, Policy
@@ -155,7 +153,7 @@ class Problem:
         InapplicableError
             It cannot be taken there; says what can be.
         """
-        words = _words(action, {})
+        words = words_of(action)
         try:
             return self.matcher.slot(words, self.parts[number].options(row))
         except UnmatchedError as error:
