@@ -33,8 +33,8 @@ from assist.people.belief import Grid as BeliefGrid
 from assist.people.choices import Choices
 from assist.people.human import NOTHING, HumanModel, choice, influence, trust
 from assist.person.pomdp import AssistPOMDP
-from assist.plots.episode import BLUE, ORANGE, save
 from assist.plots.people import calibration_figure, expertise_figure
+from assist.plots.style import BLUE, ORANGE, save
 from planner import Cache, CostToGo, OnDemand, Table, Task, load, sweep
 from planner.storage import write_records
 

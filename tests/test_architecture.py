@@ -18,8 +18,8 @@ ROOMS = {
     "assist.interop": "exchange",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace",
     "assist.certify": "bounds",
-    "assist.plots": "episode people study",
-    "assist.study": "statistics study protocol runner summary report",
+    "assist.plots": "style labels episode people study",
+    "assist.study": "statistics study protocol runner summary wording claims pictures report",
     "assist.cli": "interrupts options console progress task person team solve simulate policy bound export fit study",
     "assist.live": "advice problem assistant",
 }

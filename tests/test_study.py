@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, ROOT, kitassist
+from matplotlib.text import Text
 from scipy import stats
 
 from assist.people.choices import Choices
@@ -24,8 +25,8 @@ from assist.person.pomdp import AssistPOMDP
 from assist.simulation.simulate import simulate
 from assist.study import protocol, statistics
 from assist.study.protocol import read
-from assist.study.report import profile, write_report
-from assist.study.runner import load_study, run_study
+from assist.study.report import Report, write_report
+from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study, StudyError, check
 from assist.study.summary import Found
 from assist.team.pool import Pool
@@ -113,7 +114,8 @@ def test_the_bootstrap_of_a_saving_is_scipys_and_is_paired() -> None:
     assert shuffled.high - shuffled.low > 5 * width
 
 
-def test_intervals_of_savings_cover_as_often_as_they_say() -> None:
+def test_intervals_of_savings_cover_as_often_as_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(statistics, "RESAMPLES", 1500)
     rng = np.random.default_rng(5)
     covered = 0
     for _ in range(150):
@@ -122,6 +124,17 @@ def test_intervals_of_savings_cover_as_often_as_they_say() -> None:
         estimate = statistics.saving(with_it, without, rng)
         covered += estimate.low <= 100 * (1 - (0.6 * 6 + 1) / 6) <= estimate.high
     assert 0.88 <= covered / 150 <= 0.99
+
+
+@pytest.mark.parametrize("pools", [2, 3, 5, 9])
+def test_intervals_of_few_pools_are_as_wide_as_so_little_deserves(pools: int) -> None:
+    rng = np.random.default_rng(pools)
+    covered = 0
+    for _ in range(400):
+        without = rng.gamma(1.5, 4.0, pools)
+        estimate = statistics.saving(0.6 * without + rng.gamma(1.0, 1.0, pools), without, rng)
+        covered += estimate.low <= 100 * (1 - (0.6 * 6 + 1) / 6) <= estimate.high
+    assert 0.84 <= covered / 400 <= 0.99  # resampling gives 0.52, 0.71, 0.82 and 0.89
 
 
 def test_changes_ratios_and_effects() -> None:
@@ -238,6 +251,11 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ("seed = 3", "seed = -1", "seed: -1; expected a whole number of 0 or more"),
         ("seed = 3", "sed = 3", "sed: unknown; expected one of conditions, contrasts"),
         ("pool = 4", "pool = true", "pool: true; expected a whole number"),
+        (
+            "[populations.everybody]",
+            "[reference]\nsource = 'me'\nheadline = { actions_vs_non = 3 }\n[populations.everybody]",
+            "reference.headline.actions_vs_non: unknown; expected one of actions_vs_attention",
+        ),
         ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team, and 1 in a pool"),
         ("humans = [1, 2]", "humans = 2", "humans: 2; expected a list of whole numbers"),
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),
@@ -456,7 +474,7 @@ def test_the_report_says_what_was_found_and_shows_its_pictures(done: tuple[Study
     saved = printed["headline"]["actions_vs_none"]
     for words in ("# small", "## What was run", "## Headline", "## Team sizes", "## Sensitivity", "cut off"):
         assert words in text
-    assert f"| actions vs none | tiny | {saved['mean']:.1f} ({saved['low']:.1f} to {saved['high']:.1f}) |" in text
+    assert f"| actions against none | tiny | {saved['mean']:.1f} ({saved['low']:.1f} to {saved['high']:.1f}) |" in text
     shown = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
     assert {Path(name).stem for name in shown} >= {"team-size", "benefit", "trade-off", "belief"}
     files = {*shown, *re.findall(r'(?:src|srcset)="([^"]+)"', page)}
@@ -464,6 +482,101 @@ def test_the_report_says_what_was_found_and_shows_its_pictures(done: tuple[Study
     assert all((out / name).is_file() for name in files)
     assert "<table>" in page
     assert page.count("<picture>") == len(shown)
+
+
+SEVERAL = TINY.replace('name = "first"', 'name = "first"\npopulations = ["everybody", "novices"]')
+PUBLISHED = """
+[[contrasts]]
+name = "novices to everybody"
+of = ["novices"]
+to = ["everybody"]
+
+[reference]
+name = "an earlier study"
+source = "Nobody, 1999"
+headline = { actions_vs_none = -400.0, interventions_vs_reactive = 34.0 }
+interventions = [{ populations = ["novices"], mean = 2.5 }]
+declines = true
+contrasts = ["novices to everybody"]
+"""
+
+
+def report_of(folder: Path, text: str, repeats: int) -> Report:
+    study = read(write(folder, text), repeats=repeats)
+    assert run_study(study, folder / "out") == []
+    return Report.of(study, folder / "out")
+
+
+def words_in(report: Report, name: str) -> list[str]:
+    """All that is written in a picture."""
+    (picture,) = [each for each in report.pictures if each.name == name]
+    return [text.get_text() for text in picture.figure().findobj(Text) if text.get_text()]
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Report:
+    """A study of two populations and two pools, without a reference."""
+    return report_of(tmp_path_factory.mktemp("several"), SEVERAL, 2)
+
+
+def rows_below(text: str, title: str) -> list[list[str]]:
+    """The first table below a title, without its head."""
+    below = text.split(f"## {title}\n", 1)[1]
+    lines = [line for line in below.split("\n## ")[0].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def test_every_population_of_the_first_condition_has_a_headline(several: Report) -> None:
+    summary, text = several.summary, several.text
+    headline = summary["headline"]
+    assert (headline["condition"], headline["population"]) == ("first", "everybody")
+    assert [other["population"] for other in headline["others"]] == ["novices"]
+    for group in (headline, *headline["others"]):
+        cells = {c["policy"]: c for c in summary["cells"] if c["population"] == group["population"]
+                 and c["condition"] == "first" and c["humans"] == 1}  # fmt: skip
+        assert set(cells) == {"none", "reactive", "attention"}
+        assert 0 < group["actions_vs_none"]["mean"] < 100
+    assert headline["actions_vs_none"] != headline["others"][0]["actions_vs_none"]
+    rows = rows_below(text, "Headline")
+    assert {(row[0], row[1]) for row in rows if row[0] == "actions against none"} == {
+        ("actions against none", "everybody"), ("actions against none", "novices"),
+    }  # fmt: skip
+    effects = [row for row in rows if row[:4] == ["novices", "tiny", "actions", "none"]]
+    assert len(effects) == 1  # and not two that nothing tells apart
+    assert len({tuple(row) for row in rows_below(text, "Team sizes")}) == 2 * 2 * 3
+    assert "(population 'everybody')](figures/team-size.png)" in text
+    assert {"everybody", "novices"} <= set(words_in(several, "categories"))
+    assert "| default | attention | tiny |" in text.split("## Sensitivity")[1]
+
+
+def test_nothing_that_somebody_else_claims_is_in_a_report(several: Report, tmp_path: Path) -> None:
+    theirs = ("paper", "24.48", "12.35", "25.94", "3.86", "31.685", "Algorithm 1")
+    compared = report_of(tmp_path, SEVERAL + PUBLISHED, 1)
+    for report, allowed in ((several, ()), (compared, ("claim", "published", "earlier study"))):
+        written = [report.text, *(each.text for each in report.pictures)]
+        written += [words for each in report.pictures for words in words_in(report, each.name)]
+        for words in (*theirs, "claim", "published", "earlier study"):
+            assert any(words in text for text in written) == (words in allowed), words
+    (row,) = [row for row in rows_below(compared.text, "Headline") if row[:2] == ["actions against none", "everybody"]]
+    assert row[4:] == ["-400.0", "better, in a single pool"]
+    assert "More interventions for *novices* than for *everybody*" in compared.text
+    assert "attention in an earlier study, over all team sizes" in words_in(compared, "benefit")
+    assert "attention in an earlier study: 2.5" in words_in(compared, "categories")
+
+
+def test_few_pools_are_said_to_be_few(done: tuple[Study, Path, dict], several: Report) -> None:
+    for summary, text in ((several.summary, several.text), (done[2], (done[1] / "report.md").read_text())):
+        assert "**Few pools.** All conditions: fewer than 10 pools" in text
+        saved = summary["headline"]["actions_vs_none"]
+        assert saved["high"] - saved["low"] > 10  # percentage points, of two or three pools
+
+
+def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
+    least = TINY.replace("draws = 2", "draws = 1").replace("trials = 2", "trials = 1").replace("[1, 2]", "[1]", 1)
+    report = report_of(tmp_path, least, 1)
+    assert report.summary["cells"][0]["human_actions_per_person"]["sd"] is None
+    assert "## Team sizes" in report.text
+    assert {each.name for each in report.pictures if each.figure()} >= {"team-size", "belief"}
 
 
 def test_the_shipped_example_is_of_another_domain() -> None:

@@ -15,7 +15,9 @@ from matplotlib.text import Text
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.plots import study as study_figures
-from assist.plots.study import CATEGORIES, COMPARISONS, LOOKS, PAPER_SAVINGS, Look, looks
+from assist.plots.episode import episode_figure
+from assist.plots.study import COMPARISONS
+from assist.plots.style import LOOKS, Look, looks, save_for_pages
 from assist.simulation.belief_trace import beliefs_of_episode
 from assist.simulation.episodes import Trace
 from assist.simulation.simulate import simulate
@@ -25,6 +27,8 @@ from assist.team.settings import Setting
 
 POLICIES = ("none", "reactive", "attention", "our-own")
 INSTANCES = ("paper", "paper-fixed")
+CATEGORIES = ("novices, wary", "experts, wary", "novices, trusting", "experts, trusting")
+SAVINGS = {"actions against none": 24.5, "actions against reactive": 12.5, "interventions against reactive": 26.0}
 
 
 def intervals(rows: list[dict[str, object]], seed: int = 0) -> pd.DataFrame:
@@ -157,8 +161,9 @@ def test_names_beside_lines_do_not_cover_each_other(team_sizes: pd.DataFrame) ->
         assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in axis.texts)
 
 
-def test_categories_are_drawn_as_given_with_the_papers_numbers(categories: pd.DataFrame) -> None:
-    figure = study_figures.category_figure(categories)
+def test_categories_are_drawn_as_given_beside_what_was_published(categories: pd.DataFrame) -> None:
+    published = ((CATEGORIES[:2], 4.0), (CATEGORIES[2:3], 32.0))
+    figure = study_figures.category_figure(categories, CATEGORIES, published, "theirs")
     for number, axis in enumerate(figure.axes):
         instance, measure = INSTANCES[number // 2], ("actions", "interventions")[number % 2]
         if number // 2 == 1:  # the axis is shared
@@ -169,33 +174,33 @@ def test_categories_are_drawn_as_given_with_the_papers_numbers(categories: pd.Da
             drawn = {CATEGORIES[round(x)]: y for x, y in marks}
             assert drawn == pytest.approx(dict(zip(own["category"], own["mean"], strict=True)))
         dashed = [np.asarray(one.get_xydata()) for one in axis.get_lines() if one.get_linestyle() == "--"]
-        spans = {y: {CATEGORIES[i] for i in range(4) if x0 < i < x1} for (x0, y), (x1, _) in dashed}
+        spans = {CATEGORIES[i]: y for (x0, y), (x1, _) in dashed for i in range(4) if x0 < i < x1}
         assert spans == (
-            {3.86: {c for c in CATEGORIES if "low influence" in c}, 31.685: {"low expertise, high influence"}}
-            if measure == "interventions"
-            else {}
+            {CATEGORIES[0]: 4.0, CATEGORIES[1]: 4.0, CATEGORIES[2]: 32.0} if measure == "interventions" else {}
         )
-        assert measure == "actions" or axis.get_ylim()[1] > 31.685
-    assert "attention in the paper: 3.86, 31.685" in legend(figure)
+        assert measure == "actions" or axis.get_ylim()[1] > 32.0
+    assert "theirs: 4, 32" in legend(figure)
     assert set(POLICIES) <= set(legend(figure))
-    assert not any("paper:" in text for text in legend(study_figures.category_figure(categories, ())))
+    without = study_figures.category_figure(categories, CATEGORIES)
+    assert not any(one.get_linestyle() == "--" for axis in without.axes for one in axis.get_lines())
+    assert len(legend(without)) == len(legend(figure)) - 1
 
 
 def test_the_trade_off_has_every_point_and_the_papers(costs: pd.DataFrame) -> None:
-    figure = study_figures.trade_off_figure(costs, PAPER_SAVINGS)
+    figure = study_figures.trade_off_figure(costs, SAVINGS, "theirs")
     [axis] = figure.axes
     for policy, look in looks(["none", "reactive", "attention"]).items():
         own = costs[costs["policy"] == policy]
         np.testing.assert_allclose(lines_of(axis, look), own[["interventions", "actions"]])
         assert set(zip(own["actions_low"], own["actions_high"], strict=True)) <= set(bars_of(axis, look.color.lower()))
     stars = [one.get_xydata()[0].tolist() for one in axis.get_lines() if one.get_marker() == "*"]
-    x = 10 * (1 - 0.2594)
-    assert stars == [pytest.approx([x, 20 * (1 - 0.2448)]), pytest.approx([x, 16 * (1 - 0.1235)])]
+    x = 10 * (1 - 0.26)
+    assert stars == [pytest.approx([x, 20 * (1 - 0.245)]), pytest.approx([x, 16 * (1 - 0.125)])]
     # Costs stand beside the points of the policy that heeds them only.
     assert sorted(text.get_text() for text in axis.texts) == [
         "0, 0", "0.5, 0.5", "4, 4", "against none", "against reactive",
     ]  # fmt: skip
-    without = study_figures.trade_off_figure(costs[costs["policy"] == "attention"], PAPER_SAVINGS)
+    without = study_figures.trade_off_figure(costs[costs["policy"] == "attention"], SAVINGS)
     assert not any(one.get_marker() == "*" for one in without.axes[0].get_lines())
 
 
@@ -222,15 +227,18 @@ def test_benefits_are_drawn_as_given() -> None:
     ]
     cells = intervals(rows)
     cells.loc[cells["comparison"].eq("x") & cells["humans"].eq(2), "mean"] = np.nan
-    figure = study_figures.benefit_figure(cells)
+    figure = study_figures.benefit_figure(cells, SAVINGS, "theirs")
     for instance, axis in zip(INSTANCES, figure.axes, strict=True):
         for comparison, look in {**COMPARISONS, **looks(["x"])}.items():
             own = where(cells, instance=instance, comparison=comparison).dropna()
             [line, *_] = [one.get_ydata() for one in axis.get_lines() if one.get_color() == look.color]
             np.testing.assert_allclose(line, own["mean"])
         stars = {one.get_color(): one.get_ydata()[0] for one in axis.get_lines() if one.get_marker() == "*"}
-        assert stars == {COMPARISONS[name].color: value for name, value in PAPER_SAVINGS.items()}
-    assert not any("paper" in text for text in legend(study_figures.benefit_figure(cells, {})))
+        assert stars == {COMPARISONS[name].color: value for name, value in SAVINGS.items()}
+    assert "theirs, over all team sizes" in legend(figure)
+    without = study_figures.benefit_figure(cells)
+    assert legend(without) == ["95 % interval"]
+    assert not any(one.get_marker() == "*" for axis in without.axes for one in axis.get_lines())
 
 
 def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
@@ -313,7 +321,7 @@ def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monke
         backgrounds.append(to_hex(figure.get_facecolor()))
         return figure
 
-    files = study_figures.save(draw, tmp_path / "new", "costs")
+    files = save_for_pages(draw, tmp_path / "new", "costs")
     assert [file.name for file in files] == ["costs.png", "costs.svg", "costs-dark.png", "costs-dark.svg"]
     assert sorted(files) == sorted((tmp_path / "new").iterdir())
     assert all(file.read_bytes().startswith(b"\x89PNG" if file.suffix == ".png" else b"<?xml") for file in files)
@@ -324,7 +332,7 @@ def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monke
     assert dark not in files[1].read_text()
 
     before = [file.read_bytes() for file in files]
-    study_figures.save(draw, tmp_path / "new", "costs")
+    save_for_pages(draw, tmp_path / "new", "costs")
     assert [file.read_bytes() for file in files] == before
 
     def broken(_: Figure, path: Path, **how: object) -> None:
@@ -333,19 +341,79 @@ def test_four_files_are_written_whole(tmp_path: Path, costs: pd.DataFrame, monke
 
     monkeypatch.setattr(Figure, "savefig", broken)
     with pytest.raises(OSError, match="no space"):
-        study_figures.save(draw, tmp_path / "new", "costs")
+        save_for_pages(draw, tmp_path / "new", "costs")
     assert [file.read_bytes() for file in files] == before
     assert sorted(files) == sorted((tmp_path / "new").iterdir())
 
 
 @pytest.mark.parametrize("figure", ["team_size_figure", "category_figure"])
 def test_legends_fit(figure: str, team_sizes: pd.DataFrame, categories: pd.DataFrame) -> None:
-    cells = team_sizes if figure == "team_size_figure" else categories
-    long = pd.concat([cells.assign(policy=f"a-policy-of-a-rather-long-name-{n}") for n in range(6)])
-    drawn = getattr(study_figures, figure)(long)
+    long = {f"a-policy-of-a-rather-long-name-{n}": n for n in range(6)}
+    if figure == "team_size_figure":
+        drawn = study_figures.team_size_figure(pd.concat([team_sizes.assign(policy=name) for name in long]))
+    else:
+        several = pd.concat([categories.assign(policy=name) for name in long])
+        drawn = study_figures.category_figure(several, CATEGORIES)
     drawn.draw_without_rendering()
     box = drawn.legends[0].get_window_extent()
     assert box.x0 >= 0
     assert box.x1 <= drawn.bbox.x1
     assert not any(box.overlaps(axis.get_window_extent()) for axis in drawn.axes)
     assert len(drawn.legends) == 1
+
+
+@pytest.mark.parametrize("kinds", [2, 4, 9])
+def test_names_of_kinds_do_not_cover_each_other(categories: pd.DataFrame, kinds: int) -> None:
+    names = [f"people of a kind with a long name, number {n}" for n in range(kinds)]
+    own = categories[categories["category"] == CATEGORIES[0]]
+    figure = study_figures.category_figure(pd.concat([own.assign(category=name) for name in names]), names)
+    figure.draw_without_rendering()
+    for axis in figure.axes[-2:]:
+        labels = [label for label in axis.get_xticklabels() if label.get_text()]
+        assert len(labels) == kinds
+        assert overlaps(labels) == []
+
+
+def test_intervals_of_few_pools_do_not_squeeze_the_rest(costs: pd.DataFrame, team_sizes: pd.DataFrame) -> None:
+    wide = costs.assign(interventions_low=-100.0, interventions_high=120.0, actions_low=-90.0, actions_high=130.0)
+    [axis] = study_figures.trade_off_figure(wide).axes
+    assert -1 < axis.get_xlim()[0] <= 0  # there is no negative number of interventions
+    assert axis.get_xlim()[1] < 15
+    assert axis.get_ylim()[0] >= 10
+    assert axis.get_ylim()[1] < 25
+    for one in study_figures.team_size_figure(team_sizes.assign(low=-300.0, high=300.0)).axes:
+        assert one.get_ylim()[0] == 0
+        assert one.get_ylim()[1] < 60
+
+
+def test_a_single_episode_has_no_bars(team_sizes: pd.DataFrame, categories: pd.DataFrame) -> None:
+    nothing = {"sd": None, "low": None, "high": None, "n": 1}
+    for figure in (
+        study_figures.team_size_figure(team_sizes.assign(**nothing)),
+        study_figures.category_figure(categories.assign(**nothing), CATEGORIES),
+    ):
+        assert not any(isinstance(one, LineCollection) for axis in figure.axes for one in axis.collections)
+        words_below = [text.get_text() for one in figure.legends for text in one.get_texts()]
+        assert not any("interval" in text or "deviation" in text for text in words_below)
+
+
+@pytest.mark.parametrize("people", [1, 3, 12])
+def test_words_of_an_episodes_picture_do_not_cover_each_other(pool: Pool, people: int) -> None:
+    from dataclasses import replace
+
+    humans, (trace, alone) = [n % 4 for n in range(people)], (Trace(), Trace())
+    name = "a-policy-of-a-rather-long-name-that-somebody-has-chosen-" * 2
+    run = {"humans": humans, "episodes": [1], "seed": 3}
+    [episode] = simulate(pool, AttentionSwitching(), **run, trace=trace, name=name)
+    simulate(pool, NoAssistance(), **run, trace=alone)
+    names = tuple(f"Wolfeschlegelsteinhausenbergerdorff the {n + 1}th, of the second kitting line" for n in humans)
+    figure = episode_figure(replace(episode, people=names), trace, alone)
+    figure.draw_without_rendering()
+    shown = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    shown = [text for text in shown if text.get_window_extent().width > 0]
+    assert overlaps(shown) == []
+    boxes = {text.get_text(): text.get_window_extent() for text in shown}
+    assert [text for text, box in boxes.items() if box.x0 < 0 or box.x1 > figure.bbox.x1] == []
+    said = [f"{who}done after {sum(row['place'] == 0 for row in rows)}" for who, rows in
+            (("", trace), ("alone ", alone))]  # fmt: skip
+    assert all(any(text.get_text().startswith(words) for text in shown) for words in said)

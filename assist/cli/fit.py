@@ -112,8 +112,8 @@ def fit(
     from ..learning import population as populations
     from ..learning.record import failed, profiles
     from ..learning.recording import replay
-    from ..plots import episode as figures
     from ..plots import people as fit_figures
+    from ..plots import style
 
     jobs = jobs or os.cpu_count() or 1
     wrong = next((pair for pair in rename if not all(part.strip() for part in pair.partition("=")[::2])), None)
@@ -130,7 +130,7 @@ def fit(
     with one_line_errors("interrupted; states that were evaluated on demand are kept"):
         found = one_instance(instance, domain)
         if folder:
-            figures.require()
+            style.require()
         task = load(found)
         if task.decided_by_translator:
             fail(

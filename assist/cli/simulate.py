@@ -60,16 +60,17 @@ def simulate(
     """Simulate a team of people and a robot that assists them."""
     from planner import storage
 
-    from ..plots import episode as figures
+    from ..plots import style
+    from ..plots.episode import episode_figure
     from ..simulation.episodes import Episodes, Trace, illustrative, summarise
     from ..simulation.simulate import simulate as run_episodes
 
     humans, seed = team["humans"], team["seed"]
     with one_line_errors():
         if figure:
-            figures.require()
-            if figure.suffix not in figures.FORMATS:
-                raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(figures.FORMATS)}")
+            style.require()
+            if figure.suffix not in style.FORMATS:
+                raise click.UsageError(f"--figure {figure}: expected a name that ends in {', '.join(style.FORMATS)}")
         size = size or max(12, humans)
         made = team_of(instance, size=size, **team)
         pool = made.pool
@@ -89,9 +90,7 @@ def simulate(
             pictured: list[Trace] = [[], []]
             for name, trace_of in zip((names[-1], "none"), pictured, strict=True):
                 run(pool.policy(name, made.travel), episodes=[shown.episode], trace=trace_of)
-            figures.save(
-                figures.episode_figure(shown, pictured[0], pictured[1] if names[-1] != "none" else None), figure
-            )
+            style.save(episode_figure(shown, pictured[0], pictured[1] if names[-1] != "none" else None), figure)
         if out:
             storage.write_records(out, (episode.record() for result in results for episode in result))
         if trace:

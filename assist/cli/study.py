@@ -68,23 +68,23 @@ def study(
 
 
 def _show_headline(summary: dict[str, Any], out: Path) -> None:
+    from ..study.statistics import FEW_POOLS
+    from ..study.wording import interval, named, varying
+
     headline = summary["headline"]
-    instances = headline["instances"]
-    table = Table(box=None, pad_edge=False)
-    table.add_column(f"{headline['policy']} saves, %")
-    columns = {**instances, "together": headline} if len(instances) > 1 else instances
-    for name in columns:
-        table.add_column(name, justify="right")
-    for key, value in headline.items():
-        if isinstance(value, dict) and key != "instances":
-            cells = [_shown(found.get(key)) for found in columns.values()]
-            table.add_row(key.replace("_", " "), *cells)
-    print_table(table)
-    click.echo(f"{summary['repeats']} pools of people, 95 % intervals over pools; the report is {out / 'report.md'}")
-
-
-def _shown(estimate: dict[str, float | None] | None) -> str:
-    if estimate is None:
-        return "-"
-    ends = "" if estimate["low"] is None else f" ({estimate['low']:.1f} to {estimate['high']:.1f})"
-    return f"{estimate['mean']:.1f}{ends}"
+    groups = [headline, *headline["others"]]
+    of = varying(groups, ("population", "setting", "prior"))
+    shown = Table(box=None, pad_edge=False)
+    for title in (f"{headline['policy']} saves, %", *of):
+        shown.add_column(title)
+    for name in headline["instances"]:
+        shown.add_column(name, justify="right")
+    for group in groups:
+        instances = group["instances"].values()
+        for key in dict.fromkeys(key for found in instances for key in found):
+            cells = [interval(found[key]) if key in found else "-" for found in instances]
+            shown.add_row(named(key), *(group[column] or "default" for column in of), *cells)
+    print_table(shown)
+    pools = f"{headline['pools']} pools" if headline["pools"] > 1 else "1 pool"
+    few = f"; fewer than {FEW_POOLS} are a first look" if headline["pools"] < FEW_POOLS else ""
+    click.echo(f"{pools} of people, 95 % intervals over pools{few}; the report is {out / 'report.md'}")

@@ -1,37 +1,22 @@
-"""Pictures of what happened. Needs the extra `plots`."""
+"""The picture of one episode: everybody's way to the goal, and what the robot did. Needs the extra `plots`."""
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
+import textwrap
 from typing import TYPE_CHECKING
 
-from planner.errors import MissingExtraError
-from planner.storage import atomic
-
 from ..simulation.episodes import Episode, Trace
+from .style import BLUE, GREEN, GREY, ORANGE, require
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, which people with any colour vision tell apart.
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
-SKY, VERMILLION, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
-
-FORMATS = (".png", ".svg", ".pdf")
-
-
-def require() -> None:
-    """Check that pictures can be drawn.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("pictures need matplotlib: pip install 'kitassist[plots]'")
+WIDTH, PANEL = 9.0, 1.9  # inches
+BESIDE = 1.02  # of a panel's width: where the words about a person begin, so that they cover nothing
+LINE = 0.19  # of a panel's height
+LONGEST_NAME = 80  # letters
 
 
 def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -> Figure:
@@ -53,85 +38,95 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
     """
     require()
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
 
     places = sorted({row["place"] for row in trace})
     steps = max(row["step"] for row in trace) + 1
     alone_steps = max((row["step"] for row in alone or []), default=0) + 1
     shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze all else
-    height = 1.9 + 1.9 * len(places)
-    figure = Figure(figsize=(9, height))
-    axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
-    figure.subplots_adjust(left=0.08, right=0.98, top=1 - 0.75 / height, bottom=1.15 / height, hspace=0.35)
-    figure.suptitle(
+    highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
+    title = textwrap.fill(
         f"Episode {episode.episode} under the policy '{episode.policy}': {sum(episode.actions)} human actions, "
         f"suggestions: {episode.interventions}, moves: {episode.moves}",
-        fontsize=11, y=1 - 0.2 / height, va="top",
-    )  # fmt: skip
-    highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
+        100,
+    )
+    above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
+    height = above + 1.15 + PANEL * len(places)
+    figure = Figure(figsize=(WIDTH, height))
+    axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
+    figure.subplots_adjust(left=0.08, right=0.78, top=1 - above / height, bottom=1.15 / height, hspace=0.35)
+    figure.suptitle(title, fontsize=11, y=1 - 0.2 / height, va="top")
     for place, axis in zip(places, axes, strict=True):
-        rows = [row for row in trace if row["place"] == place]
-        for step in {row["step"] for row in trace if row["robot_place"] == place}:
-            axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
-        if alone:
-            own = [row for row in alone if row["place"] == place]
-            _line(axis, [row for row in own if row["step"] < shown], GREY, "--", 1.3)
-            if len(own) != len(rows):
-                at = own[min(len(own), shown) - 1]
-                axis.annotate(
-                    f"alone: {len(own)}", (at["step"] + 1, at["cost_to_go_after"] or 0), xytext=(8, 5),
-                    textcoords="offset points", fontsize=9, color=GREY,
-                )  # fmt: skip
-        _line(axis, rows, BLUE, "-", 2.0)
-        for followed in (True, False):
-            told = [row for row in rows if row["suggestion"] and (row["suggestion"] == row["action"]) == followed]
-            axis.plot(
-                [row["step"] + 0.5 for row in told],
-                [row["cost_to_go"] or 0 for row in told],
-                linestyle="none", marker="v", markersize=8, zorder=5, clip_on=False,
-                color=GREEN, markerfacecolor=GREEN if followed else "white",
-            )  # fmt: skip
-        last = rows[-1]
-        if last["cost_to_go_after"] == 0:
-            axis.plot([last["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
-            axis.annotate(
-                f"done after {last['step'] + 1} actions", (last["step"] + 1, 0), xytext=(8, 5),
-                textcoords="offset points", fontsize=9, color=BLUE,
-            )  # fmt: skip
-        axis.set_title(episode.people[place], loc="left", fontsize=10, fontweight="bold")
-        beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
-        who = f"expertise β = {beta:.2f}, influence θ = {theta:.2f} at first, misconception σ = {sigma:.2f}"
-        axis.set_title(who, loc="right", fontsize=9, color="#555555")
+        own, without = ([row for row in rows or [] if row["place"] == place] for rows in (trace, alone))
+        _panel(axis, place, own, [row for row in without if row["step"] < shown])
+        axis.set_title(_short(episode.people[place]), loc="left", fontsize=10, fontweight="bold")
+        _about(axis, episode, place, own, without)
         axis.set_ylim(0, highest * 1.12)
-        axis.set_xlim(0, shown * 1.17)
+        axis.set_xlim(0, shown * 1.02)
         axis.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
     axes[len(axes) // 2].set_ylabel("cost still to go, at best")
     axes[-1].set_xlabel("step (in each, every person acts once)")
-    entries = [
-        Line2D([], [], color=BLUE, linewidth=2, label="with the robot"),
-        Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone"),
-        Patch(color=ORANGE, alpha=0.22, label="the robot is here"),
-        Line2D([], [], linestyle="none", marker="v", markersize=8, color=GREEN, label="suggestion, taken"),
-        Line2D(
-            [],
-            [],
-            linestyle="none",
-            marker="v",
-            markersize=8,
-            color=GREEN,
-            markerfacecolor="white",
-            label="suggestion, not taken",
-        ),
-    ]
-    figure.legend(
-        handles=entries if alone else [entries[0], *entries[2:]], loc="lower center", ncols=3, frameon=False, fontsize=9
-    )
+    figure.legend(handles=_entries(bool(alone)), loc="lower center", ncols=3, frameon=False, fontsize=9)
     return figure
+
+
+def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
+    """Draw one person's way with the robot and without it, the suggestions, and when the robot was there."""
+    for step in {row["step"] for row in rows if row["robot_place"] == place}:
+        axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
+    _line(axis, alone, GREY, "--", 1.3)
+    _line(axis, rows, BLUE, "-", 2.0)
+    for followed in (True, False):
+        told = [row for row in rows if row["suggestion"] and (row["suggestion"] == row["action"]) == followed]
+        axis.plot(
+            [row["step"] + 0.5 for row in told],
+            [row["cost_to_go"] or 0 for row in told],
+            linestyle="none", marker="v", markersize=8, zorder=5, clip_on=False,
+            color=GREEN, markerfacecolor=GREEN if followed else "white",
+        )  # fmt: skip
+    if rows[-1]["cost_to_go_after"] == 0:
+        axis.plot([rows[-1]["step"] + 1], [0], marker="o", markersize=7, color=BLUE, zorder=6, clip_on=False)
+
+
+def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
+    """Write beside a panel who it is, and after how many actions they had done it, with the robot and without."""
+    beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
+    lines = [
+        (f"expertise β = {beta:.2f}", "#555555"),
+        (f"influence θ = {theta:.2f} at first", "#555555"),
+        (f"misconception σ = {sigma:.2f}", "#555555"),
+        (f"{_ending(rows)} action{'s' * (len(rows) != 1)}", BLUE),
+    ]
+    if alone:
+        lines.append((f"alone {_ending(alone)}", GREY))
+    for number, (text, color) in enumerate(lines):
+        axis.text(BESIDE, 1 - LINE * number, text, transform=axis.transAxes, va="top", fontsize=9, color=color)
+
+
+def _ending(rows: Trace) -> str:
+    return f"{'done' if rows[-1]['cost_to_go_after'] == 0 else 'not done'} after {len(rows)}"
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+
+
+def _entries(alone: bool) -> list[Artist]:
+    """Give the entries of the legend."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    told = {"linestyle": "none", "marker": "v", "markersize": 8, "color": GREEN}
+    return [
+        Line2D([], [], color=BLUE, linewidth=2, label="with the robot"),
+        *([Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone")] if alone else []),
+        Patch(color=ORANGE, alpha=0.22, label="the robot is here"),
+        Line2D([], [], **told, label="suggestion, taken"),  # type: ignore[arg-type]
+        Line2D([], [], **told, markerfacecolor="white", label="suggestion, not taken"),  # type: ignore[arg-type]
+    ]
 
 
 def _line(axis: Axes, rows: Trace, color: str, style: str, width: float) -> None:
@@ -139,17 +134,5 @@ def _line(axis: Axes, rows: Trace, color: str, style: str, width: float) -> None
     if rows:
         x = [row["step"] for row in rows] + [rows[-1]["step"] + 1]
         y = [row["cost_to_go"] for row in rows] + [rows[-1]["cost_to_go_after"]]
-        axis.plot(
-            x,
-            [float("nan") if value is None else value for value in y],
-            color=color,
-            linestyle=style,
-            linewidth=width,
-            zorder=4,
-        )
-
-
-def save(figure: Figure, file: Path) -> None:
-    """Save a figure in the format that the file's name asks for, at once or not at all."""
-    with atomic(file) as path:
-        figure.savefig(path, dpi=150)
+        heights = [float("nan") if value is None else value for value in y]
+        axis.plot(x, heights, color=color, linestyle=style, linewidth=width, zorder=4)

@@ -11,7 +11,7 @@ import numpy as np
 from ..learning.diagnostics import calibrate
 from ..learning.fit import Fit
 from ..people.human import NOTHING
-from .episode import BLUE, GREEN, GREY, ORANGE, require, save
+from .style import BLUE, GREEN, GREY, ORANGE, require, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

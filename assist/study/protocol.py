@@ -180,7 +180,9 @@ def _study(file: Path, top: _Table) -> Study:
         sides = {side: _among(table, side, (), names) for side in ("of", "to")}
         contrasts.append(Contrast(table.text("name"), **sides))
         table.done()
-    reference = _reference(top.table("reference"), populations) if top.gives("reference") else None
+    reference = (
+        _reference(top.table("reference"), populations, contrasts, conditions[0]) if top.gives("reference") else None
+    )
     top.done()
     return Study(
         file, title, seed, repeats, pool, draws, trials, focus, tuple(populations.items()), instances,
@@ -295,13 +297,25 @@ def _settings(table: _Table, base: Setting) -> tuple[tuple[str, Setting], ...]:
     return tuple(found.items())
 
 
-def _reference(table: _Table, populations: dict[str, Population | Mixture]) -> Reference:
-    source = table.text("source")
+def _reference(
+    table: _Table, populations: dict[str, Population | Mixture], contrasts: list[Contrast], first: Condition
+) -> Reference:
+    source, name = table.text("source"), table.text("name", "the reference")
     numbers = table.table("headline")
+    known = {f"{m}_vs_{p.replace('-', '_')}" for m in ("actions", "interventions") for p in first.policies}
+    for key in numbers.content:
+        if key not in known:
+            raise numbers.fault(key, f"unknown; expected one of {', '.join(sorted(known))}")
     headline = tuple((key, numbers.number(key)) for key in list(numbers.content))
     interventions = []
     for part in table.tables("interventions", []) if table.gives("interventions") else []:
         interventions.append((_among(part, "populations", (), tuple(populations)), part.number("mean")))
         part.done()
+    declines = table.take("declines", False)
+    if not isinstance(declines, bool):
+        raise table.fault("declines", f"{_shown(declines)}; expected true or false")
+    claimed: tuple[str, ...] = ()
+    if table.gives("contrasts"):
+        claimed = _among(table, "contrasts", (), tuple(contrast.name for contrast in contrasts))
     table.done()
-    return Reference(source, headline, tuple(interventions))
+    return Reference(source, name, headline, tuple(interventions), declines, claimed)

@@ -150,3 +150,12 @@ def load_study(folder: str | Path) -> pd.DataFrame:
         for name in (*KEY[:-1], "policy"):
             frame[name] = pd.Categorical(frame[name], categories=frame[name].unique())
     return frame
+
+
+def profile(folder: Path) -> dict[str, float]:
+    """Give how many seconds of the workers each part of a study took, the longest first."""
+    spent: dict[str, float] = {}
+    for record in read_records(folder / PROFILE):
+        for what, seconds in record["seconds"].items():
+            spent[what] = spent.get(what, 0.0) + seconds
+    return dict(sorted(spent.items(), key=lambda item: -item[1]))

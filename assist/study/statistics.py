@@ -3,6 +3,10 @@
 Episodes of one pool share its people, so that they are not independent, and an interval over episodes would be too
 narrow. Every function here takes one number for each pool (or one row), which belongs to the same pool in every
 array: policies have met the same people with the same luck, and what is compared is paired.
+
+The bootstrap is ours and not `scipy.stats.bootstrap`, with which it agrees up to chance (a test compares them): where
+all pools are alike, or nothing can be saved in some resample (0 / 0), scipy's interval is not a number; and the figures
+of studies that have been published with ours stay what they are, to the byte.
 """
 
 from __future__ import annotations
@@ -17,6 +21,8 @@ from scipy import special, stats
 Floats = NDArray[np.float64]
 
 RESAMPLES = 10_000
+FEW_POOLS = 10
+"""Of fewer, resampling knows too little: its 95 % intervals then cover 52 % (2 pools), 71 % (3) or 82 % (5)."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,9 @@ def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, lev
     """Give how much less is needed with something than without it, in percent: 100 (1 - mean / mean).
 
     The interval is the bias-corrected and accelerated bootstrap over pools (Efron, "Better bootstrap confidence
-    intervals", 1987), because a ratio of means is skewed, and so are the means of people who are caught in a trap.
+    intervals", 1987), because a ratio of means is skewed, and so are the means of people who are caught in a trap. Of
+    fewer than `FEW_POOLS` it is Student's t with the jackknife's standard error (Tukey, 1958), which is as wide as
+    so little deserves.
 
     Parameters
     ----------
@@ -123,9 +131,11 @@ def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: floa
         value = float(statistic(columns.mean(axis=0)))
         if n < 2 or not math.isfinite(value):
             return Estimate(value, math.nan, math.nan)
+        left_out = np.asarray(statistic((columns.sum(axis=0) - columns) / (n - 1)))
+        if n < FEW_POOLS:
+            return _jackknife(value, left_out, level)
         weights = rng.multinomial(n, np.full(n, 1 / n), size=RESAMPLES) / n
         drawn = np.asarray(statistic(weights @ columns))
-        left_out = np.asarray(statistic((columns.sum(axis=0) - columns) / (n - 1)))
     drawn, left_out = drawn[np.isfinite(drawn)], left_out[np.isfinite(left_out)]
     off = left_out.mean() - left_out
     spread = float((off**2).sum())
@@ -137,3 +147,11 @@ def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: floa
     tails = bias + special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
     low, high = np.quantile(drawn, special.ndtr(bias + tails / (1 - acceleration * tails)))
     return Estimate(value, float(low), float(high))
+
+
+def _jackknife(value: float, left_out: Floats, level: float) -> Estimate:
+    """Give Student's t interval with the standard error of what is found when each of the n pools is left out."""
+    n = len(left_out)
+    error = math.sqrt((n - 1) / n * float(((left_out - left_out.mean()) ** 2).sum()))
+    half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
+    return Estimate(value, value - half, value + half) if math.isfinite(half) else Estimate(value, math.nan, math.nan)

@@ -102,20 +102,30 @@ class Cell:
 
 @dataclass(frozen=True)
 class Reference:
-    """Published figures that a study is compared with.
+    """What somebody has published, that a study is compared with.
 
     Attributes
     ----------
     source : str
+        Where it stands.
+    name : str
+        What reports call it.
     headline : tuple of pairs
         The name and the percentage of each figure of the headline.
     interventions : tuple of pairs
         Populations, and the interventions that they got on average.
+    declines : bool
+        Whether it is claimed that less is saved in large teams than in small ones.
+    contrasts : tuple of str
+        The study's contrasts that are claimed to be more than 1.
     """
 
     source: str
+    name: str = "the reference"
     headline: tuple[tuple[str, float], ...] = ()
     interventions: tuple[tuple[tuple[str, ...], float], ...] = ()
+    declines: bool = False
+    contrasts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

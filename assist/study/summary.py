@@ -41,6 +41,9 @@ class Found:
     study : Study
     pools : DataFrame
         One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES`.
+    main : dict
+        The arms of the headline and the pictures: the first condition under its first setting and prior, of its first
+        population.
     """
 
     def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
@@ -106,16 +109,25 @@ class Found:
         }
 
     def headline(self) -> dict[str, Any]:
-        """Give what the policy in focus saves in the first condition, over all team sizes; each task, and together."""
-        by_task = {arm["instance"]: own for arm, own in self.arms(**self.main)}
-        together = self.pools[self.pools["condition"] == self.main["condition"]]
-        for name, value in self.main.items():
+        """Give what the policy in focus saves in the first condition, over all team sizes; each task, and together.
+
+        It is of `main`; where the condition has other populations, settings or priors, those are under `others`.
+        """
+        first = self.study.conditions[0]
+        groups = [
+            {"condition": first.name, "setting": setting, "prior": prior, "population": population}
+            for setting, _ in first.settings for prior in first.priors for population in first.populations
+        ]  # fmt: skip
+        found = [self._headline(group) for group in groups]
+        return {"policy": self.study.focus, **found[0], "others": found[1:]}
+
+    def _headline(self, group: dict[str, str]) -> dict[str, Any]:
+        by_task = {arm["instance"]: own for arm, own in self.arms(**group)}
+        together = self.pools
+        for name, value in group.items():
             together = together[together[name] == value]
-        return {
-            "policy": self.study.focus,
-            **self._savings(together),
-            "instances": {instance: self._savings(own) for instance, own in by_task.items()},
-        }
+        instances = {instance: self._savings(own) for instance, own in by_task.items()}
+        return {**group, "pools": int(together["repeat"].nunique()), **self._savings(together), "instances": instances}
 
     def _savings(self, pools: pd.DataFrame) -> dict[str, Any]:
         focus = self.study.focus
@@ -175,7 +187,7 @@ class Found:
         """Give by how many percentage points the policy in focus saves less in large teams than in small ones."""
         found = []
         focus = self.study.focus
-        for arm, own in self.arms(**self.main):
+        for arm, own in self.arms(condition=self.main["condition"]):
             sizes = sorted(own["humans"].unique())
             for against in [name for name in BASELINES if name in set(own["policy"]) and name != focus]:
                 for measure in ("actions", "interventions"):
@@ -189,7 +201,7 @@ class Found:
                     if math.isfinite(estimate.value) and len(sizes) > 1:
                         found.append(
                             {
-                                "instance": arm["instance"],
+                                **arm,
                                 "policy": focus,
                                 "against": against,
                                 "measure": measure,

@@ -1,0 +1,133 @@
+"""Words in a picture where they cover nothing: beside the ends of curves, and around points.
+
+Both are placed once all else is drawn and the figure's layout is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise, product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..people.human import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.text import Annotation
+
+LINE = 10.5  # points from a line of words to the next
+FONT = 8.5
+NOTE_FONT = 8
+DISTANCES = (6, 14, 24)  # points from a point to its words: the nearest place that is free
+SAMPLES = 60  # of each straight piece of a curve, to see what words would cover
+
+
+@dataclass(frozen=True)
+class Note:
+    """Words, and the point (in data coordinates) that they belong to.
+
+    Attributes
+    ----------
+    text : str
+    x, y : float
+    color : str
+        Of the line that ties them to it.
+    """
+
+    text: str
+    x: float
+    y: float
+    color: str
+
+
+def name_curves(figure: Figure, ends: Mapping[Axes, Sequence[Note]]) -> None:
+    """Put names beside the ends of curves, right of each panel, moved apart as far as they need and tied to them."""
+    from scipy.optimize import isotonic_regression
+
+    figure.draw_without_rendering()
+    for axis, own in ends.items():
+        if not own:
+            continue
+        low, high = axis.get_ylim()
+        lines = max(note.text.count("\n") + 1 for note in own)
+        gap = LINE * lines * (high - low) / (axis.get_window_extent().height * 72 / figure.dpi)
+        order = sorted(own, key=lambda note: note.y)
+        steps = gap * np.arange(len(order))
+        # Ascending by `gap` at least, and otherwise as near to the ends as least squares can be.
+        heights = isotonic_regression(np.array([note.y for note in order]) - steps).x + steps
+        axis.set_ylim(low, high)
+        for note, height in zip(order, heights, strict=True):
+            axis.annotate(
+                note.text, (note.x, note.y), xytext=(1.03, height), textcoords=axis.get_yaxis_transform(), va="center",
+                fontsize=FONT, linespacing=0.95, annotation_clip=False,
+                arrowprops={
+                    "arrowstyle": "-", "color": note.color, "linewidth": 0.9, "shrinkA": 1, "shrinkB": 4,
+                    "relpos": (0, 0.5),
+                },
+            )  # fmt: skip
+
+
+def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
+    """Write beside points, in the nearest place around each where the words cover least; far words are tied to it."""
+    from matplotlib.text import Text
+
+    figure.draw_without_rendering()
+    for axis, own in notes.items():
+        covered = _ink(axis)
+        room = axis.get_window_extent()
+        written: list[tuple[Floats, Floats]] = []  # middle and size of each, in pixels
+        for note in own:
+            words = _words(axis, note)
+            box = Text.get_window_extent(words)  # without the line to the point
+            size = np.array([box.width, box.height])
+            at = axis.transData.transform((note.x, note.y))
+            places = [
+                (distance, right, up)
+                for distance, right, up in product(DISTANCES, (1, 0, -1), (1, 0, -1)) if right or up
+            ]  # fmt: skip
+            pixels = figure.dpi / 72
+            middles = [at + np.array([right, up]) * (size / 2 + distance * pixels) for distance, right, up in places]
+            hidden = []
+            for (distance, _, _), middle in zip(places, middles, strict=True):
+                out = (np.abs(middle - [(room.x0 + room.x1) / 2, (room.y0 + room.y1) / 2]) + size / 2) > (
+                    np.array([room.width, room.height]) / 2 + 20 * pixels
+                )
+                over = sum((np.abs(other - middle) < (size + its) / 2 + pixels).all() for other, its in written)
+                lines = (np.abs(covered - middle) < size / 2 + pixels).all(axis=1).sum()
+                hidden.append(len(covered) * (over + out.any()) + lines + distance / 10)
+            best = int(np.argmin(hidden))
+            distance, right, up = places[best]
+            written.append((middles[best], size))
+            words.set(ha=("center", "left", "right")[right], va=("center", "bottom", "top")[up])
+            words.xyann = (distance * right, distance * up)
+            if distance == DISTANCES[0] and words.arrow_patch is not None:
+                words.arrow_patch.set_visible(False)
+
+
+def _words(axis: Axes, note: Note) -> Annotation:
+    from matplotlib.patheffects import withStroke
+
+    return axis.annotate(
+        note.text, (note.x, note.y), xytext=(0, 0), textcoords="offset points", fontsize=NOTE_FONT, zorder=7,
+        path_effects=[withStroke(linewidth=2.5, foreground=axis.get_facecolor())], annotation_clip=False,
+        arrowprops={"arrowstyle": "-", "color": note.color, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3},
+    )  # fmt: skip
+
+
+def _ink(axis: Axes) -> Floats:
+    """Give points of all that is drawn, close to each other, in pixels, shape (n, 2)."""
+    from matplotlib.collections import LineCollection
+
+    drawn = [np.asarray(line.get_xydata(), dtype=float) for line in axis.get_lines()]
+    drawn += [
+        np.asarray(part, dtype=float)
+        for bars in axis.collections if isinstance(bars, LineCollection) for part in bars.get_segments()
+    ]  # fmt: skip
+    # An interval of a single pool has no ends.
+    lines = [axis.transData.transform(points) for points in drawn if points.ndim == 2 and np.isfinite(points).all()]
+    pieces = [np.linspace(start, end, SAMPLES) for line in lines for start, end in pairwise(line)]
+    return np.concatenate([*pieces, *lines, np.empty((0, 2))])

@@ -1,0 +1,172 @@
+"""How every picture looks: colours, what policies look like, legends, and how pictures are written to files.
+
+Text and axes have the colours of matplotlib's settings, so that pictures can be drawn for dark pages as well. Needs
+the extra `plots`.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec
+from zlib import crc32
+
+from planner.errors import MissingExtraError
+from planner.storage import atomic
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+
+# Okabe and Ito's colours, which people with any colour vision tell apart.
+BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
+SKY, VERMILLION, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
+
+FORMATS = (".png", ".svg", ".pdf")
+
+SETTINGS: dict[Any, Any] = {
+    "font.size": 9, "axes.titlesize": 9, "axes.labelsize": 9, "legend.fontsize": 8.5, "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5, "figure.titlesize": 10, "axes.spines.top": False, "axes.spines.right": False,
+    "grid.alpha": 0.3, "legend.frameon": False,
+}  # fmt: skip
+DARK = {
+    "figure.facecolor": "#16191d", "axes.facecolor": "#16191d", "savefig.facecolor": "auto", "grid.color": "#8a9099",
+}  # fmt: skip
+THICK: dict[str, Any] = {"linewidth": 3, "alpha": 0.75}
+THIN: dict[str, Any] = {"linewidth": 0.9, "alpha": 0.6}
+
+
+@dataclass(frozen=True)
+class Look:
+    """What a policy looks like in every picture: colour, marker and line differ at once."""
+
+    color: str
+    marker: str
+    line: Any = "-"
+
+
+LOOKS = {
+    "none": Look(GREY, "s", (0, (1, 1.2))),
+    "reactive": Look(ORANGE, "^", (0, (5, 1.5))),
+    "attention": Look(BLUE, "o"),
+    "attention-never": Look(SKY, "D", (0, (5, 1.5, 1, 1.5))),
+    "priority": Look(GREEN, "P"),
+}
+OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
+OTHER_LINES = ((0, (3, 1)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
+
+
+def looks(policies: Iterable[str]) -> dict[str, Look]:
+    """Give each policy its look, in the order in which they are drawn.
+
+    A name that is not known has the look that follows from it, or the next one where another such name of
+    the picture has that. They have different colours while there are colours.
+    """
+    names = set(policies)
+    found = {name: look for name, look in LOOKS.items() if name in names}
+    for name in sorted(names - set(LOOKS)):
+        first = crc32(name.encode())
+        taken = set(found.values())
+        wheel = (Look(*OTHERS[(first + i) % len(OTHERS)], line) for line in OTHER_LINES for i in range(len(OTHERS)))
+        free = (look for look in wheel if look not in taken)
+        found[name] = next(free, Look(*OTHERS[first % len(OTHERS)]))
+    return found
+
+
+def require() -> None:
+    """Check that pictures can be drawn.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("pictures need matplotlib: pip install 'kitassist[plots]'")
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Draw with the settings of all these pictures."""
+
+    @wraps(draw)
+    def with_settings(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        require()
+        from matplotlib import rc_context
+
+        with rc_context(SETTINGS):
+            return draw(*args, **kwargs)
+
+    return with_settings
+
+
+def ink() -> str:
+    """Give the colour of text on the present background."""
+    from matplotlib import rcParams
+
+    return str(rcParams["text.color"])
+
+
+def entry(label: str, **how: Any) -> Artist:
+    """Give an entry in a legend: a line, or a marker without one unless asked for."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], **{"color": ink(), "linestyle": "none" if "marker" in how else "-", **how}, label=label)
+
+
+def sample(name: str, look: Look, *, line: bool = True) -> Artist:
+    """Give a policy's entry in a legend."""
+    return entry(
+        name, color=look.color, marker=look.marker, linestyle=look.line if line else "none", markersize=6, linewidth=1.4
+    )
+
+
+def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
+    """Put the legend below all panels, in as few rows as there is width for."""
+    figure.align_ylabels()
+    for columns in range(len(entries), 0, -1):
+        legend = figure.legend(handles=entries, loc="outside lower center", ncols=columns)
+        if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
+            break
+        legend.remove()
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Save a figure in the format that the file's name asks for, at once or not at all."""
+    with atomic(file) as path:
+        figure.savefig(path, dpi=150)
+
+
+def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str) -> list[Path]:
+    """Draw a figure twice, for light and for dark pages, and write each as PNG and SVG; return the files.
+
+    The same figure always gives the same files.
+
+    Parameters
+    ----------
+    figure_of : callable
+        Draws it. It is called once for each background.
+    folder : Path
+    name : str
+        The files are `name.png`, `name.svg`, `name-dark.png` and `name-dark.svg`.
+    """
+    require()
+    from matplotlib import rc_context, style
+
+    files = []
+    backgrounds: dict[str, list[str | Path | dict[str, Any]]] = {
+        "": ["default"], "-dark": ["default", "dark_background", DARK],
+    }  # fmt: skip
+    for suffix, background in backgrounds.items():
+        with style.context(background), rc_context({"svg.hashsalt": name}):
+            figure = figure_of()
+            for ending, metadata in ((".png", {}), (".svg", {"Date": None})):
+                files.append(folder / f"{name}{suffix}{ending}")
+                with atomic(files[-1]) as path:
+                    figure.savefig(path, dpi=150, metadata=metadata)
+                figure.set_layout_engine("none")  # laid out once; that takes a third of the time
+    return files

@@ -1,0 +1,151 @@
+"""The pictures of a report: which of them a study has data for, and the data of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from ..plots import study as draw
+from .study import Cell, Condition, Study
+from .summary import MEASURES, Found, average
+from .wording import Record, named
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+SHOWN_PEOPLE = 3  # in the picture of an episode
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the report: its file's name, what it shows, and what draws it."""
+
+    name: str
+    text: str
+    figure: Callable[[], Figure]
+
+
+def pictures(found: Found, summary: Record) -> Iterator[Picture]:
+    """Give the pictures for which the study has data."""
+    import pandas as pd
+
+    study, whose = found.study, of_whom(found)
+    reference = study.reference
+    published = {named(key): value for key, value in reference.headline} if reference else {}
+    source = f"{study.focus} in {reference.name}" if reference else ""
+
+    cells = pd.DataFrame(_measured(cell for cell in summary["cells"] if found.main.items() <= cell.items()))
+    text = f"Human actions and interventions against the number of people{whose}"
+    yield Picture("team-size", text, partial(draw.team_size_figure, cells))
+
+    benefit = pd.DataFrame(
+        {**row, "comparison": f"{row['measure']} against {row['against']}"}
+        for row in summary["comparisons"]
+        if row["humans"] is not None and row["policy"] == study.focus
+    )
+    if len(benefit) and len(set(benefit["humans"])) > 1:
+        text = f"What {study.focus} saves, against the number of people{whose}"
+        yield Picture("benefit", text, partial(draw.benefit_figure, benefit, published, source))
+
+    condition = of_kinds(study)
+    if condition is not None:
+        kinds = pd.DataFrame(_kinds(found, condition))
+        marks = reference.interventions if reference else ()
+        marks = tuple(mark for mark in marks if {*mark[0]} <= {*condition.populations})
+        figure = partial(draw.category_figure, kinds, condition.populations, marks, source)
+        yield Picture("categories", "Actions and interventions of kinds of people", figure)
+
+    points = pd.DataFrame(_points(found))
+    if len(points) and len(points[["c_suggest", "c_move"]].drop_duplicates()) > 1:
+        name = reference.name if reference else ""
+        figure = partial(draw.trade_off_figure, points, published, name)
+        yield Picture("trade-off", f"Actions against interventions as costs vary{whose}", figure)
+
+    text = f"What the robot believes in the course of one episode{whose}"
+    yield Picture("belief", text, partial(draw.belief_figure, *_one_episode(found)))
+
+
+def of_kinds(study: Study) -> Condition | None:
+    """Give the first condition that compares several populations, under its first setting and prior."""
+    return next((condition for condition in study.conditions if len(condition.populations) > 1), None)
+
+
+def of_whom(found: Found) -> str:
+    """Say of whom the pictures of the first condition are, where it has several populations, settings or priors."""
+    first = found.study.conditions[0]
+    several = {
+        "population": first.populations, "setting": first.settings, "prior": first.priors,
+    }  # fmt: skip
+    parts = [f"{name} '{found.main[name]}'" for name, values in several.items() if len(values) > 1]
+    return f" ({', '.join(parts)})" if parts else ""
+
+
+def _measured(cells: Iterable[Record]) -> Iterator[Record]:
+    """Give a row for each measure of each cell."""
+    for cell in cells:
+        for name in draw.MEASURES:
+            yield {**cell, "measure": name, **cell[MEASURES[name]]}
+
+
+def _kinds(found: Found, condition: Condition) -> Iterator[Record]:
+    """Give actions and interventions of each population, over all team sizes."""
+    arms = found.arms(condition=condition.name, setting=condition.settings[0][0], prior=condition.priors[0])
+    for arm, own in arms:
+        for policy in dict.fromkeys(own["policy"]):
+            for measure in draw.MEASURES:
+                values = own[own["policy"] == policy].groupby("repeat")[measure].mean()
+                estimate = average(own, measure, policy)
+                yield {
+                    "instance": arm["instance"], "policy": policy, "category": arm["population"],
+                    "measure": measure, "sd": float(values.std()), "n": len(values),
+                    "mean": estimate.value, "low": estimate.low, "high": estimate.high,
+                }  # fmt: skip
+
+
+def _points(found: Found) -> Iterator[Record]:
+    """Give actions and interventions wherever nothing but costs differs from the first condition, of common pools."""
+    study = found.study
+    main = dict(study.conditions[0].settings)[found.main["setting"]]
+    arms = []
+    for arm, own in found.arms(population=found.main["population"], prior=found.main["prior"]):
+        setting = dict(study.condition(arm["condition"]).settings)[arm["setting"]]
+        if replace(setting, c_suggest=main.c_suggest, c_move=main.c_move) == main:
+            arms.append((arm, setting, own))
+    common = set.intersection(*(set(own["repeat"]) for _, _, own in arms))
+    for arm, setting, own in arms:
+        pools = own[own["repeat"].isin(common)]
+        for policy in dict.fromkeys(own["policy"]):
+            row: Record = {
+                "instance": arm["instance"], "policy": policy, "c_suggest": setting.c_suggest, "c_move": setting.c_move,
+            }  # fmt: skip
+            for measure in draw.MEASURES:
+                estimate = average(pools, measure, policy)
+                row |= {measure: estimate.value, f"{measure}_low": estimate.low, f"{measure}_high": estimate.high}
+            yield row
+
+
+def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
+    """Give what the robot believes in one episode of the first pool: the one with the most interventions."""
+    import pandas as pd
+
+    from ..simulation.belief_trace import beliefs_of_episode
+
+    study, condition = found.study, found.study.conditions[0]
+    humans = min(condition.humans, key=lambda k: abs(k - SHOWN_PEOPLE))
+    instance = condition.instances[0]
+    own = found.episodes
+    for name, value in {**found.main, "instance": instance, "policy": study.focus, "humans": humans}.items():
+        own = own[own[name] == value]
+    row = own[own["repeat"] == 0].sort_values("interventions", ascending=False, kind="stable").iloc[0]
+    cell = Cell(**found.main, instance=instance, repeat=0)
+    pool = study.people(cell)
+    number = int(row["draw"]) * study.trials + int(row["trial"])
+    team = study.teams(0, humans)[number]
+    episode, beliefs = beliefs_of_episode(
+        pool, study.policy(study.focus, pool), humans=team.tolist(), episode=number, seed=study.luck(0),
+        name=study.focus,
+    )  # fmt: skip
+    return pd.DataFrame(beliefs), episode
