@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .pddl import Instance, PDDLError
+from .processes import guarded_group
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
 
@@ -161,7 +162,7 @@ def has_axioms(sas: str) -> bool:
 def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
     """Run a program in a folder of its own; return its exit code and all it printed.
 
-    The limits are set on the process itself, so that they hold even if this process is killed.
+    It ends with this process, however that ends.
     """
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen(
@@ -174,6 +175,7 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
         text=True,
         encoding="utf-8",
         errors="replace",
+        process_group=guarded_group(),
     )
     try:
         if hasattr(resource, "prlimit"):

@@ -1,6 +1,7 @@
 """The same work on many things: in processes of this machine, or on a cluster.
 
-`outcomes` hands out the work and gives back what has ended, as it ends.
+`outcomes` hands out the work and gives back what has ended, as it ends. Processes of this machine do not outlive the
+one that asked.
 """
 
 from __future__ import annotations
@@ -8,9 +9,11 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from multiprocessing import get_context
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
 from typing import Any, TypeVar
 
+from . import processes
 from .errors import MissingExtraError
 
 Item = TypeVar("Item")
@@ -63,11 +66,18 @@ def _in_processes(
 
     if not items:
         return
-    pool = ProcessPool(max_workers=min(jobs, len(items)), context=get_context("spawn"), initializer=_ignore_interrupts)
+    others = set(active_children())
+    pool = ProcessPool(
+        max_workers=min(jobs, len(items)),
+        context=get_context("spawn"),
+        initializer=processes.join,
+        initargs=(processes.guarded_group(),),
+    )
     try:
-        futures: dict[Future[Result], Item] = {
-            pool.schedule(work, args=(item, *arguments), timeout=timeout): item for item in items
-        }
+        with _interrupts_left_to_this_process():
+            futures: dict[Future[Result], Item] = {
+                pool.schedule(work, args=(item, *arguments), timeout=timeout): item for item in items
+            }
         for future in as_completed(futures):
             outcome: Any
             try:
@@ -81,6 +91,8 @@ def _in_processes(
             yield futures[future], outcome
         pool.close()  # type: ignore[no-untyped-call]
     except BaseException:
+        for worker in set(active_children()) - others:
+            worker.kill()  # at once: `stop` gives each one three seconds, and their work is not wanted
         pool.stop()  # type: ignore[no-untyped-call]
         raise
     finally:
@@ -112,6 +124,11 @@ def _on_cluster(
             client.cancel(list(futures))
 
 
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which stops the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _interrupts_left_to_this_process() -> Iterator[None]:
+    """Block Ctrl-C for threads and processes that are started meanwhile, from their very beginning."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -9,8 +9,8 @@ import pytest
 from conftest import ROOT
 
 ROOMS = {
-    "planner": """errors storage workers pddl fast_downward built task budget successors statespace costtogo moves
-        kernels coding sweep ondemand methods solving batch""",
+    "planner": """errors storage processes workers pddl fast_downward built task budget successors statespace
+        costtogo moves kernels coding sweep ondemand methods solving batch""",
     "assist.people": "choices human belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": "actions log recording fit misconception population diagnostics record",

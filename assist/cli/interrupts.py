@@ -11,6 +11,7 @@ from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PATIENCE = 3.0  # seconds that a command may take to tidy up
 
 
 class Interrupted(KeyboardInterrupt):
@@ -23,29 +24,38 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Turn the first of these signals into an `Interrupted`; a second one ends the process at once.
+    """Turn the first of these signals into an `Interrupted`, and end the process soon, whatever it waits for.
 
-    A signal that is ignored from the start, as Ctrl-C in a script's background job and the closing terminal under
+    It ends at once with a second signal, and after `PATIENCE` without one: what is finished is on the disk already. A
+    signal that is ignored from the start, as Ctrl-C in a script's background job and the closing terminal under
     `nohup`, stays ignored.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    come = False
+    patience: threading.Timer | None = None
+
+    def end(number: int) -> NoReturn:
+        os.write(2, b"interrupted\n")
+        os._exit(128 + number)
 
     def interrupt(number: int, _: FrameType | None) -> NoReturn:
-        nonlocal come
-        if come:  # tidying up takes too long for somebody
-            os._exit(128 + number)
-        come = True
+        nonlocal patience
+        if patience is not None:
+            end(number)
+        patience = threading.Timer(PATIENCE, end, (number,))
+        patience.daemon = True
+        patience.start()
         raise Interrupted(number)
 
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    heard = [number for number in SIGNALS if before[number] not in (signal.SIG_IGN, None)]
+    heard = {number: signal.getsignal(number) for number in SIGNALS}
+    heard = {number: handler for number, handler in heard.items() if handler not in (signal.SIG_IGN, None)}
     try:
         for number in heard:
             signal.signal(number, interrupt)
         yield
     finally:
-        for number in heard:
-            signal.signal(number, before[number])
+        for number, handler in heard.items():
+            signal.signal(number, handler)
+        if patience is not None:
+            patience.cancel()
