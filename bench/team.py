@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
-from assist.certify.bounds import upper_bound
+from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population, perceived_value

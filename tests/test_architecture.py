@@ -17,7 +17,7 @@ ROOMS = {
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.interop": "exchange",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace",
-    "assist.certify": "bounds",
+    "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study protocol runner summary wording claims pictures report",
     "assist.cli": "interrupts options console progress task person team solve simulate policy bound export fit study",

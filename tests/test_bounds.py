@@ -11,7 +11,7 @@ from conftest import KITTING, kitassist
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify.bounds import upper_bound
+from assist.certify.bound import upper_bound
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve

@@ -11,7 +11,7 @@ import pytest
 from conftest import KITTING, table_of
 from joint import JointBounds, joint_bounds
 
-from assist.certify.bounds import upper_bound
+from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Floats, HumanModel, Population

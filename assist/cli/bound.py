@@ -52,7 +52,7 @@ def bound(
     **team: Any,
 ) -> None:
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
-    from ..certify.bounds import upper_bound
+    from ..certify.bound import upper_bound
 
     humans, seed = team["humans"], team["seed"]
     with one_line_errors():

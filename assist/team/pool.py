@@ -120,13 +120,14 @@ class Pool:
                 f"{type(table).__name__}: expected the cost-to-go of every state (a Table, or Choices), since people "
                 "may come to any of them"
             )
-        require_memory(setting.memory(len(table)), len(table), models, memory_limit_mb)  # before choices are made
+        _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
         choices = table if isinstance(table, Choices) else Choices.of(table)
         if not np.isfinite(choices.h[choices.initial]):
             raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
         offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
-        slots, most = choices.applicable.shape[1], int(offered.sum(axis=1).max(initial=0))
-        require_memory(setting.memory(len(choices), slots, most), len(choices), models, memory_limit_mb)
+        robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
+        one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
+        _allow(one, len(choices), models, memory_limit_mb)
         tell = progress or (lambda *_: None)
         tell(0, models)
         rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
@@ -170,7 +171,21 @@ class Pool:
         return named(name, self.policies, travel or self.setting.travel(2))
 
 
-def require_memory(one: int, states: int, models: int, limit_mb: float) -> None:
+def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:
+    """Give the bytes that a person's problem and its QMDP policy take; at least, where only its states are known.
+
+    Parameters
+    ----------
+    slots, robots : int
+        The most choices of a person, and of the robot, in any state.
+    betas, thetas : int
+        The grid's, as `Grid.regular` has it unless given.
+    """
+    hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas  # cost, afterstate, slot; unsuggested; theta's moves
+    return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
+
+
+def _allow(one: int, states: int, models: int, limit_mb: float) -> None:
     """Refuse policies, each of so many bytes, that would not fit the memory."""
     needed = (models + 1) * one / 1e6  # while values are put in order they are there twice
     if needed > positive("memory_limit_mb", limit_mb):

@@ -79,17 +79,3 @@ class Setting:
             model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
             suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
         )  # fmt: skip
-
-    def memory(self, states: int, slots: int = 1, offered: int = 1) -> int:
-        """Give the bytes that one person's problem and its QMDP policy take, at least.
-
-        Parameters
-        ----------
-        states : int
-        slots, offered : int
-            The most choices that a state has, and the most that are suggested.
-        """
-        betas, thetas = 6, 10  # as in `Grid.regular`
-        robots, hidden = 1 + offered * (1 + self.execute), betas * thetas
-        of_a_robot = 3 + betas + 2 * thetas  # charge, place and suggestion; rest; where theta goes
-        return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)

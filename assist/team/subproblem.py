@@ -7,34 +7,150 @@ Coming costs what coming from the nearest other place does, and takes as long; l
 the prices on attention is free.
 
 `Visits.of` writes that as an `AssistPOMDP` again, whose observed state is the task's, the step as long as the
-price depends on it, and the robot's position. So every solver and bound there is serves here too.
+price depends on it, and the robot's position (`Layout`). What the robot can do depends on its position alone
+(`RobotMoves`). So every solver and bound there is serves here too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.choices import Choices
-from ..people.human import NOTHING, Floats, HumanModel
+from ..people.human import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP
 
 AWAY, HERE = 0, 1
 """Positions of the robot. At HERE + s it is on its way, and here after s more steps."""
 
-Index = Callable[[ArrayLike, ArrayLike, ArrayLike], NDArray[np.int64]]
+
+@dataclass(frozen=True)
+class Layout:
+    """The states of a problem of visits: by step, then by the robot's position, then by the task's state.
+
+    Attributes
+    ----------
+    states : int
+        How many states the task has.
+    positions : int
+        How many the robot has.
+    layers : tuple of int arrays
+        The task's states that are there at each step, ascending; the last for all later steps.
+    """
+
+    states: int
+    positions: int
+    layers: tuple[NDArray[np.int64], ...]
+
+    @classmethod
+    def of(cls, alone: AssistPOMDP, positions: int, steps: int) -> Layout:
+        """Keep what can be reached at each of so many steps; with none, every state of the task."""
+        choices = alone.model.choices
+        if not steps:
+            return cls(len(choices), positions, (np.arange(len(choices)),))
+
+        def and_executed(states: NDArray[np.int64]) -> NDArray[np.int64]:
+            return np.union1d(states, alone.afterstate[states].ravel())
+
+        layers = [and_executed(np.array([choices.initial]))]
+        for _ in range(steps):
+            layers.append(and_executed(np.unique(choices.targets[layers[-1]])))
+        known = 0
+        while len(layers[-1]) > known:  # all later steps are in the last layer
+            known = len(layers[-1])
+            layers[-1] = and_executed(np.union1d(layers[-1], choices.targets[layers[-1]].ravel()))
+        return cls(len(choices), positions, tuple(layers))
+
+    def __len__(self) -> int:
+        return self.positions * sum(map(len, self.layers))
+
+    @cached_property
+    def step(self) -> NDArray[np.int64]:
+        """The step of each state, shape (m,); the last is any later one, too."""
+        return np.repeat(np.arange(len(self.layers)), [self.positions * len(layer) for layer in self.layers])
+
+    @cached_property
+    def position(self) -> NDArray[np.int64]:
+        """The robot's position in each state, shape (m,)."""
+        return np.concatenate([np.repeat(np.arange(self.positions), len(layer)) for layer in self.layers])
+
+    @cached_property
+    def x(self) -> NDArray[np.int64]:
+        """The task's state in each state, shape (m,)."""
+        return np.concatenate([np.tile(layer, self.positions) for layer in self.layers])
+
+    @cached_property
+    def _first(self) -> NDArray[np.int64]:
+        """The number of each task state at each step, with the robot away; -1 where it is not there."""
+        first = np.full((len(self.layers), self.states), -1)
+        before = 0
+        for row, layer in zip(first, self.layers, strict=True):
+            row[layer] = before + np.arange(len(layer))
+            before += self.positions * len(layer)
+        return first
+
+    def number(self, step: ArrayLike, position: ArrayLike, x: ArrayLike) -> NDArray[np.int64]:
+        """Number states of a step, a position and a state of the task, in arrays that fit; -1 where one is not there.
+
+        Steps beyond the last are the last.
+        """
+        step = np.minimum(step, len(self.layers) - 1)
+        sizes = np.array([len(layer) for layer in self.layers])
+        first = self._first[step, np.asarray(x)]
+        return np.where(first < 0, -1, first + np.multiply(position, sizes[step]))
+
+
+@dataclass(frozen=True)
+class RobotMoves:
+    """What the robot can do, by its position and the number of the robot action: arrays of shape (P, R + 1).
+
+    Away: to stay away (0), and to come, saying nothing (1, if the way takes time) or saying each thing there is to
+    say (1 and up, if it takes none). Here: to leave (0), and to stay and say nothing (1) or anything there is to
+    say (2 and up). On its way: to go on (0).
+
+    Attributes
+    ----------
+    meant : int array
+        The action of a robot that is always there for which each stands.
+    then : int array
+        Where the robot is when the person acts.
+    comes : bool array
+        Which are to come, and cost that.
+    """
+
+    meant: NDArray[np.int64]
+    then: NDArray[np.int64]
+    comes: NDArray[np.bool_]
+    entry_steps: int
+
+    @classmethod
+    def of(cls, positions: int, actions: int, entry_steps: int) -> RobotMoves:
+        """List them, where a robot that is always there has at most so many actions."""
+        number = np.arange(actions + 1)
+        meant = np.zeros((positions, actions + 1), dtype=np.int64)
+        meant[AWAY] = 0 if entry_steps else number.clip(max=actions - 1)
+        meant[HERE] = (number - 1).clip(min=0)
+        then = np.empty_like(meant)
+        then[:, 0] = np.arange(positions)
+        then[HERE, 0] = AWAY
+        then[:, 1:] = HERE
+        then[AWAY, 1:] = HERE + entry_steps
+        comes = np.zeros(meant.shape, dtype=bool)
+        comes[AWAY, 1:] = True
+        return cls(meant, then, comes, entry_steps)
+
+    def count(self, position: NDArray[np.int64], alone: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Give how many there are, shape (m,), at positions and where a robot that is always there has so many."""
+        away = np.full_like(alone, 2) if self.entry_steps else alone
+        return np.select([position == AWAY, position == HERE], [away, alone + 1], 1)
 
 
 @dataclass(frozen=True)
 class Visits:
-    """One person's problem with a robot that comes and goes.
-
-    Its robot actions are, where the robot is away: to stay away (0), and to come, saying nothing (1, if the way takes
-    time) or saying each thing there is to say (1 and up, if it takes none). Where it is here: to leave (0), and to
-    stay and say nothing (1) or anything there is to say (2 and up). On its way: to go on (0).
+    """One person's problem with a robot that comes and goes; its robot actions are `RobotMoves`.
 
     Attributes
     ----------
@@ -48,10 +164,8 @@ class Visits:
         What coming costs, in cost units.
     entry_steps : int
         How many steps it takes.
-    longest : int
-        The most steps that the robot can be on its way.
-    step, position, x : int arrays, shape (m,)
-        What each state stands for: the step (W: W or any later one), the robot's position, the task's state.
+    layout : Layout
+        What each state stands for.
     """
 
     pomdp: AssistPOMDP
@@ -59,10 +173,7 @@ class Visits:
     price: Floats
     entry: float
     entry_steps: int
-    longest: int
-    step: NDArray[np.int64]
-    position: NDArray[np.int64]
-    x: NDArray[np.int64]
+    layout: Layout
 
     @classmethod
     def of(
@@ -86,108 +197,69 @@ class Visits:
         if alone.frontier is not None:
             raise ValueError("visits: expected a problem of all states, and this one breaks off at a frontier")
         price = np.array(price, dtype=float)
-        choices, steps = alone.model.choices, len(price)
-        longest = entry_steps if longest is None else max(longest, entry_steps)
-        positions = 2 + longest
-        layers = _layers(alone, steps)
-        offsets = np.cumsum([0, *(positions * len(layer) for layer in layers)])
-        step = np.repeat(np.arange(steps + 1), np.diff(offsets))
-        position = np.concatenate([np.repeat(np.arange(positions), len(layer)) for layer in layers])
-        x = np.concatenate([np.tile(layer, positions) for layer in layers])
+        positions = 2 + max(entry_steps, longest or 0)
+        layout = Layout.of(alone, positions, len(price))
+        choices = _choices(alone.model.choices, layout)
+        moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
-        index = _index(layers, offsets, len(choices))
-        after = np.where(position > HERE, position - 1, position)
-        targets = index(np.minimum(step + 1, steps)[:, None], after[:, None], choices.targets[x])
-        by_h = np.argsort(choices.h[x], kind="stable")
-        order = by_h[np.argsort(-step[by_h], kind="stable")]  # what comes later is worked out first
-        own = np.arange(len(x))
-        targets = np.where(choices.applicable[x], targets, own[:, None])
-        product = Choices(
-            choices.h[x], choices.goal[x], choices.applicable[x], choices.actions[x], targets, choices.costs[x],
-            choices.optimal[x], choices.names, int(index(0, AWAY, choices.initial)),
-        )  # fmt: skip
-
-        # Which robot action of the problem alone each action stands for, and whether it is to be here or on the way.
-        most = alone.suggested.shape[1]
-        number = np.arange(most + 1)
-        meant = np.where(position[:, None] == AWAY, number, number - 1)
-        if entry_steps:  # to come is to say nothing yet
-            meant = np.where(position[:, None] == AWAY, 0, meant)
-        meant = np.clip(meant, 0, most - 1)
-        count = np.where(position == HERE, alone.robot_actions[x] + 1, 1)
-        count = np.where(position == AWAY, 2 if entry_steps else alone.robot_actions[x], count)
-        count = np.where(choices.goal[x], 1, count)
-        comes = (number > 0) & (position[:, None] == AWAY)
-        used = number < count[:, None]
-        then = np.where(number == 0, np.where(position > HERE, position, AWAY)[:, None], HERE)
-        then = np.where(comes, HERE + entry_steps, then)
-        charge = np.where(comes, entry, 0.0)
-        row = x[:, None]
+        x, position, own = layout.x, layout.position, np.arange(len(layout))
+        count = np.where(choices.goal, 1, moves.count(position, alone.robot_actions[x]))
+        used = np.arange(moves.meant.shape[1]) < count[:, None]
+        row, meant = x[:, None], moves.meant[position]
+        afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
         pomdp = replace(
             alone,
-            model=HumanModel(product, alone.model.q[x], alone.model.eta, alone.model.lapse, alone.model.utility_scale),
+            model=replace(alone.model, choices=choices, q=alone.model.q[x]),
             robot_actions=count,
             suggested=np.where(used, alone.suggested[row, meant], NOTHING),
-            afterstate=np.where(used, index(step[:, None], then, alone.afterstate[row, meant]), own[:, None]),
-            robot_costs=np.where(used, alone.robot_costs[row, meant] + charge, 0.0),
+            afterstate=np.where(used, afterstate, own[:, None]),
+            robot_costs=np.where(used, alone.robot_costs[row, meant] + entry * moves.comes[position], 0.0),
             chosen=alone.chosen[x],
             unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
-            order=order[~choices.goal[x][order]],
+            order=_order(choices, layout),
         )
-        free = cls(pomdp, alone, np.zeros(steps), entry, entry_steps, longest, step, position, x)
-        return free.priced(price) if steps else free
+        free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
+        return free.priced(price) if len(price) else free
 
     def priced(self, price: Floats) -> Visits:
         """Give the same problem with other prices, of the same steps."""
-        more = np.append(price - self.price, 0.0)[self.step]
-        charge = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
-        return replace(self, pomdp=replace(self.pomdp, robot_costs=charge), price=price)
+        more = np.append(price - self.price, 0.0)[self.layout.step]
+        costs = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
+        return replace(self, pomdp=replace(self.pomdp, robot_costs=costs), price=price)
 
     def attended(self) -> NDArray[np.bool_]:
         """Tell which robot actions take its attention, shape (m, R)."""
         number = np.arange(self.pomdp.robot_costs.shape[1])
-        attended = ((number > 0) | (self.position[:, None] > HERE)) & (number < self.pomdp.robot_actions[:, None])
+        under_way = self.layout.position[:, None] > HERE
+        attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
         return attended & ~self.pomdp.final[:, None]
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
-        mine = np.flatnonzero((self.step == min(step, len(self.price))) & (self.position == position))
-        number = np.full(len(self.alone.robot_actions), -1)
-        number[self.x[mine]] = mine
-        return number
+        return self.layout.number(step, position, np.arange(self.layout.states))
 
 
-def _index(layers: list[NDArray[np.int64]], offsets: NDArray[np.int64], states: int) -> Index:
-    """Number states by step, position and the task's state; -1 where one is not there."""
-    within = np.full((len(layers), states), -1)
-    for t, layer in enumerate(layers):
-        within[t, layer] = np.arange(len(layer))
-    sizes = np.array([len(layer) for layer in layers])
+def _choices(alone: Choices, layout: Layout) -> Choices:
+    """Give the person's choices: the same, while the step passes and the robot that is on its way comes nearer."""
+    x, own = layout.x, np.arange(len(layout))
+    position = np.where(layout.position > HERE, layout.position - 1, layout.position)
+    targets = layout.number(layout.step[:, None] + 1, position[:, None], alone.targets[x])
+    return replace(
+        alone,
+        h=alone.h[x],
+        goal=alone.goal[x],
+        applicable=alone.applicable[x],
+        actions=alone.actions[x],
+        targets=np.where(alone.applicable[x], targets, own[:, None]),
+        costs=alone.costs[x],
+        optimal=alone.optimal[x],
+        initial=int(layout.number(0, AWAY, alone.initial)),
+    )
 
-    def index(step: ArrayLike, position: ArrayLike, x: ArrayLike) -> NDArray[np.int64]:
-        step, position, x = np.asarray(step), np.asarray(position), np.asarray(x)
-        at = within[step, x]
-        return np.where(at >= 0, offsets[step] + position * sizes[step] + at, -1)
 
-    return index
-
-
-def _layers(alone: AssistPOMDP, steps: int) -> list[NDArray[np.int64]]:
-    """Give the task's states that can be reached at each step, the last for all later ones."""
-    choices = alone.model.choices
-    if not steps:
-        return [np.arange(len(choices))]
-
-    def and_executed(states: NDArray[np.int64]) -> NDArray[np.int64]:
-        return np.union1d(states, alone.afterstate[states].ravel())
-
-    layers = [and_executed(np.array([choices.initial]))]
-    for _ in range(steps):
-        layers.append(and_executed(np.unique(choices.targets[layers[-1]])))
-    known = 0
-    while len(layers[-1]) > known:
-        known = len(layers[-1])
-        layers[-1] = and_executed(np.union1d(layers[-1], choices.targets[layers[-1]].ravel()))
-    return layers
+def _order(choices: Choices, layout: Layout) -> NDArray[np.int64]:
+    """Order the states that are not final: what comes later is worked out first, then what is nearer to the goal."""
+    order = np.lexsort((choices.h, -layout.step))
+    return order[~choices.goal[order]]

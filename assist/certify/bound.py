@@ -1,0 +1,203 @@
+"""A certified upper bound on what any team policy can reach, and with it how far a policy is from the best.
+
+At each step the robot is with one person, or on its way to one. Relaxing that with a price lambda_t >= 0 on every
+step of attention takes the team apart (`assist.team.subproblem`):
+
+    J*  <=  sum_t gamma^t lambda_t  +  sum_k V_k(lambda)
+
+where V_k is the most that any policy gets in person k's own problem, in which attention is paid for, and coming costs
+what coming from the nearest other place does. That holds for all prices. At those that are found
+(`assist.certify.prices`), each V_k is bounded from above by solving the problem with beta and theta hidden
+(`assist.person.solver`), so that knowing people better than one can is no source of looseness.
+
+The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
+simulated as well.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..people.human import Floats
+from ..person.solver import solve
+from ..team.arguments import Seed, entropy, positive, whole
+from ..team.pool import MEMORY_LIMIT_MB, Pool
+from ..team.state import TeamPolicy
+from ..team.travel import Travel
+from .certificate import Certificate, horizon, returns
+from .prices import Kind, Tell, kinds_of, search, window_of
+
+FOR_PRICES = 0.4
+"""The share of a time limit in which prices are looked for; people's problems are bounded in the rest."""
+
+
+@dataclass(frozen=True)
+class TeamBound:
+    """What no policy for a team exceeds, from the beginning of an episode on.
+
+    Attributes
+    ----------
+    pool : Pool
+    team : tuple of int
+        Who is at each place.
+    travel : Travel
+    upper : float
+        Mean discounted return, in cost units.
+    slack : float
+        By how much `upper` could be lower, at most, if each person's problem had been solved to the end: the sum of
+        what is between the solver's bounds.
+    upper_seen : float
+        What the bound would be if beta and theta were seen, at the same prices.
+    price : float array, shape (W,)
+        lambda_t, in cost units.
+    seconds : float
+    """
+
+    pool: Pool
+    team: tuple[int, ...]
+    travel: Travel
+    upper: float
+    slack: float
+    upper_seen: float
+    price: Floats
+    seconds: float
+
+    def __post_init__(self) -> None:
+        self.price.flags.writeable = False
+
+    def relaxed(self, *, episodes: int = 20_000, seed: Seed = 0) -> tuple[float, float]:
+        """Simulate QMDP's policies in the relaxed problem, with a robot for everybody; give mean and standard error.
+
+        The best policies there get no less and the bound no more than `upper`: what of a certificate's gap is below
+        this mean is not the solver's but the relaxation's and the policy's.
+        """
+        episodes, luck = whole("episodes", episodes, 2), entropy(seed)
+        gamma = self.pool.setting.gamma
+        total, variance = float(self.price @ gamma ** np.arange(len(self.price))), 0.0
+        kinds = kinds_of(self.pool, self.team, self.travel, len(self.price))
+        for number, kind in enumerate(kinds):  # of independent luck, so that variances add up
+            value = kind.simulated(self.price, horizon(gamma), episodes, luck + number)[1]
+            total += kind.count * float(value.mean())
+            variance += kind.count**2 * float(value.var(ddof=1)) / episodes
+        return total, math.sqrt(variance)
+
+    def certify(
+        self,
+        policy: TeamPolicy | str,
+        name: str | None = None,
+        *,
+        episodes: int = 20_000,
+        seed: Seed = 0,
+        time_limit: float | None = None,
+    ) -> Certificate:
+        """Simulate a policy, or the one of a name, in the model's world and compare.
+
+        Parameters
+        ----------
+        time_limit : float, optional
+            Begin no more episodes after so many seconds; about a thousand are simulated in any case.
+        """
+        called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
+        value = returns(
+            self.pool, policy, self.team, self.travel, name=called, episodes=whole("episodes", episodes, 2),
+            seed=entropy(seed), time_limit=time_limit,
+        )  # fmt: skip
+        return Certificate.of(called, value, humans=len(self.team), upper=self.upper, slack=self.slack)
+
+
+def upper_bound(
+    pool: Pool,
+    team: Sequence[int] | None = None,
+    *,
+    travel: Travel | None = None,
+    window: int | None = None,
+    gap: float = 1e-3,
+    time_limit: float | None = None,
+    memory_limit_mb: float = MEMORY_LIMIT_MB,
+    seed: Seed = 0,
+    jobs: int | None = None,
+    progress: Tell | None = None,
+) -> TeamBound:
+    """Bound from above what any policy gets with a team in which all work from the beginning.
+
+    Parameters
+    ----------
+    pool : Pool
+    team : sequence of int, optional
+        Who is at each place; the whole pool unless given.
+    travel : Travel, optional
+        The way between them; that of the setting unless given.
+    window : int, optional
+        Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a crowd, for
+        as long as `CROWD` people would still be at work without a robot, but at most `LONGEST` times that.
+    gap : float
+        Relative gap to which each person's problem is solved.
+    time_limit : float, optional
+        Seconds for all of it. Prices are looked for in at most `FOR_PRICES` of them; in what is left each person's
+        problem gets an equal share. What is being set up or solved for the first bounds is not interrupted, and the
+        bound is sound however little time there was.
+    memory_limit_mb : float
+        What people's problems may take, in megabytes, which is known before they are set up; and once more what those
+        that are solved at a time may take for vectors and beliefs.
+    seed : int or Generator
+    jobs : int, optional
+        Problems that are solved at a time; as many as there are processors unless given.
+    progress : callable, optional
+        As `Tell` says.
+
+    Raises
+    ------
+    LimitError
+        People's problems would take more memory than is allowed.
+    """
+    start = time.perf_counter()
+    limit = math.inf if time_limit is None else positive("time_limit", time_limit)
+    members = _members(pool, team)
+    travel = travel or pool.setting.travel(len(members))
+    if len(travel) != len(members):
+        raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
+    workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
+    gamma, luck, tell = pool.setting.gamma, entropy(seed), progress or (lambda *_: None)
+    steps = window_of(pool, members, luck) if window is None else whole("window", window)
+    kinds = kinds_of(pool, members, travel, steps, memory_limit_mb=memory_limit_mb, tell=tell)
+    price = np.zeros(0)
+    if len(members) > 1:
+        price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * limit, tell=tell)
+
+    def one(number: int, kind: Kind) -> tuple[float, float, float]:
+        visits = kind.at(price)
+        best = kind.best(visits)
+        still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
+        share = (start + limit - time.perf_counter()) / still
+        solution = solve(
+            visits.pomdp, gap=gap, time_limit=None if time_limit is None else max(0.0, share),
+            memory_limit_mb=memory_limit_mb / workers, best=best,
+        )  # fmt: skip
+        return solution.upper, solution.upper - solution.lower, solution.value_qmdp
+
+    parts: list[tuple[float, float, float]] = []
+    tell("bounding people's problems", 0, len(kinds))
+    with ThreadPoolExecutor(workers) as threads:
+        for part in threads.map(one, range(len(kinds)), kinds):
+            parts.append(part)
+            tell("bounding people's problems", len(parts), len(kinds))
+    paid = float(price @ gamma ** np.arange(len(price)))
+    counts = np.array([kind.count for kind in kinds])
+    upper, slack, seen = (float(counts @ column) for column in np.array(parts).T)
+    return TeamBound(pool, members, travel, upper + paid, slack, seen + paid, price, time.perf_counter() - start)
+
+
+def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
+    """Read who is at each place."""
+    people = len(pool.people)
+    members = tuple(range(people)) if team is None else tuple(whole("person", person) for person in team)
+    if not members or max(members) >= people:
+        raise ValueError(f"team {members}: expected one or more numbers of the pool, from 0 to {people - 1}")
+    return members

@@ -1,0 +1,192 @@
+"""Prices of the robot's attention, looked for by simulating each person's problem.
+
+Where more than one robot would be busy at a step, its price is raised, and lowered where none would: a subgradient
+method. Any prices give a sound bound; these give one that is nearly as tight as can be.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner import LimitError
+
+from ..people.human import Floats
+from ..person.qmdp import QMDP, qmdp
+from ..simulation.simulate import simulate
+from ..team.arguments import positive
+from ..team.attention import NoAssistance
+from ..team.pool import Pool, policy_bytes
+from ..team.state import TeamAction, TeamState
+from ..team.subproblem import HERE, Layout, Visits
+from ..team.travel import Travel
+
+ROUNDS = 40
+"""Times that prices are changed. The last half's mean is taken."""
+
+STEP = 0.5
+"""What a price changes by in the first round, at most, in cost units."""
+
+SAMPLE = 2048
+"""Simulated episodes of each person's problem in every round."""
+
+NEGLIGIBLE = 0.01
+"""Prices after the last one above this, in cost units, are left out."""
+
+CROWD = 5
+"""Prices are looked for while more people than these would be at work without a robot."""
+
+LONGEST = 6
+"""They end after at most so many times what the longest task takes at best."""
+
+Tell = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it has been, and of how much."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """People of a team who have the same problem, and how many they are.
+
+    Attributes
+    ----------
+    pool : Pool
+    visits : Visits
+        Their problem, at prices of 0.
+    tail : QMDP
+        What it is worth from the step on from which attention is free.
+    count : int
+    """
+
+    pool: Pool
+    visits: Visits
+    tail: QMDP
+    count: int
+
+    def best(self, visits: Visits) -> QMDP:
+        """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
+        layout = visits.layout
+        above = np.zeros((len(layout), *visits.pomdp.grid.shape))
+        last = layout.step == len(visits.price)
+        above[last] = self.tail.value_mdp[layout.position[last] * layout.states + layout.x[last]]
+        return qmdp(visits.pomdp, above=above, tolerance=1e-5)
+
+    def at(self, price: Floats) -> Visits:
+        """Give the problem at prices of any steps."""
+        return Visits.of(self.visits.alone, self.visits.entry, self.visits.entry_steps, price)
+
+    def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
+        """Simulate QMDP's policy in the problem at these prices for so many steps.
+
+        Return the share of people who are attended to at each step that has a price, and each episode's return.
+        """
+        visits = self.visits.priced(price)
+        policy = self.best(visits)
+        number = np.zeros(len(price))
+
+        def act(team: TeamState) -> TeamAction:
+            robot = policy.choose(*team.known_of(np.arange(len(team.x))))
+            if team.step < len(price):
+                # On its way the robot has no other choice than to go on.
+                number[team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
+            return TeamAction(np.zeros_like(robot), robot)
+
+        human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
+        # The way is part of the problem, so that none is left to the simulation.
+        setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps)
+        pool = Pool(setting, (human,), (policy,), np.zeros(1, dtype=np.int64))
+        run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
+        return number / episodes, run.discounted_return
+
+
+def kinds_of(
+    pool: Pool,
+    team: tuple[int, ...],
+    travel: Travel,
+    window: int,
+    *,
+    memory_limit_mb: float = math.inf,
+    tell: Tell = lambda *_: None,
+) -> list[Kind]:
+    """Give a team's kinds, with prices of 0 on so many steps.
+
+    Raises
+    ------
+    LimitError
+        Their problems would take more memory than is allowed.
+    """
+    entries, steps = travel.entry.tolist(), travel.entry_steps.tolist()
+    members = Counter((int(pool.model[person]), entries[k], steps[k]) for k, person in enumerate(team))
+    _allow(pool, list(members), window, memory_limit_mb)
+    kinds = []
+    for done, ((model, entry, entry_steps), count) in enumerate(members.items()):
+        tell("setting people's problems up", done, len(members))
+        alone = pool.policies[model].pomdp
+        tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
+        kinds.append(Kind(pool, Visits.of(alone, entry, entry_steps, np.zeros(window)), tail, count))
+    return kinds
+
+
+def _allow(pool: Pool, kinds: list[tuple[int, float, int]], window: int, limit_mb: float) -> None:
+    """Refuse problems that would not fit the memory."""
+    needed, states = 0.0, 0
+    for model, _, entry_steps in kinds:
+        alone = pool.policies[model].pomdp
+        states = len(Layout.of(alone, 2 + entry_steps, window))
+        slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+        needed += policy_bytes(states, slots=slots, robots=robots)
+    needed *= 1 + 1 / len(kinds)  # one is solved anew in every round
+    if needed > positive("memory_limit_mb", limit_mb) * 1e6:
+        raise LimitError(
+            f"{len(kinds):,} problems of people, each of up to {states:,} states with {window} steps of prices, take "
+            f"about {needed / 1e6:,.0f} MB of memory, and {limit_mb:,.0f} MB are allowed; expected one model for all "
+            "(knowledge 'exact'), prices on fewer steps (window), or a higher memory limit"
+        )
+
+
+def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
+    """Give the number of steps on which prices are looked for."""
+    shortest = max(float(c.h[c.initial]) / float(c.costs[c.applicable].min()) for c in map(pool.choices, team))
+    alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
+    steps = np.arange(math.ceil(LONGEST * shortest))
+    working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
+    return max(math.ceil(2 * shortest), int((working > CROWD).sum()))
+
+
+def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: Tell) -> Floats:
+    """Look for prices until so many rounds are over or, on `time.perf_counter()`'s clock, the deadline is.
+
+    Returns
+    -------
+    float array, shape (W,)
+        The mean of the last half of the rounds, up to the last price that is not negligible.
+    """
+    price, mean, past, counted = np.zeros(window), np.zeros(window), np.zeros(window), 0
+    for round_ in range(ROUNDS):
+        tell("looking for prices", round_, ROUNDS)
+        # Other luck in every round, so that prices fit people and not a sample of them.
+        busy = np.zeros(window)
+        for kind in kinds:
+            if time.perf_counter() > deadline:
+                break
+            busy += kind.count * kind.simulated(price, window, SAMPLE, seed + round_)[0]
+        else:
+            # A subgradient step, for each price as long as its past ones have been short (AdaGrad: Duchi, Hazan and
+            # Singer, 2011): where two persons need the robot every now and then, a price has far to go on a slight
+            # slope. Relative to how many robots are busy: a crowd's first steps, with dozens, would leave all others
+            # too short.
+            slope = (busy - 1) / np.maximum(busy, 1)
+            past += slope**2
+            price = np.maximum(0.0, price + STEP * slope / np.sqrt(past + 1e-12))
+            if round_ >= ROUNDS // 2:
+                mean += price / (ROUNDS - ROUNDS // 2)
+                counted += 1
+            continue
+        break  # what is left of a round that has begun says nothing
+    if counted < ROUNDS - ROUNDS // 2:
+        mean = mean * (ROUNDS - ROUNDS // 2) / counted if counted else price
+    return mean[: int(np.flatnonzero(mean > NEGLIGIBLE).max(initial=-1)) + 1]
