@@ -143,7 +143,7 @@ def append(file: Path, text: str) -> None:
                 stream.write(text.encode())
                 stream.flush()
                 os.fsync(stream.fileno())
-            except BaseException:
+            except OSError:  # not what was written whole when Ctrl-C came
                 os.truncate(file, before)
                 raise
     except OSError as error:
