@@ -11,5 +11,12 @@ simulation  episodes of a team
 certify     bounds on what any team policy can get
 plots       pictures (extra `plots`)
 study       studies: what is to be done, its carrying out, what was found (extra `study`)
+live        the live assistant: a team of real people, action by action
 cli         the command `kitassist`, a file for each of its commands
+
+What most users need is imported from here; each folder hands on what it has for those who need more.
 """
+
+from planner.lazy import hand_on
+
+__getattr__, __dir__, __all__ = hand_on(__name__, __file__)

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from .budget import available_memory
+from .errors import ResultsExistError
 from .pddl import Instance
 from .solving import Record, SolveOptions, solve_instance, unsolved
 from .storage import append_record, read_records, write_records
@@ -20,10 +21,6 @@ from .workers import WorkerDiedError, outcomes
 RESULTS = "results.jsonl"
 DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
-
-
-class ResultsExistError(ValueError):
-    """An output folder that holds results already."""
 
 
 def solve_batch(

@@ -9,6 +9,10 @@ class MissingExtraError(ImportError):
     """A package that only an extra of this project installs."""
 
 
+class ResultsExistError(ValueError):
+    """An output folder that holds results already."""
+
+
 class DamagedFileError(ValueError):
     """A file of results that was cut off, changed, or made by something else.
 

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from conftest import ROOT
 
+from assist.cli import COMMANDS, main
+
 ROOMS = {
-    "planner": """errors storage processes workers pddl fast_downward built task budget successors statespace
+    "planner": """lazy errors storage processes workers pddl fast_downward built task budget successors statespace
         costtogo moves kernels coding sweep ondemand methods solving batch""",
     "assist.people": "choices human belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
@@ -25,10 +30,20 @@ ROOMS = {
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
+LONGEST = 500
+"""Lines of a file."""
+
+LONGER = {
+    "assist/person/hsvi.py", "assist/interop/exchange.py", "assist/plots/study.py", "assist/learning/fit.py",
+    "assist/live/assistant.py", "assist/study/report.py", "tests/test_solver.py", "tests/test_team.py", "bench/fit.py",
+    "bench/joint.py",
+}  # fmt: skip
+"""The compiled search, which is one function to the compiler."""
+
 ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
 ORDER.remove("planner")
 MAY_READ_PDDL = ("assist.study.study", "assist.study.protocol", "assist.cli")  # with all that is in them
-ARRAYS = {"planner", "planner.errors", "planner.storage", "planner.workers"}
+ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
 
@@ -82,6 +97,68 @@ def faults(module: str, source: str) -> list[str]:
 
 def test_every_module_has_its_place() -> None:
     assert sorted(modules()) == sorted(ORDER)
+
+
+def test_nothing_is_beside_the_rooms() -> None:
+    for folder, rooms in (("planner", []), ("assist", [room.removeprefix("assist.") for room in ROOMS][1:])):
+        beside = {file.name for file in (ROOT / folder).iterdir() if folder == "assist" or file.is_dir()}
+        assert beside - {"__pycache__"} == ({*rooms, "__init__.py", "__init__.pyi", "py.typed"} if rooms else set())
+
+
+def test_no_file_is_long() -> None:
+    folders = ("planner", "assist", "tests", "bench")
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    long = {str(file.relative_to(ROOT)) for file in files if len(file.read_text().splitlines()) > LONGEST}
+    assert long - LONGER == set()
+
+
+def handed_on(package: str) -> list[tuple[str, str]]:
+    """The names that a package hands on, each with the module that it is from."""
+    folder = ROOT / package.replace(".", "/")
+    found = []
+    for node in ast.parse((folder / "__init__.pyi").read_text()).body:
+        assert isinstance(node, ast.ImportFrom), f"{package}: its list imports and does nothing else"
+        assert node.level == 1, f"{package}: hands on what is its own"
+        found += [(alias.name, f"{package}.{node.module}") for alias in node.names if alias.name == alias.asname]
+        assert len(node.names) == 1, f"{package}: one name a line, under its own name"
+    return found
+
+
+PACKAGES = ["planner", "assist", *(room for room in ROOMS if room not in ("planner", "assist.cli"))]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_only_hands_on(package: str) -> None:
+    tree = ast.parse((ROOT / package.replace(".", "/") / "__init__.py").read_text()).body
+    expected = "__getattr__, __dir__, __all__ = hand_on(__name__, __file__)"
+    assert [type(node).__name__ for node in tree] == ["Expr", "ImportFrom", "Assign"]
+    assert ast.unparse(tree[2]) == ast.unparse(ast.parse(expected))
+    names = handed_on(package)
+    assert len(names) == len(dict(names)) > 0
+    for name, module in names:
+        assert getattr(import_module(package), name) is getattr(import_module(module), name)
+
+
+def test_what_a_package_hands_on_is_not_covered_by_a_module_of_that_name() -> None:
+    script = "import planner.sweep, planner; from planner import sweep; print(sweep.__name__, planner.sweep.__name__)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "sweep sweep\n"
+
+
+@pytest.mark.parametrize("module", ["planner", "assist", "assist.cli"])
+def test_what_is_not_needed_is_not_loaded(module: str) -> None:
+    heavy = ("numba", "scipy", "matplotlib", "pandas", "unified_planning")
+    script = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_the_overview_of_commands_says_what_they_say() -> None:
+    for name, text in COMMANDS.items():
+        command = main.get_command(None, name)
+        assert command is not None
+        assert command.get_short_help_str(300) == text
+    assert [f"assist.cli.{name}" in ORDER for name in COMMANDS] == [True] * len(COMMANDS)
 
 
 @pytest.mark.parametrize("module", ORDER)

@@ -20,43 +20,60 @@ fit            the command `fit`
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import click
 
-from . import bound, export, fit, policy, simulate, solve, study
-from .console import one_line_errors, print_in_any_encoding
-from .interrupts import interruptible
+COMMANDS = {
+    "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
+    "export": "Write the problem of assisting one person, for other solvers.",
+    "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",
+    "policy": "Solve the problem of assisting one person, with a lower and an upper bound on what can be reached.",
+    "simulate": "Simulate a team of people and a robot that assists them.",
+    "solve": "Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.",
+    "study": "Run a whole study: pools of people, teams, policies, conditions; then write its report.",
+}
+"""The commands, each in a file of that name, and what the overview says of them without loading any."""
 
 
 class Commands(click.Group):
-    """What holds for every command: encodings, signals, and errors in one line."""
+    """Commands that are loaded when they are used; encodings, signals, and errors in one line for all of them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Give their names."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Load one."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f".{cmd_name}", __name__), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write what each is for."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run the command line."""
+        from .console import print_in_any_encoding
+        from .interrupts import interruptible
+
         print_in_any_encoding()
         with interruptible():
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run one command."""
+        from .console import one_line_errors
+
         with one_line_errors():
             return super().invoke(ctx)
 
 
-@click.group(
-    cls=Commands,
-    commands=[
-        solve.solve,
-        simulate.simulate,
-        study.study,
-        policy.policy,
-        bound.bound,
-        export.export,
-        fit.fit,
-    ],
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="kitassist")
 def main() -> None:
     """Assistance in task planning: whom to help, when, and with which suggestion."""

@@ -13,8 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from planner import InstanceError, LimitError, PDDLError
-from planner.batch import ResultsExistError
-from planner.errors import DamagedFileError, MissingExtraError
+from planner.errors import DamagedFileError, MissingExtraError, ResultsExistError
 from planner.fast_downward import FastDownwardError
 
 EXIT_FAILED = 1

@@ -1,1 +1,5 @@
 """Problems and policies in other programs' formats."""
+
+from planner.lazy import hand_on
+
+__getattr__, __dir__, __all__ = hand_on(__name__, __file__)

@@ -1,0 +1,3 @@
+from .bound import TeamBound as TeamBound
+from .bound import upper_bound as upper_bound
+from .certificate import Certificate as Certificate

@@ -1,0 +1,17 @@
+from .belief import Grid as Grid
+from .belief import ImpossibleObservationError as ImpossibleObservationError
+from .belief import Spread as Spread
+from .choices import WAIT as WAIT
+from .choices import Choices as Choices
+from .human import NOTHING as NOTHING
+from .human import Human as Human
+from .human import HumanModel as HumanModel
+from .human import Mixture as Mixture
+from .human import Population as Population
+from .human import choice as choice
+from .human import influence as influence
+from .human import lapse as lapse
+from .human import perceived_cost as perceived_cost
+from .human import perceived_cost_to_go as perceived_cost_to_go
+from .human import perceived_value as perceived_value
+from .human import trust as trust

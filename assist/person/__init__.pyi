@@ -1,0 +1,11 @@
+from .alpha_vectors import VectorPolicy as VectorPolicy
+from .archive import ArchiveError as ArchiveError
+from .pomdp import AssistPOMDP as AssistPOMDP
+from .pomdp import Frontier as Frontier
+from .pomdp import Policy as Policy
+from .qmdp import QMDP as QMDP
+from .qmdp import evaluate as evaluate
+from .qmdp import qmdp as qmdp
+from .region import Region as Region
+from .solver import Solution as Solution
+from .solver import solve as solve

@@ -1,0 +1,13 @@
+from .protocol import read as read
+from .protocol import shipped as shipped
+from .report import write_report as write_report
+from .runner import load_study as load_study
+from .runner import run_study as run_study
+from .study import Cell as Cell
+from .study import Condition as Condition
+from .study import Contrast as Contrast
+from .study import Outcome as Outcome
+from .study import Reference as Reference
+from .study import Study as Study
+from .study import StudyError as StudyError
+from .study import carry_out as carry_out

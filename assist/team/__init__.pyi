@@ -1,0 +1,17 @@
+from .attention import AttentionSwitching as AttentionSwitching
+from .attention import NoAssistance as NoAssistance
+from .attention import Reactive as Reactive
+from .policies import POLICIES as POLICIES
+from .policies import OwnPolicy as OwnPolicy
+from .policies import named as named
+from .pool import Pool as Pool
+from .priority import Priority as Priority
+from .settings import Setting as Setting
+from .state import BASE as BASE
+from .state import NOBODY as NOBODY
+from .state import PolicyError as PolicyError
+from .state import TeamAction as TeamAction
+from .state import TeamPolicy as TeamPolicy
+from .state import TeamState as TeamState
+from .subproblem import Visits as Visits
+from .travel import Travel as Travel
