@@ -1,6 +1,6 @@
 """Many instances: in parallel, on this machine or on a cluster, resumable.
 
-`solve_batch` runs `solve_instance` on each and keeps what is finished in `results.jsonl`: a record is added as
+`solve_batch` runs `solve_instance` on each and keeps what is finished in a folder of results: a record is added as
 soon as it is there. The records do not depend on where they were made.
 """
 
@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 from .budget import available_memory
-from .errors import ResultsExistError
 from .pddl import Instance
+from .results import Results
 from .solving import Record, SolveOptions, solve_instance, unsolved
-from .storage import append_record, read_records, write_records
 from .workers import WorkerDiedError, outcomes
 
-RESULTS = "results.jsonl"
-DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
 
 
@@ -43,9 +41,9 @@ def solve_batch(
         A folder for `results.jsonl`, to which each record is added as soon as it is there, and for
         tables and plans.
     jobs : int
-        Worker processes.
+        Worker processes, at most; those that run share the machine's memory and processors.
     resume : bool
-        Keep what `results.jsonl` holds as solved or unsolvable, and run the rest.
+        Keep what the folder holds as solved or unsolvable and was made from the same files, and run the rest.
     scheduler : str, optional
         Address of a Dask scheduler whose workers solve the instances instead of processes of this machine. They
         have to see the same files at the same paths, and run one thread each.
@@ -61,41 +59,53 @@ def solve_batch(
     ------
     ResultsExistError
         There are results in `out` already, and `resume` is not set.
+    DamagedFileError
+        What is in `out` is none of this program's.
     MissingExtraError
         A cluster is asked for, and the extra `cluster` is not installed.
     """
     options = options or SolveOptions()
-    if jobs > 1 and scheduler is None:  # they share the machine
-        memory = available_memory() / 1e6 / jobs
-        limit = memory if options.memory_limit is None else min(memory, options.memory_limit)
-        threads = max(1, (os.cpu_count() or 1) // jobs)
-        options = replace(options, memory_limit=limit, threads=options.threads or threads)
-    results = None if out is None else out / RESULTS
-    kept: dict[str, Record] = {}
-    if results is not None:
-        if results.exists() and not resume:
-            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
-        kept = {record["instance"]: record for record in read_records(results) if record["status"] in DONE}
-        write_records(results, kept.values())
-    records = {str(i.problem): kept.pop(str(i.problem)) for i in instances if str(i.problem) in kept}
-    if progress is not None:
-        for record in records.values():
-            progress(record)
+    results = None if out is None else Results(out, instances, options, resume=resume)
+    records = {} if results is None else dict(results.records)
     todo = [instance for instance in instances if str(instance.problem) not in records]
+    if progress is not None:
+        for instance in instances:
+            if str(instance.problem) in records:
+                progress(records[str(instance.problem)])
+    jobs = min(jobs, len(todo))
+    work = [(instance, None if results is None else results.place(instance)) for instance in todo]
     timeout = None if options.time_limit is None else options.time_limit + GRACE
-    for instance, outcome in outcomes(
-        solve_instance, todo, (options, out), jobs=jobs, scheduler=scheduler, timeout=timeout
-    ):
-        record = _unsolved(instance, outcome, options) if isinstance(outcome, Exception) else outcome
-        records[str(instance.problem)] = record
-        if results is not None:
-            append_record(results, record)
-        if progress is not None:
-            progress(record)
-    ordered = [records[str(instance.problem)] for instance in instances]
+    shared = options if scheduler is not None else _shared(options, jobs)
+    try:
+        with closing(outcomes(_solve, work, (shared,), jobs=jobs, scheduler=scheduler, timeout=timeout)) as coming:
+            for (instance, _), outcome in coming:
+                record = _unsolved(instance, outcome, options) if isinstance(outcome, Exception) else outcome
+                records[str(instance.problem)] = record
+                if results is not None:
+                    results.add(record)
+                if progress is not None:
+                    progress(record)
+    finally:
+        if results is not None and scheduler is None:
+            results.remove_unfinished()  # by workers that were stopped
     if results is not None:
-        write_records(results, [*ordered, *kept.values()])
-    return ordered
+        results.finish(instances)
+    return [records[str(instance.problem)] for instance in instances]
+
+
+def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
+    """Share the machine between workers."""
+    if jobs <= 1:
+        return options
+    memory = available_memory() / 1e6 / jobs
+    limit = memory if options.memory_limit is None else min(memory, options.memory_limit)
+    threads = max(1, (os.cpu_count() or 1) // jobs)
+    return replace(options, memory_limit=limit, threads=options.threads or threads)
+
+
+def _solve(work: tuple[Instance, Path | None], options: SolveOptions) -> Record:
+    instance, place = work
+    return solve_instance(instance, options, place)
 
 
 def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> Record:

@@ -7,7 +7,9 @@ saves the cost-to-go table as `.npz` and the plan. The records' fields are a con
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
+import os
 import platform
 import resource
 import time
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
+DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 BLOCK = 1 << 16  # states that are unpacked at a time
 
 
@@ -118,7 +121,7 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
     }
 
 
-def solve_instance(instance: Instance, options: SolveOptions | None = None, out: Path | None = None) -> Record:
+def solve_instance(instance: Instance, options: SolveOptions | None = None, place: Path | None = None) -> Record:
     """Solve one instance and describe the outcome.
 
     Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
@@ -129,8 +132,8 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
     ----------
     instance : Instance
     options : SolveOptions, optional
-    out : Path, optional
-        A folder in which the cost-to-go table and the plan are saved.
+    place : Path, optional
+        Where the cost-to-go table and the plan are saved, without their endings `.npz` and `.plan`.
     """
     options = options or SolveOptions()
     phases = _Phases(options.time_limit, options.memory_limit)
@@ -140,7 +143,7 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
             problem = pddl.read(instance)
         # Only now: loading libraries maps far more memory than is ever used.
         with _memory_limit(options.memory_limit):
-            record = _solve(instance, problem, options, out, phases)
+            record = _solve(instance, problem, options, place, phases)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
     except LimitError as error:
@@ -153,13 +156,17 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, out:
         )
     except (FastDownwardError, MismatchError, InvalidPlanError) as error:
         record = unsolved(instance, "invalid", str(error))
+    except OSError as error:
+        status = "limit" if error.errno in DISK_IS_FULL else "invalid"
+        file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
+        record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
     record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
     record["seconds"]["total"] = round(time.monotonic() - phases.start, 6)
     record["peak_memory_mb"] = round(_peak_memory_mb(), 1)
     return record
 
 
-def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Path | None, phases: _Phases) -> Record:
+def _solve(instance: Instance, problem: Problem, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
     record = empty_record(instance, "solved", None)
     with phases.phase("translate"):
         task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
@@ -205,13 +212,13 @@ def _solve(instance: Instance, problem: Problem, options: SolveOptions, out: Pat
         record.update(cost=int(cost), plan=plan)
     else:
         record.update(status="unsolvable")
-    if out is not None:
+    if place is not None:
+        table_file, plan_file = saved_files(place)
         with phases.phase("save"):
-            target = out / _name(instance)
             if table is not None:
-                save_table(target.with_name(target.name + ".npz"), table)
+                save_table(table_file, table)
             if plan is not None:
-                save_plan(target.with_name(target.name + ".plan"), task, plan)
+                save_plan(plan_file, task, plan)
     return record
 
 
@@ -224,10 +231,9 @@ def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
     return {"file": str(file), "line": line, "message": message}
 
 
-def _name(instance: Instance) -> Path:
-    """Where an instance's files stand in the output folder: its own path, so that no two collide."""
-    parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
-    return Path(*parts).with_suffix("")
+def saved_files(place: Path) -> tuple[Path, Path]:
+    """Name the files of an instance's table and plan."""
+    return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
 
 
 def save_table(file: Path, table: Table) -> None:

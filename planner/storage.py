@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import json
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -20,7 +19,7 @@ from typing import Any, BinaryIO
 
 from .errors import DamagedFileError
 
-UNFINISHED = re.compile(r"\.\d+-.+")  # the names of files that `atomic` has not put into their place
+UNFINISHED = ".unfinished-"  # what the names of files begin with that `atomic` has not put into their place
 LONGEST_NAME = 200
 
 
@@ -45,7 +44,7 @@ def atomic(file: Path) -> Iterator[Path]:
         place = Path(os.path.realpath(file))  # not `resolve`, which refuses links in a circle only later
         place.parent.mkdir(parents=True, exist_ok=True)
         # Beside it, since only there it can be renamed; the ending is kept, since libraries choose a format by it.
-        path = place.with_name(f".{os.getpid()}-{place.name[-LONGEST_NAME:]}")
+        path = place.with_name(f"{UNFINISHED}{os.getpid()}-{place.name[-LONGEST_NAME:]}")
         try:
             yield path
             if status is not None:
@@ -58,7 +57,7 @@ def atomic(file: Path) -> Iterator[Path]:
             with suppress(OSError):  # what went wrong before says more
                 path.unlink(missing_ok=True)
     except OSError as error:
-        if error.filename is None or UNFINISHED.fullmatch(Path(str(error.filename)).name):
+        if error.filename is None or Path(str(error.filename)).name.startswith(UNFINISHED):
             error.filename = str(file)
         raise
 
@@ -110,10 +109,10 @@ def _flush(path: Path) -> None:
         os.close(descriptor)
 
 
-def remove_unfinished(folder: Path) -> None:
-    """Remove what killed processes have left in a folder of results; nobody else may be writing to it."""
-    for path in folder.rglob(".*-*"):
-        if UNFINISHED.fullmatch(path.name) and path.is_file():
+def remove_unfinished(folders: Iterable[Path]) -> None:
+    """Remove what killed processes have left in folders of results; nobody else may be writing there."""
+    for folder in set(folders):
+        for path in folder.glob(f"{UNFINISHED}*"):
             path.unlink(missing_ok=True)
 
 

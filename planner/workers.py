@@ -7,7 +7,7 @@ one that asked.
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context
@@ -32,7 +32,7 @@ def outcomes(
     jobs: int = 1,
     scheduler: str | None = None,
     timeout: float | None = None,
-) -> Iterator[tuple[Item, Result | Exception]]:
+) -> Generator[tuple[Item, Result | Exception]]:
     """Give each item with `work(item, *arguments)`, or with the exception that it ended in.
 
     Parameters
@@ -61,7 +61,7 @@ def outcomes(
 
 def _in_processes(
     work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], jobs: int, timeout: float | None
-) -> Iterator[tuple[Item, Result | Exception]]:
+) -> Generator[tuple[Item, Result | Exception]]:
     from pebble import ProcessExpired, ProcessPool
 
     if not items:
@@ -101,7 +101,7 @@ def _in_processes(
 
 def _on_cluster(
     work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], scheduler: str
-) -> Iterator[tuple[Item, Result | Exception]]:
+) -> Generator[tuple[Item, Result | Exception]]:
     try:
         from distributed import Client, KilledWorker
         from distributed import as_completed as as_completed_on_cluster

@@ -156,11 +156,18 @@ def test_a_last_line_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
 
 
 def test_what_killed_processes_left_is_removed(tmp_path: Path) -> None:
-    for name in (".77-table.npz", "sub/.123-x.plan", ".hidden", "12-plan", ".x-12"):
+    for name in (
+        ".unfinished-77-table.npz",
+        ".unfinished-1-x",
+        ".hidden",
+        "results.jsonl",
+        "sub/.unfinished-77-x.plan",
+    ):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    remove_unfinished(tmp_path)
-    assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == [".hidden", ".x-12", "12-plan"]
+    remove_unfinished([tmp_path, tmp_path / "nowhere"])
+    left = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
+    assert left == [".hidden", ".unfinished-77-x.plan", "results.jsonl"]
 
 
 def test_files_of_one_command_are_kept_apart(tmp_path: Path) -> None:

@@ -58,11 +58,12 @@ class Commands(click.Group):
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run the command line."""
-        from .console import print_in_any_encoding
         from .interrupts import interruptible
 
-        print_in_any_encoding()
         with interruptible():
+            from .console import print_in_any_encoding  # takes its time
+
+            print_in_any_encoding()
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:

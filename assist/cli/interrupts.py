@@ -54,6 +54,9 @@ def interruptible() -> Iterator[None]:
         for number in heard:
             signal.signal(number, interrupt)
         yield
+    except Interrupted as interrupted:  # before or after the command itself
+        os.write(2, b"interrupted\n")
+        raise SystemExit(interrupted.exit_code) from None
     finally:
         for number, handler in heard.items():
             signal.signal(number, handler)

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 from rich.table import Table
 
 from planner import find_instances
-from planner.batch import DONE, solve_batch
+from planner.batch import solve_batch
+from planner.results import DONE
 from planner.solving import Record, SolveOptions
 
 from .console import EXIT_FAILED, one_line_errors, print_json, print_table
-from .options import JOBS, MEGABYTES, OUTPUT_FOLDER, SECONDS
+from .options import JOBS, MEGABYTES, OUTPUT_FOLDER, SECONDS, domain_option
 from .progress import progress_bar
 
 
 @click.command()
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
-@click.option("--domain", type=click.Path(), help="Domain file; domain.pddl beside each problem unless given.")
+@domain_option
 @click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
 @click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
 @click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each instance.")
@@ -33,20 +35,17 @@ from .progress import progress_bar
     help="States to compare with Fast Downward's A*.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
-@click.option("--resume", is_flag=True, help="Keep what --out holds as solved or unsolvable.")
+@click.option("--resume", is_flag=True, help="Keep what --out holds of the same files.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def solve(
     instances: tuple[str, ...],
     domain: str | None,
     out: Path | None,
     jobs: int,
-    time_limit: float | None,
-    memory_limit: float | None,
-    max_states: int,
-    verify: int,
     scheduler: str | None,
     resume: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.
 
@@ -56,15 +55,15 @@ def solve(
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
-        options = SolveOptions(time_limit, memory_limit, max_states, verify)
         with progress_bar("solving", len(found)) as advance:
             records = solve_batch(
-                found, options, out=out, jobs=jobs, resume=resume, scheduler=scheduler, progress=lambda _: advance(1)
-            )
+                found, SolveOptions(**options), out=out, jobs=jobs, resume=resume, scheduler=scheduler,
+                progress=lambda _: advance(1),
+            )  # fmt: skip
     for record in records:
-        if record["error"]:
-            place = ":".join(str(record["error"][key]) for key in ("file", "line") if record["error"][key] is not None)
-            click.echo(f"{place}: {record['error']['message']}", err=True)
+        if (error := record["error"]) is not None:
+            line = "" if error["line"] is None else f":{error['line']}"
+            click.echo(f"{error['file']}{line}: {error['message']}", err=True)
         elif record["note"]:
             click.echo(f"{record['instance']}: {record['note']}", err=True)
     if as_json:

@@ -1,0 +1,142 @@
+"""A folder of results: the records of instances, their tables and plans, and what these were made from.
+
+Beside `results.jsonl` stands `fingerprints`, with a line of JSON for each record: the `fingerprint` of what the answer
+depends on (both files' contents, the options that matter, the versions of the programs), the `place` of the instance's
+table and plan, and the size of each. A record is kept by a later run only while all of that is as it was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from . import fast_downward
+from .errors import DamagedFileError, ResultsExistError
+from .pddl import Instance
+from .solving import Record, SolveOptions, saved_files
+from .storage import append_record, read_records, remove_unfinished, write_records
+
+RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
+DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
+
+
+class Results:
+    """The results of a run, as they come in.
+
+    Attributes
+    ----------
+    records : dict of str to Record
+        What is known by now, by instance.
+    """
+
+    def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
+        """Prepare the folder for a run.
+
+        Parameters
+        ----------
+        folder : Path
+        instances : sequence of Instance
+            All that the run is about.
+        options : SolveOptions
+        resume : bool
+            Keep what is in the folder and still holds.
+
+        Raises
+        ------
+        ResultsExistError
+            There are results already, and `resume` is not set.
+        DamagedFileError
+            They are none of this program's.
+        """
+        self._folder = folder
+        results, prints = folder / RESULTS, folder / FINGERPRINTS
+        if results.exists() and not resume:
+            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
+        before = {record["instance"]: record for record in _records(results) if record["status"] in DONE}
+        lines = {line["instance"]: line for line in read_records(prints) if {"instance", "place"} <= line.keys()}
+        current = {str(instance.problem): fingerprint(instance, options) for instance in instances}
+        self.records: dict[str, Record] = {
+            name: record
+            for name, record in before.items()
+            if name not in current or (name in lines and self._holds(lines[name], current[name]))
+        }
+        self._lines: dict[str, dict[str, Any]] = {name: lines[name] for name in self.records if name in lines}
+        taken = {line["place"] for line in self._lines.values()}
+        for instance in instances:
+            name = str(instance.problem)
+            if name not in self._lines:
+                place = _free_place(instance, taken)
+                taken.add(place)
+                self._lines[name] = {"instance": name, "fingerprint": current[name], "place": place}
+                if resume:  # what an earlier run made from other files
+                    for file in saved_files(folder / place):
+                        file.unlink(missing_ok=True)
+        self.remove_unfinished()
+        write_records(results, self.records.values())
+        write_records(prints, [self._lines[name] for name in self.records if name in self._lines])
+
+    def place(self, instance: Instance) -> Path:
+        """Where the table and the plan of an instance belong, without their endings."""
+        return self._folder / self._lines[str(instance.problem)]["place"]
+
+    def add(self, record: Record) -> None:
+        """Add a record whose table and plan have been saved."""
+        line = self._lines[record["instance"]]
+        line["files"] = self._sizes(line)
+        append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept
+        append_record(self._folder / RESULTS, record)
+        self.records[record["instance"]] = record
+
+    def finish(self, instances: Sequence[Instance]) -> None:
+        """Put the records into the order of the instances; those of other instances come last."""
+        ordered = {str(instance.problem): self.records[str(instance.problem)] for instance in instances}
+        write_records(self._folder / RESULTS, {**ordered, **self.records}.values())
+        known = [self._lines[name] for name in {**ordered, **self.records} if name in self._lines]
+        write_records(self._folder / FINGERPRINTS, known)
+
+    def remove_unfinished(self) -> None:
+        """Remove what stopped processes have left half-written."""
+        remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
+
+    def _holds(self, line: dict[str, Any], current: str | None) -> bool:
+        return current is not None and line.get("fingerprint") == current and line.get("files") == self._sizes(line)
+
+    def _sizes(self, line: dict[str, Any]) -> dict[str, int]:
+        files = saved_files(self._folder / line["place"])
+        return {file.name: file.stat().st_size for file in files if file.is_file()}
+
+
+def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
+    """Name what the answer for an instance depends on; None if its files cannot be read.
+
+    Limits of time and memory are not among it: they decide whether there is an answer, not which.
+    """
+    try:
+        files = fast_downward.digest(instance)
+    except OSError:
+        return None
+    version = importlib.metadata.version("kitassist")
+    what = (files, version, str(instance.domain), options.max_states, options.verify)
+    return hashlib.sha256(repr(what).encode()).hexdigest()
+
+
+def _records(file: Path) -> list[Record]:
+    records = read_records(file)
+    for number, record in enumerate(records, start=1):
+        if not all(isinstance(record.get(field), str) for field in ("instance", "status")):
+            raise DamagedFileError(file, number, "expected a record of `kitassist solve`; choose another folder")
+    return records
+
+
+def _free_place(instance: Instance, taken: set[str]) -> str:
+    """Give the path of an instance's files in the folder: its own path, with a number where that is taken."""
+    parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
+    place = str(Path(*parts).with_suffix(""))
+    numbers = iter(range(2, len(taken) + 3))
+    free = place
+    while free in taken:
+        free = f"{place}-{next(numbers)}"
+    return free

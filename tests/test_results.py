@@ -1,0 +1,131 @@
+"""What a resumed batch keeps: what was made from the same files and is still all there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from conftest import KITTING, write_instance
+
+from assist.cli import main
+from planner import Instance
+from planner.results import Results
+from planner.solving import SolveOptions, solve_instance
+
+OPTIONS = SolveOptions(verify=1)
+DOMAIN, TINY = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
+HALF = TINY.replace("(in-slot wrench slot-2)", "").replace("(in-storage box-b)))", "))")
+
+
+def solved(folder: Path, *instances: Instance) -> Results:
+    results = Results(folder, instances, OPTIONS, resume=False)
+    for instance in instances:
+        results.add(solve_instance(instance, OPTIONS, results.place(instance)))
+    results.finish(instances)
+    return results
+
+
+def kept(folder: Path, *instances: Instance, options: SolveOptions = OPTIONS) -> set[str]:
+    return set(Results(folder, instances, options, resume=True).records)
+
+
+@pytest.fixture
+def instance(tmp_path: Path) -> Instance:
+    return write_instance(tmp_path / "in", DOMAIN, TINY)
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_a_changed_problem_is_solved_again(tmp_path: Path, instance: Instance) -> None:
+    out = tmp_path / "out"
+    first = run("solve", instance.problem, "--out", out, "--json")
+    assert [record["cost"] for record in json.loads(first.stdout)] == [6]
+    assert run("solve", instance.problem, "--out", out, "--json", "--resume").stdout == first.stdout
+    instance.problem.write_text(HALF)
+    again = run("solve", instance.problem, "--out", out, "--json", "--resume")
+    assert [record["cost"] for record in json.loads(again.stdout)] == [3]
+    assert [json.loads(line)["cost"] for line in (out / "results.jsonl").read_text().splitlines()] == [3]
+    assert next(out.rglob("*.plan")).read_text().endswith("; cost = 3 (unit cost)\n")
+
+
+@pytest.mark.parametrize("change", ["nothing", "comment", "domain", "other domain", "states", "time", "no file"])
+def test_what_an_answer_depends_on(change: str, tmp_path: Path, instance: Instance) -> None:
+    solved(tmp_path / "out", instance)
+    asked, options = instance, OPTIONS
+    match change:
+        case "comment":
+            instance.problem.write_text(f"{TINY}; another")
+        case "domain":
+            instance.domain.write_text(DOMAIN.replace("(define", "(define ", 1))
+        case "other domain":
+            asked = Instance(instance.problem, tmp_path / "copy.pddl")
+            asked.domain.write_text(DOMAIN)
+        case "states":
+            options = replace(OPTIONS, max_states=3)
+        case "time":
+            options = replace(OPTIONS, time_limit=100.0, memory_limit=5000.0)
+        case "no file":
+            instance.problem.unlink()
+    again = set() if change not in ("nothing", "time") else {str(instance.problem)}
+    assert kept(tmp_path / "out", asked, options=options) == again
+
+
+@pytest.mark.parametrize("ending", ["npz", "plan"])
+@pytest.mark.parametrize("damage", ["missing", "cut"])
+def test_damaged_tables_and_plans_are_made_again(ending: str, damage: str, tmp_path: Path, instance: Instance) -> None:
+    out = tmp_path / "out"
+    solved(out, instance)
+    (file,) = out.rglob(f"*.{ending}")
+    if damage == "missing":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[:-1])
+    assert kept(out, instance) == set()
+    assert not list(out.rglob("problem.*"))  # nothing is left that no record stands for
+
+
+def test_results_of_other_instances_stay(tmp_path: Path, instance: Instance) -> None:
+    other = write_instance(tmp_path / "other", DOMAIN, TINY)
+    solved(tmp_path / "out", instance, other)
+    results = Results(tmp_path / "out", [other], OPTIONS, resume=True)
+    results.finish([other])
+    assert list(results.records) == [str(instance.problem), str(other.problem)]
+    lines = (tmp_path / "out" / "results.jsonl").read_text().splitlines()
+    assert [json.loads(line)["instance"] for line in lines] == [str(other.problem), str(instance.problem)]
+    assert kept(tmp_path / "out", instance, other) == {str(instance.problem), str(other.problem)}
+
+
+def test_files_of_two_instances_never_get_one_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "here").mkdir()
+    for folder, text in (("x", TINY), ("here/x", HALF)):
+        write_instance(tmp_path / folder, DOMAIN, text)
+    monkeypatch.chdir(tmp_path / "here")
+    above, below = (Instance(Path(f"{x}/problem.pddl"), Path(f"{x}/domain.pddl")) for x in ("../x", "x"))
+    solved(tmp_path / "out", above, below)
+    plans = {file.stem: file.read_text().splitlines()[-1] for file in (tmp_path / "out").rglob("*.plan")}
+    assert plans == {"problem": "; cost = 6 (unit cost)", "problem-2": "; cost = 3 (unit cost)"}
+    for one, plan in ((above, "problem"), (below, "problem-2")):  # asked for by itself it keeps its name
+        assert Results(tmp_path / "out", [one], OPTIONS, resume=True).place(one).name == plan
+
+
+@pytest.mark.parametrize(
+    ("content", "place"),
+    [
+        (b"PK\x03\x04\x93\xff\n", ":1: is not text"),
+        (b'{"person": "ann", "beta": 1.0}\n', ":1: expected a record of `kitassist solve`"),
+        (b'{"instance": "a", "status": "limit"}\n{"instance": "b", "sta\n', ":2: is no JSON"),
+        (b'{"instance": ["a"], "status": "solved"}\n', ":1: expected a record of `kitassist solve`"),
+    ],
+)
+def test_results_of_something_else_are_refused(content: bytes, place: str, tmp_path: Path) -> None:
+    (tmp_path / "results.jsonl").write_bytes(content)
+    result = run("solve", KITTING / "tiny.pddl", "--out", tmp_path, "--resume")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith(f"{tmp_path / 'results.jsonl'}{place}")
+    assert result.stderr.count("\n") == 1
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [content]
