@@ -62,8 +62,38 @@ class CostToGo(Protocol):
     def numbers(self, values: ArrayLike) -> Ints:
         """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
 
+    def plan_lengths(self, states: ArrayLike) -> Ints:
+        """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none."""
+
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Give an optimal plan from a state (the initial one unless given); None from a dead end."""
+
+
+def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> NDArray[np.bool_]:
+    """Tell of each choice of some states, shape (m,), whether a cheapest way to the goal begins with it.
+
+    Where a task has actions of cost zero, only the cheapest ways with the fewest actions count. So optimal choices lead
+    to no circles: each lowers the cost-to-go or, that being equal, the number of actions to come, and who follows them,
+    whichever, reaches the goal.
+
+    Parameters
+    ----------
+    known : CostToGo
+    states : int array, shape (N,)
+    rows : Transitions
+        Their choices, as `known.choices` gives them.
+    """
+    costs = np.asarray(known.task.costs, dtype=np.int64)
+    counts = np.diff(rows.offsets)
+    h = np.repeat(known.lookup(states), counts)
+    cheapest = np.isfinite(h) & (costs[rows.actions] + known.lookup(rows.targets) == h)
+    if costs.min(initial=1) > 0 or not cheapest.any():
+        return cheapest
+    sources = np.repeat(np.asarray(states, dtype=np.int64), counts)
+    both = np.concatenate([sources[cheapest], rows.targets[cheapest]])
+    before, after = np.split(known.plan_lengths(both), 2)
+    cheapest[cheapest] = after < before
+    return cheapest
 
 
 @dataclass(frozen=True)
@@ -139,19 +169,32 @@ class Table:
         """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
         return self.space.numbers(values)
 
-    def optimal_choices(self) -> NDArray[np.bool_]:
-        """Tell of each choice of all states, shape (m,), whether a cheapest way to the goal begins with it.
+    def plan_lengths(self, states: ArrayLike) -> Ints:
+        """Give how many actions the shortest of the cheapest plans has, shape (N,); `UNREACHED` from dead ends.
 
-        Of cheapest ways only those with the fewest actions count, so that actions of cost zero lead to no
-        circles: who follows optimal choices reaches the goal.
+        Only states on cheapest plans are looked at.
         """
-        space, h = self.space, self.h
-        targets = space.transitions.targets
-        cheapest = np.isfinite(h[space.sources]) & (space.costs + h[targets] == h[space.sources])
-        if space.costs.min(initial=1) > 0:
-            return cheapest
-        steps = backward(targets[cheapest], space.sources[cheapest], np.ones(int(cheapest.sum()), np.int64), space.goal)
-        return cheapest & (steps[targets] < steps[space.sources])
+        wanted = np.asarray(states, dtype=np.int64)
+        costs = np.asarray(self.task.costs, dtype=np.int64)
+        seen = np.zeros(len(self), dtype=bool)
+        layer = np.unique(wanted[np.isfinite(self.lookup(wanted))])
+        edges = [(layer[:0], layer[:0])]
+        while len(layer):
+            seen[layer] = True
+            rows = self.space.transitions if len(layer) == len(self) else self.choices(layer)
+            sources = np.repeat(layer, np.diff(rows.offsets))
+            cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
+            edges.append((rows.targets[cheapest], sources[cheapest]))
+            layer = np.unique(rows.targets[cheapest & ~seen[rows.targets]])
+        place = np.cumsum(seen) - 1
+        targets, sources = (place[np.concatenate(ends)] for ends in zip(*edges, strict=True))
+        on_plans = np.flatnonzero(seen)
+        lengths = backward(targets, sources, np.ones(len(targets), dtype=np.int64), self.is_goal(on_plans))
+        return np.where(seen[wanted], lengths[place[wanted]] if len(lengths) else UNREACHED, UNREACHED)
+
+    def optimal_choices(self) -> NDArray[np.bool_]:
+        """Tell of each choice of all states, shape (m,), whether it is optimal, as the function of that name has it."""
+        return optimal_choices(self, np.arange(len(self)), self.space.transitions)
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Read an optimal plan off the table; None from a dead end.

@@ -4,12 +4,16 @@ For tasks that are too large to enumerate. `OnDemand` numbers the states that it
 in which it meets them, asks Fast Downward's A* for the cost-to-go of those that it does not know, several
 at a time, and remembers every answer: in memory, and in a `Cache` on disk that outlives the process. An
 optimal plan labels all states on it, so that one search answers for many.
+
+Where a task has actions that cost nothing, what is asked for is the cheapest plan with the fewest actions, which says
+which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given prices that count both.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sqlite3
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import fast_downward
-from .costtogo import astar
+from .costtogo import UNREACHED, astar
 from .fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
 from .successors import Packing, Successors, Transitions, Words, holds
 from .task import Task
@@ -37,6 +41,8 @@ CANDIDATES = (
 """Search configurations of which the fastest on a task is used; all give the exact cost."""
 
 DEAD_END = -1  # how the cache stores an infinite cost-to-go
+UNIT = 1000  # what a unit of cost is worth in prices, where an action is worth 1; plans are shorter
+LARGEST = 2**31  # beyond, Fast Downward's sums overflow
 
 
 def cache_folder() -> Path:
@@ -45,15 +51,27 @@ def cache_folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "kitassist"
 
 
+def priced(task: Task) -> tuple[Task, int]:
+    """Give a task as Fast Downward is asked about it, and the price of a unit of cost there.
+
+    Where actions cost nothing, every action costs one more than `UNIT` times its cost, so that of the cheapest plans
+    one with the fewest actions is the best.
+    """
+    if min(task.costs, default=1) > 0:
+        return task, 1
+    sas = re.sub(r"(\d+)\nend_operator", lambda match: f"{int(match[1]) * UNIT + 1}\nend_operator", task.sas)
+    return replace(task, sas=sas, costs=tuple(cost * UNIT + 1 for cost in task.costs)), UNIT
+
+
 class Cache:
-    """Costs-to-go of a task's states in a file, addressed by content.
+    """Costs-to-go of a task's states in a file, addressed by content; in the prices of `priced`.
 
     The file's name is a digest of the grounded task and Fast Downward's version, so that a change of either begins
     a new one.
     """
 
     def __init__(self, task: Task, folder: Path | None = None) -> None:
-        digest = hashlib.sha256(f"{fast_downward.version()}\n{task.sas}".encode()).hexdigest()
+        digest = hashlib.sha256(f"{fast_downward.version()}\n{priced(task)[0].sas}".encode()).hexdigest()
         folder = folder or cache_folder()
         folder.mkdir(parents=True, exist_ok=True)
         self.file = folder / f"{digest}.sqlite"
@@ -108,6 +126,7 @@ class OnDemand:
         reason: str | None = None,
     ) -> None:
         self.task = task
+        self._priced, self._unit = priced(task)
         self.reason = reason
         self.packing = Packing.of(task)
         self._successors = Successors(task, self.packing)
@@ -184,20 +203,39 @@ class OnDemand:
             progress(len(keys) - len(missing))
         if missing:
             self._ask(missing, progress)
-        return np.array([self._known[key] for key in keys], dtype=np.float64)
+        return self._costs(np.array([self._known[key] for key in keys], dtype=np.float64))
 
     def known(self, states: ArrayLike) -> NDArray[np.float64]:
         """Give h* of states, shape (N,), as far as it is known without a search; NaN elsewhere."""
-        return np.array([self._known.get(row.tobytes(), np.nan) for row in self._rows(states)])
+        return self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in self._rows(states)]))
+
+    def _costs(self, prices: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.where(np.isfinite(prices), np.floor(prices / self._unit), prices)
+
+    def plan_lengths(self, states: ArrayLike) -> NDArray[np.int64]:
+        """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none.
+
+        Raises
+        ------
+        ValueError
+            The task has no actions of cost zero, so that nobody has counted.
+        LimitError
+            As from `lookup`.
+        """
+        if self._unit == 1:
+            raise ValueError("expected a task with actions that cost nothing")
+        self.lookup(states)
+        prices = np.array([self._known[row.tobytes()] for row in self._rows(states)])
+        return np.where(np.isfinite(prices), prices % self._unit, UNREACHED).astype(np.int64)
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Find an optimal plan from a state (the initial one unless given); None from a dead end."""
         values = self.values([self.initial if state is None else state])[0]
-        return astar(self.task, tuple(values.tolist()), limits=self._limits)[1]
+        return astar(self._priced, tuple(values.tolist()), limits=self._limits)[1]
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:
-            self._search = fastest_search(self.task, limits=self._limits)
+            self._search = fastest_search(self._priced, limits=self._limits)
 
         def search(key: bytes) -> dict[bytes, float]:
             if key in self._known:  # a plan that was found meanwhile leads through it
@@ -206,8 +244,15 @@ class OnDemand:
             if holds(row, *self._goal)[0]:
                 return {key: 0.0}
             values = tuple(self.packing.unpack(row)[0].tolist())
-            cost, plan = astar(self.task, values, search=self._search, limits=self._limits)
-            return {key: cost} if plan is None else self._label(row, cost, plan)
+            price, plan = astar(self._priced, values, search=self._search, limits=self._limits)
+            if plan is None:
+                return {key: price}
+            if self._unit > 1 and (len(plan) >= UNIT or price >= LARGEST):
+                raise LimitError(
+                    f"a plan of {len(plan)} actions and cost {self.task.plan_cost(plan)}: where actions cost nothing, "
+                    f"at most {UNIT - 1} actions and a cost below {LARGEST // UNIT} can be told apart"
+                )
+            return self._label(row, price, plan)
 
         failure: LimitError | None = None
         with ThreadPoolExecutor(self._jobs) as pool:
@@ -230,13 +275,13 @@ class OnDemand:
             unknown = sum(key not in self._known for key in missing)
             raise LimitError(f"{unknown} of {len(missing)} states are not known: {failure}")
 
-    def _label(self, row: Words, cost: float, plan: Sequence[str]) -> dict[bytes, float]:
-        """Give the cost-to-go of every state on an optimal plan."""
-        found = {row.tobytes(): cost}
+    def _label(self, row: Words, price: float, plan: Sequence[str]) -> dict[bytes, float]:
+        """Give the price of what is to come in every state on an optimal plan."""
+        found = {row.tobytes(): price}
         for action in plan:
             row = self._successors.follow(row, self.task.action_index[action])
-            cost -= self.task.costs[self.task.action_index[action]]
-            found[row.tobytes()] = cost
+            price -= self._priced.costs[self.task.action_index[action]]
+            found[row.tobytes()] = price
         return found
 
 

@@ -6,12 +6,13 @@ applicable in state `x`. Everything else in this package works on these arrays a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import Table
+from planner import Table, Transitions
 
 WAIT = -1
 """The action number of standing still, the only choice in a state without applicable actions."""
@@ -62,34 +63,58 @@ class Choices:
     def of(cls, table: Table) -> Choices:
         """Arrange the choices of a cost-to-go table."""
         space = table.space
-        rows = space.transitions
+        return cls.arranged(
+            table.h.copy(), space.goal.copy(), space.transitions, table.optimal_choices(),
+            names=table.task.actions, prices=table.task.costs, initial=space.initial,
+        )  # fmt: skip
+
+    @classmethod
+    def arranged(
+        cls,
+        h: NDArray[np.float64],
+        goal: NDArray[np.bool_],
+        rows: Transitions,
+        optimal: NDArray[np.bool_],
+        *,
+        names: tuple[str, ...],
+        prices: Sequence[int],
+        known: NDArray[np.bool_] | None = None,
+        initial: int = 0,
+    ) -> Choices:
+        """Arrange compressed rows of choices, with standing still where nothing else can be done.
+
+        Parameters
+        ----------
+        h, goal : float and bool arrays, shape (n,)
+        rows : Transitions
+            The choices of all n states, m in all.
+        optimal : bool array, shape (m,)
+        names : tuple of str
+            The ground actions.
+        prices : sequence of int
+            What each of them costs.
+        known : bool array, shape (n,), optional
+            Of which states the choices are known; the others have empty rows.
+        initial : int
+        """
         counts = np.diff(rows.offsets)
-        stuck = np.flatnonzero((counts == 0) & ~space.goal)
-        shape = (len(space), max(1, int(counts.max(initial=0))))
-        slot = np.arange(len(rows.targets)) - rows.offsets[space.sources]
+        source = np.repeat(np.arange(len(h)), counts)
+        slot = np.arange(len(source)) - rows.offsets[source]
+        shape = (len(h), max(1, int(counts.max(initial=0))))
         applicable = np.zeros(shape, dtype=bool)
         actions = np.full(shape, WAIT, dtype=np.int64)
-        targets = np.repeat(np.arange(len(space))[:, None], shape[1], axis=1)
+        targets = np.repeat(np.arange(len(h))[:, None], shape[1], axis=1)
         costs = np.zeros(shape)
-        optimal = np.zeros(shape, dtype=bool)
-        applicable[space.sources, slot] = True
-        actions[space.sources, slot] = rows.actions
-        targets[space.sources, slot] = rows.targets
-        costs[space.sources, slot] = space.costs
-        optimal[space.sources, slot] = table.optimal_choices()
+        best = np.zeros(shape, dtype=bool)
+        applicable[source, slot] = True
+        actions[source, slot] = rows.actions
+        targets[source, slot] = rows.targets
+        costs[source, slot] = np.asarray(prices, dtype=np.float64)[rows.actions]
+        best[source, slot] = optimal
+        stuck = (counts == 0) & ~goal & (True if known is None else known)
         applicable[stuck, 0] = True
         costs[stuck, 0] = 1.0
-        return cls(
-            table.h.copy(),
-            space.goal.copy(),
-            applicable,
-            actions,
-            targets,
-            costs,
-            optimal,
-            space.task.actions,
-            space.initial,
-        )
+        return cls(h, goal, applicable, actions, targets, costs, best, names, initial)
 
     def __len__(self) -> int:
         return len(self.h)

@@ -27,6 +27,15 @@ NEVER = 1e-290
 """Chances below this count as 0: those of a person who always or never follows are divided by them."""
 
 
+def check_costs(gamma: float, **costs: float) -> None:
+    """Raise a `ValueError` unless gamma and the costs can be."""
+    if not 0 < gamma < 1:
+        raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
+    for name, cost in costs.items():
+        if not 0 <= cost < np.inf:
+            raise ValueError(f"{name} {cost:g}: expected 0 or more")
+
+
 @dataclass(frozen=True)
 class Frontier:
     """States at which a problem breaks off, with bounds on what any policy, and some policy, gets from there.
@@ -133,11 +142,9 @@ class AssistPOMDP:
         frontier : Frontier, optional
             Where the choices break off. Nothing can be executed there.
         """
-        if not 0 < gamma < 1:
-            raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
-        for name, cost in (("c_suggest", c_suggest), ("c_execute", c_execute)):
-            if not 0 <= cost < np.inf:
-                raise ValueError(f"{name} {cost:g}: expected 0 or more")
+        check_costs(gamma, c_suggest=c_suggest, c_execute=c_execute)
+        if suggestions not in ("optimal", "all"):
+            raise ValueError(f"suggestions '{suggestions}': expected 'optimal' or 'all'")
         if execute and frontier is not None:
             raise ValueError("execute: expected a problem of all states, and this one breaks off at a frontier")
         population = population or Population()

@@ -23,12 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo, Table, Transitions, optimal_choices
 
 from ..people.belief import Grid
-from ..people.choices import WAIT, Choices
+from ..people.choices import Choices
 from ..people.human import Floats, HumanModel, Mixture, Population, choice
-from .pomdp import AssistPOMDP, Frontier, Suggestions
+from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
 ADVISED = 0.9  # the weight of an action that an adviser would have people take
@@ -116,6 +116,7 @@ class Region:
         suggestions: Suggestions = "optimal",
     ) -> AssistPOMDP:
         """Set up the problem of assisting one person within the region; arguments as in `AssistPOMDP.of`."""
+        check_costs(gamma, c_suggest=c_suggest)
         grid = grid or Grid.regular(population or Population())
         model = HumanModel.exact(self.choices, eta=eta, lapse=lapse, utility_scale=utility_scale)
         lower, upper = self._bounds(grid, model, gamma, c_suggest)
@@ -125,12 +126,22 @@ class Region:
         )  # fmt: skip
 
     def _bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> tuple[Floats, Floats]:
-        """Bound the value on the frontier: shapes (m, T) and (m,)."""
+        """Bound the value on the frontier: shapes (m, T) and (m,).
+
+        Above: let every choice cost between `cheap` and `dear`, standing still among them, and
+        F(h) = K (1 - gamma^(h / dear)) with K = cheap / (1 - gamma). A choice of cost c leads to h' >= h - c, and
+
+            c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0
+
+        so that, F being 0 at goals, no less than F(h) is paid, whatever person and robot do; in dead ends no less than
+        K. Where actions are free, cheap is 0 and so is the bound: nothing keeps people from going round for nothing.
+
+        Below: `_advised` for states that have a way to the goal. In dead ends the robot can be silent for ever, and no
+        step costs more than `dear`.
+        """
         costs = np.unique(np.append(self.known.task.costs, 1))  # standing still costs 1
         cheap, dear = float(costs[0]), float(costs[-1])
         h = self.choices.h[self.frontier]
-        # K (1 - gamma^(h / dear)) with K = cheap / (1 - gamma) is at most c + gamma times its value after any action
-        # of cost c, and so, by induction, at most what is paid.
         upper = -cheap * -np.expm1(h / dear * np.log(gamma)) / (1 - gamma)
         floor = -(dear + c_suggest) / (1 - gamma)
         lower = np.full((len(h), len(grid.theta)), floor)
@@ -189,9 +200,16 @@ def _advised(
 ) -> Floats:  # fmt: skip
     """Bound from below, for each h* and theta, what someone gets who is always given an optimal suggestion.
 
-    Shape (highest + 1, T). Among A choices an optimal one has a chance of 1 / A or more, whatever beta is. Who does
-    not follow goes to the worst level that one action can reach. All levels start from the worst there is and
-    rise with each sweep, so that they are bounds after any number of sweeps.
+    Shape (highest + 1, T). The bound holds for each beta, whichever optimal choices are suggested:
+
+    - An optimal choice has the least perceived cost, so that alone it is made with a chance p of 1 / A or more among A
+      choices; what `follows` gives for 1 / A rises with p. Lapses are counted as not following.
+    - An optimal choice of cost c leads from h to h - c and raises V by c: theta moves as `low` and `weight` say.
+    - Whoever does not follow pays `dear` at most, and goes to the worst level that one action can reach: up to
+      h + rise, or, where that is not known, to where the worst happens in every step. This is never better than
+      following, so that a chance of following that is too small makes the bound lower.
+    - All levels start from the worst there is, `floor`, and one sweep turns bounds into bounds: they hold after any
+      number of sweeps. Level 0 is 0 if actions cost something; else there may be states from which the rest is free.
     """
     highest = survey.highest
     value = np.full((highest + 1, len(grid.theta)), floor)
@@ -283,28 +301,16 @@ class _Growth:
 
     def region(self) -> Region:
         """Arrange what has been collected."""
-        n = len(self.states)
-        counts = np.array([0 if row is None else len(row[0]) for row in self.rows])
+        none = np.empty(0, dtype=np.int64)
         looked = np.array([row is not None for row in self.rows])
-        goal, h = np.array(self.goal), np.array(self.h)
-        shape = (n, max(1, int(counts.max(initial=0))))
-        source = np.repeat(np.arange(n), counts)
-        slot = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
-        actions, targets = np.full(shape, WAIT, dtype=np.int64), np.repeat(np.arange(n)[:, None], shape[1], axis=1)
-        actions[source, slot] = np.concatenate(
-            [row[0] for row in self.rows if row is not None] or [np.empty(0, dtype=np.int64)]
+        counts = np.array([0 if row is None else len(row[0]) for row in self.rows])
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        actions, targets = (
+            np.concatenate([none, *(row[part] for row in self.rows if row is not None)]) for part in range(2)
         )
-        targets[source, slot] = np.concatenate(
-            [row[1] for row in self.rows if row is not None] or [np.empty(0, dtype=np.int64)]
-        )
-        applicable, costs = np.zeros(shape, dtype=bool), np.zeros(shape)
-        applicable[source, slot] = True
-        costs[source, slot] = self.cost[actions[source, slot]]
-        # Of actions that are free and lower nothing, a chain might never end: others are suggested where there are.
-        optimal = applicable & (costs + h[targets] == h[:, None]) & np.isfinite(h)[:, None]
-        paid = optimal & (costs > 0)
-        optimal = np.where(paid.any(axis=1, keepdims=True), paid, optimal)
-        stuck = looked & (counts == 0) & ~goal
-        applicable[stuck, 0], costs[stuck, 0] = True, 1.0
-        choices = Choices(h, goal, applicable, actions, targets, costs, optimal, self.known.task.actions, 0)
-        return Region(self.known, choices, np.array(self.states), np.flatnonzero(~looked & ~goal))
+        goal, h, states = np.array(self.goal), np.array(self.h), np.array(self.states)
+        rows = Transitions(offsets, actions, targets)
+        optimal = optimal_choices(self.known, states, Transitions(offsets, actions, states[targets]))
+        task = self.known.task
+        choices = Choices.arranged(h, goal, rows, optimal, names=task.actions, prices=task.costs, known=looked)
+        return Region(self.known, choices, states, np.flatnonzero(~looked & ~goal))

@@ -1,0 +1,228 @@
+"""Where a region breaks off: its bounds there against values worked out by other means, and its suggestions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import DOMAINS, graph_task, table_of
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from assist.people.choices import Choices
+from assist.people.human import HumanModel, Population, choice, influence, lapse, trust
+from assist.person.pomdp import AssistPOMDP
+from assist.person.region import Region
+from assist.person.solver import solve
+from planner import Instance, OnDemand, Table, sweep
+
+Floats = NDArray[np.float64]
+ROUND_TRIP = Instance(DOMAINS / "delivery" / "round-trip.pddl", DOMAINS / "delivery" / "domain.pddl")
+
+# Graphs with free actions, costs and dead ends; node 0 is the goal and node 1 the start.
+edges = st.tuples(st.integers(1, 7), st.integers(0, 7), st.sampled_from([0, 0, 1, 2, 3]))
+graphs = st.lists(edges, min_size=4, max_size=18)
+numbers = st.fixed_dictionaries(
+    {
+        "gamma": st.sampled_from([0.8, 0.95]),
+        "c_suggest": st.sampled_from([0.0, 0.3]),
+        "eta": st.sampled_from([0.0, 0.2]),
+        "lapse": st.sampled_from([0.0, 1e-3, 0.1]),
+    }
+)
+examples = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:
+    table = sweep(graph_task(drawn))
+    return table if np.isfinite(table[table.initial]) and not table.is_goal([table.initial])[0] else None
+
+
+def values(problem: AssistPOMDP, *, policy: str) -> Floats:
+    """What somebody gets, shape (n, B, T), by plain value iteration over the equations of `people.human`.
+
+    `policy` is "best", the best that can be done where beta and theta are seen, or "worst optimal": in every state some
+    optimal suggestion, each time the one that turns out worst, and nothing in dead ends.
+    """
+    model, grid, c = problem.model, problem.grid, problem.model.choices
+    shape = (len(c), *grid.shape)
+    value = np.zeros(shape)
+    for _ in range(int(np.log(1e-9) / np.log(problem.gamma))):
+        new = np.zeros(shape)
+        for x in np.flatnonzero(~c.goal):
+            returns = []
+            told = np.flatnonzero(c.optimal[x]).tolist()
+            if policy == "best" or not told:
+                told.append(-1)
+            here = -model.q[x].min()
+            for r in told:
+                theta = grid.theta
+                if r >= 0:
+                    y = c.targets[x, r]
+                    theta = trust(theta, here, 0.0 if c.goal[y] else -c.h[y], model.eta)
+                low, up = grid.shares(theta)
+                after = (1 - up) * value[:, :, low] + up * value[:, :, low + 1]
+                found = np.zeros(grid.shape)
+                for b, beta in enumerate(grid.beta):
+                    p = choice(model.q[x], c.applicable[x], beta)
+                    heard = lapse(influence(p[None].repeat(len(theta), 0), r, grid.theta), c.applicable[x], model.lapse)
+                    step = problem.gamma * after[c.targets[x], b, :].T - c.costs[x]
+                    found[b] = (heard * step).sum(axis=1) - problem.c_suggest * (r >= 0)
+                returns.append(found)
+            new[x] = np.max(returns, axis=0) if policy == "best" else np.min(returns, axis=0)
+        value = new
+    return value
+
+
+@examples
+@given(graphs, numbers, st.integers(1, 6))
+def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: dict[str, float], states: int) -> None:
+    table = solvable(drawn)
+    if table is None:
+        return
+    human = {name: given[name] for name in ("eta", "lapse")}
+    cost = {name: given[name] for name in ("gamma", "c_suggest")}
+    whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), **human), **cost)  # type: ignore[arg-type]
+    part = Region.of(table, states=states)
+    problem = part.problem(**given)  # type: ignore[arg-type]
+    assert problem.frontier is not None
+    at = part.states[part.frontier]
+    left = 1e-8 * (3 + cost["c_suggest"]) / (1 - cost["gamma"])  # of the value iteration
+    assert (values(whole, policy="best")[at] <= problem.frontier.upper[:, None, None] + left).all()
+    assert (values(whole, policy="worst optimal")[at] >= problem.frontier.lower[:, None, :] - left).all()
+
+
+@examples
+@given(graphs, numbers, st.integers(1, 6))
+def test_a_parts_interval_and_the_wholes_overlap(
+    drawn: list[tuple[int, int, int]], given: dict[str, float], states: int
+) -> None:
+    table = solvable(drawn)
+    if table is None:
+        return
+    everything = Region.of(table, states=len(table)).problem(**given)  # type: ignore[arg-type]
+    human = {name: given[name] for name in ("eta", "lapse")}
+    whole = AssistPOMDP.of(
+        HumanModel.exact(Choices.of(table), **human),  # type: ignore[arg-type]
+        gamma=given["gamma"], c_suggest=given["c_suggest"],
+    )  # fmt: skip
+    part = Region.of(table, states=states).problem(**given)  # type: ignore[arg-type]
+    exact, same, bounds = (solve(problem, gap=1e-3, time_limit=0.2) for problem in (whole, everything, part))
+    assert len(everything.frontier.states) == 0  # type: ignore[union-attr]
+    for one, other in ((exact, same), (exact, bounds)):
+        assert one.lower <= other.upper
+        assert other.lower <= one.upper
+
+
+def suggestions(choices: Choices, x: int) -> set[str]:
+    return {choices.name(x, int(slot)) for slot in np.flatnonzero(choices.optimal[x])}
+
+
+@examples
+@given(graphs, st.integers(1, 8))
+def test_a_part_suggests_what_the_whole_does(drawn: list[tuple[int, int, int]], states: int) -> None:
+    table = solvable(drawn)
+    if table is None:
+        return
+    full, part = Choices.of(table), Region.of(table, states=states)
+    for x in np.setdiff1d(np.arange(len(part.states)), part.frontier):
+        assert suggestions(part.choices, int(x)) == suggestions(full, int(part.states[x]))
+
+
+def test_what_is_suggested_on_demand_is_what_the_table_has() -> None:
+    """Loading and unloading are free: without an order among them a cheapest way could go in circles for ever."""
+    table = table_of(ROUND_TRIP)
+    asked = OnDemand(table.task)
+    full, part = Choices.of(table), Region.of(asked, states=30)
+    inside = np.setdiff1d(np.arange(len(part.states)), part.frontier)
+    same = table.numbers(asked.values(part.states))
+    np.testing.assert_array_equal(part.choices.h, table.lookup(same))
+    np.testing.assert_array_equal(asked.plan_lengths(part.states), table.plan_lengths(same))
+    for x in inside:
+        assert suggestions(part.choices, int(x)) == suggestions(full, int(same[x]))
+    assert (part.choices.costs[part.choices.optimal] == 0).any()
+    plan = asked.optimal_plan()
+    assert plan is not None
+    assert len(plan) == table.plan_lengths([table.initial])[0] == 8
+
+
+def test_bounds_of_a_whole_and_of_all_of_it_as_a_part_overlap_where_actions_are_free() -> None:
+    table = table_of(ROUND_TRIP)
+    setting = {"gamma": 0.95, "c_suggest": 0.01}
+    whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **setting)  # type: ignore[arg-type]
+    part = Region.of(table, states=len(table)).problem(**setting)  # type: ignore[arg-type]
+    one, other = (solve(problem, gap=0.02, time_limit=2) for problem in (whole, part))
+    assert max(one.lower, other.lower) <= min(one.upper, other.upper)
+
+
+@pytest.mark.parametrize("cost", [1, 3])
+def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
+    """A corridor: whoever walks it pays `cost` in each of five steps, and advice that costs nothing changes nothing.
+
+    As far as the upper bound knows, each of these steps may cost as little as standing still: 1.
+    """
+    table = sweep(graph_task([(node, node - 1, cost) for node in range(1, 9)], start=8))
+    part = Region.of(table, states=3)
+    frontier = part.problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
+    assert frontier is not None
+    assert part.choices.h[part.frontier].tolist() == [5 * cost]
+    np.testing.assert_allclose(frontier.upper, -(1 - 0.9**5) / 0.1, rtol=1e-12)
+    np.testing.assert_allclose(frontier.lower, np.full((1, 10), -cost * (1 - 0.9**5) / 0.1), rtol=1e-6)
+
+
+def test_the_lower_bound_knows_who_follows() -> None:
+    """A ladder with a wrong step at each rung: at theta 1 nobody takes it; without influence half of them may."""
+    up = [(node, node - 1, 1) for node in range(1, 13)]
+    down = [(node, node + 1, 1) for node in range(1, 12)]
+    table = sweep(graph_task(up + down, start=8))
+    part = Region.of(table, states=2)
+    h = part.choices.h[part.frontier]
+    frontier = part.problem(gamma=0.9, c_suggest=0.5, eta=0.0, lapse=0.0).frontier
+    assert frontier is not None
+    assert sorted(h) == [6, 9]
+    np.testing.assert_allclose(frontier.lower[:, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
+    floor = -1.5 / 0.1
+    np.testing.assert_allclose(frontier.lower[:, 0], floor, rtol=1e-6)  # who never follows may never arrive
+    assert (np.diff(frontier.lower, axis=1) > 0).all()
+    # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
+    moved = part.problem(gamma=0.9, c_suggest=0.5, eta=0.2, lapse=0.0).frontier
+    assert moved is not None
+    assert (moved.lower[:, 0] > floor + 1).all()
+    np.testing.assert_allclose(moved.lower[:, -1], frontier.lower[:, -1], rtol=1e-6)
+
+
+@pytest.mark.parametrize("eta", [0.0, 0.2])
+@pytest.mark.parametrize(("top", "wrong"), [(12, 1), (2, 3)])
+def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top: int, wrong: int, eta: float) -> None:
+    """Half of the choices are wrong and lead up by one, at another price: nothing is left for the bound to guess."""
+    right_steps = [(node, node - 1, 1) for node in range(1, top + 1)]
+    wrong_steps = [(node, min(node + 1, top), wrong) for node in range(1, top + 1)]
+    table = sweep(graph_task(right_steps + wrong_steps, start=top))
+    blind = Population(beta=(0.0, 0.0))
+    setting = {"gamma": 0.9, "c_suggest": 0.25, "population": blind}
+    whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), eta=eta, lapse=0.0), **setting)  # type: ignore[arg-type]
+    expected = values(whole, policy="worst optimal")[:, 0]
+    for states in range(1, top):
+        part = Region.of(table, states=states, population=blind)
+        frontier = part.problem(eta=eta, lapse=0.0, **setting).frontier  # type: ignore[arg-type]
+        assert frontier is not None
+        np.testing.assert_allclose(frontier.lower, expected[part.states[frontier.states]], rtol=1e-5)
+
+
+def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
+    table = sweep(graph_task([(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]))
+    part = Region.of(table, states=1)
+    frontier = part.problem(gamma=0.9, c_suggest=7.0).frontier
+    assert frontier is not None
+    assert part.choices.h[part.frontier].tolist() == [np.inf]
+    np.testing.assert_allclose(frontier.lower, np.full((1, 10), -5 / 0.1), rtol=1e-12)
+    np.testing.assert_allclose(frontier.upper, -1 / 0.1, rtol=1e-12)
+
+
+def test_a_discount_that_cannot_be_is_refused() -> None:
+    part = Region.of(table_of(ROUND_TRIP), states=3)
+    for gamma in (0.0, 1.0, 1.5, float("nan")):
+        with pytest.raises(ValueError, match="gamma"):
+            part.problem(gamma=gamma)
+    with pytest.raises(ValueError, match="c_suggest"):
+        part.problem(c_suggest=float("nan"))
