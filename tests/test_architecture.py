@@ -21,12 +21,13 @@ ROOMS = {
     "assist.learning": "actions log recording fit misconception population diagnostics record",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.interop": "exchange",
-    "assist.simulation": "dynamics episodes luck presence run simulate belief_trace",
+    "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study protocol runner summary wording claims pictures report",
     "assist.live": "advice problem assistant",
-    "assist.cli": "interrupts options console progress task person team solve simulate policy bound export fit study",
+    "assist.cli": """interrupts options console progress task population person travel team policies summaries
+        solve simulate policy bound export fit study""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

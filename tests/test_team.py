@@ -17,7 +17,8 @@ from assist.people.human import HumanModel, Population, choice, influence, lapse
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, evaluate
 from assist.simulation.dynamics import Minds, People, act
-from assist.simulation.episodes import Episodes, Trace, illustrative, summarise
+from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.illustration import typical
 from assist.simulation.luck import BLOCK
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
@@ -343,14 +344,14 @@ def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
     assert len(pool.policies) == 1
     helped = run(pool, "attention", 3, 200, 0)
     alone = run(pool, "none", 3, 200, 0)
-    assert summarise(helped).actions[0] < summarise(alone).actions[0]
+    assert helped.summary().actions[0] < alone.summary().actions[0]
 
 
 def test_episodes_are_cut_off(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 2, seed=0, setting=Setting(max_steps=4))
     episodes = simulate(pool, NoAssistance(), humans=2, episodes=5, seed=0)
     assert all(e.steps == 4 and e.actions == (4, 4) and not any(e.finished) for e in episodes)
-    assert summarise(episodes).cut_off == 5
+    assert episodes.summary().cut_off == 5
 
 
 def test_summary_by_hand(pool: Pool) -> None:
@@ -358,11 +359,11 @@ def test_summary_by_hand(pool: Pool) -> None:
     made = replace(
         three, actions=np.array([[6, 8], [6, 12], [8, 14]]), interventions=np.array([0, 4, 2]), moves=np.ones(3)
     )
-    summary = summarise(made)
+    summary = made.summary()
     assert summary.actions == (9.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.interventions == (2.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.moves == (1.0, 0.0)
-    assert illustrative(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
+    assert typical(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
 
 
 def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool) -> None:

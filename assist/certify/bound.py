@@ -19,9 +19,10 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -34,8 +35,11 @@ from ..team.travel import Travel
 from .certificate import Certificate, horizon, returns
 from .prices import Kind, Tell, kinds_of, search, window_of
 
+FOR_BOUND = 0.8
+"""The share of a time limit in which a bound is looked for; policies are simulated in the rest."""
+
 FOR_PRICES = 0.4
-"""The share of a time limit in which prices are looked for; people's problems are bounded in the rest."""
+"""The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +172,7 @@ def upper_bound(
     steps = window_of(pool, members, luck) if window is None else whole("window", window)
     kinds = kinds_of(pool, members, travel, steps, memory_limit_mb=memory_limit_mb, tell=tell)
     price = np.zeros(0)
-    if len(members) > 1:
+    if len(members) > 1 and steps:
         price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * limit, tell=tell)
 
     def one(number: int, kind: Kind) -> tuple[float, float, float]:
@@ -201,3 +205,40 @@ def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
     if not members or max(members) >= people:
         raise ValueError(f"team {members}: expected one or more numbers of the pool, from 0 to {people - 1}")
     return members
+
+
+def certify(
+    pool: Pool,
+    policies: Mapping[str, TeamPolicy | str],
+    *,
+    episodes: int = 20_000,
+    seed: Seed = 0,
+    time_limit: float | None = None,
+    progress: Tell | None = None,
+    **options: Any,
+) -> tuple[TeamBound, list[Certificate]]:
+    """Bound what any policy gets with a team, and compare some with it.
+
+    Parameters
+    ----------
+    policies : mapping
+        Each by the name that it gets in its certificate.
+    episodes : int
+        Of each policy.
+    time_limit : float, optional
+        Seconds for all of it: `FOR_BOUND` of them for the bound, and an equal share of what is left for each policy.
+    **options
+        As in `upper_bound`.
+    """
+    start, luck, tell = time.perf_counter(), entropy(seed), progress or (lambda *_: None)
+    episodes = whole("episodes", episodes, 2)
+    limit = None if time_limit is None else FOR_BOUND * positive("time_limit", time_limit)
+    bound = upper_bound(pool, time_limit=limit, seed=luck, progress=progress, **options)
+    found: list[Certificate] = []
+    for name, policy in policies.items():
+        tell("simulating policies", len(found), len(policies))
+        left = None
+        if time_limit is not None:
+            left = max(0.0, start + time_limit - time.perf_counter()) / (len(policies) - len(found))
+        found.append(bound.certify(policy, name, episodes=episodes, seed=luck, time_limit=left))
+    return bound, found

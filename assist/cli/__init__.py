@@ -8,7 +8,11 @@ console        JSON, tables and errors out
 progress       how far a command is
 task           the task that people are assisted in, or were recorded in
 person         one person's problem, and the options that describe it
+population     from whom people are drawn
+travel         the way between people's places
 team           a team, and the options that describe it
+policies       team policies by name, or of one's own
+summaries      episodes as a table
 solve          the command `solve`
 simulate       the command `simulate`
 study          the command `study`

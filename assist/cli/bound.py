@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict
 from typing import Any
 
@@ -10,79 +11,55 @@ from rich.table import Table
 
 from planner.solving import versions
 
-from ..team.policies import POLICIES
-from .console import one_line_errors, print_json, print_table
+from .console import print_json, print_table
 from .options import GAP, JOBS, SECONDS, instance_argument, json_option
+from .policies import policies_of, policy_errors, policy_option
 from .progress import stages
 from .team import team_of, team_options
 
 
 @click.command()
 @instance_argument
+@policy_option("Team policy; repeat it to certify several with the same bound.")
 @click.option(
-    "--policy", "names", type=click.Choice(POLICIES), multiple=True, default=("attention",), show_default=True,
-    help="Team policy; repeat it to certify several with the same bound.",
+    "--episodes", type=click.IntRange(min=2), default=20_000, show_default=True,
+    help="From which its value is estimated.",
 )  # fmt: skip
 @click.option(
-    "--episodes",
-    type=click.IntRange(min=2),
-    default=20_000,
-    show_default=True,
-    help="From which its value is estimated.",
+    "--gap", type=GAP, default=1e-3, show_default=True, help="Relative gap to which each person's problem is solved."
 )
 @click.option(
-    "--gap", type=GAP, default=1e-3, show_default=True,
-    help="Relative gap to which each person's problem is solved.",
-)  # fmt: skip
-@click.option(
-    "--time-limit", type=SECONDS, default=60.0, show_default=True, metavar="S",
-    help="Seconds for each of these.",
+    "--time-limit", type=SECONDS, default=300.0, show_default=True, metavar="S",
+    help="Seconds for all of it; what has been proven by then is reported.",
 )  # fmt: skip
 @click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options
 @json_option
 def bound(
-    instance: str,
-    names: tuple[str, ...],
-    episodes: int,
-    gap: float,
-    time_limit: float,
-    jobs: int | None,
-    as_json: bool,
-    **team: Any,
-) -> None:
+    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, jobs: int | None,
+    as_json: bool, **team: Any,
+) -> None:  # fmt: skip
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
-    from ..certify.bound import upper_bound
+    from ..certify.bound import certify
 
-    humans, seed = team["humans"], team["seed"]
-    with one_line_errors():
-        made = team_of(instance, size=humans, **team)
+    start = time.perf_counter()
+    with policy_errors():
+        policies = policies_of(names)
+        made = team_of(instance, size=team["humans"], **team)
+        left = max(1e-3, start + time_limit - time.perf_counter())
         with stages() as show:
-            found = upper_bound(
-                made.pool, travel=made.travel, gap=gap, time_limit=time_limit, seed=seed, jobs=jobs, progress=show
-            )
-            certificates = []
-            for done, name in enumerate(dict.fromkeys(names)):
-                show("simulating policies", done, len(names))
-                policy = made.pool.policy(name, made.travel)
-                certificates.append(found.certify(policy, name, episodes=episodes, seed=seed))
+            found, certificates = certify(
+                made.pool, policies, episodes=episodes, seed=team["seed"], time_limit=left, progress=show,
+                travel=made.travel, gap=gap, jobs=jobs, memory_limit_mb=team["memory_limit"],
+            )  # fmt: skip
     best = max(certificates, key=lambda certificate: certificate.value)
     if as_json:
-        print_json(
-            {
-                "instance": str(made.instance.problem),
-                "domain": str(made.instance.domain),
-                **asdict(best),
-                "policies": [asdict(certificate) for certificate in certificates],
-                "upper_seen": found.upper_seen,
-                "price": found.price.tolist(),
-                "seconds": found.seconds,
-                "setting": asdict(made.pool.setting),
-                "population": asdict(made.population),
-                "seed": seed,
-                "versions": versions(),
-            }
-        )
+        print_json({
+            "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
+            "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
+            "price": found.price.tolist(), "seconds": found.seconds, "setting": asdict(made.pool.setting),
+            "population": asdict(made.population), "seed": team["seed"], "versions": versions(),
+        })  # fmt: skip
         return
     table = Table(box=None, pad_edge=False)
     for column in ("policy", "value", "upper bound", "gap at most"):
@@ -91,6 +68,6 @@ def bound(
         table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", f"{c.gap_percent:.2f} %")
     print_table(table)
     click.echo(
-        f"mean ± standard error over {episodes} episodes; the solver of single people's problems accounts for "
-        f"{best.slack_percent:.2f} % of the gap"
+        f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; people's problems are "
+        f"solved so far that the bound is at most {best.slack_percent:.2f} of these percent too high for it"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -12,7 +13,8 @@ import numpy as np
 
 from planner import Cache, CostToGo, Instance, Table, cost_to_go, load
 
-from .options import NUMBER, SEED, Range, domain_option, range_option
+from .options import NUMBER, SEED, Range, domain_option
+from .population import population_of, population_options
 from .progress import progress_bar
 from .task import one_instance, require_goal, table_of
 
@@ -46,8 +48,7 @@ def person_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that say whose problem it is; `person_problem` takes them all."""
     options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
         *model_options(),
-        range_option("--beta", (0.1, 3.0), "Range of the person's expertise."),
-        range_option("--theta", (0.5, 0.95), "Range of the robot's influence on them."),
+        population_options("the person's"),
         click.option(
             "--sigma", type=NUMBER, default=0.0, show_default=True,
             help="Size of a misconception, drawn once and known to the robot; with 0 it knows the task only.",
@@ -114,6 +115,7 @@ def person_problem(
     c_execute: float,
     beta: Range,
     theta: Range,
+    population_file: Path | None,
     sigma: float,
     seed: int,
     part: Part | None = None,
@@ -123,17 +125,14 @@ def person_problem(
     With `part` a task that is too large is cut down to the states that matter.
     """
     from ..people.choices import Choices
-    from ..people.human import HumanModel, Population, perceived_cost, perceived_cost_to_go
+    from ..people.human import HumanModel, perceived_cost, perceived_cost_to_go
     from ..person.pomdp import AssistPOMDP
     from ..person.region import Region
 
     found = one_instance(instance, domain)
     if not 0 <= sigma < math.inf:
         raise click.UsageError(f"--sigma {sigma:g}: expected 0 or more")
-    try:
-        population = Population(beta, theta)
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
+    population = population_of(beta, theta, file=population_file)
     known: CostToGo
     if part is None:
         known = table_of(found)

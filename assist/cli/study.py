@@ -46,6 +46,7 @@ def study(
     from ..study.report import require, write_report
     from ..study.runner import run_study
     from ..study.study import StudyError, check
+    from ..team.state import PolicyError
 
     with one_line_errors("interrupted; what was finished is kept, --resume continues"):
         require()
@@ -57,7 +58,7 @@ def study(
         except StudyError as error:
             fail(str(error), EXIT_USAGE)
         for cell, reason in failed:
-            click.echo(f"{cell}: {reason if isinstance(reason, StudyError) else repr(reason)}", err=True)
+            click.echo(f"{cell}: {reason if isinstance(reason, StudyError | PolicyError) else repr(reason)}", err=True)
         if failed:
             fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
         summary = write_report(planned, out, jobs=jobs)

@@ -133,6 +133,14 @@ class Episodes:
         return (self[row] for row in range(len(self)))
 
 
+SHOWN = {
+    "actions": "human_actions_per_person",
+    "interventions": "interventions",
+    "moves": "moves",
+    "discounted_return": "return",
+}
+"""What is summarised, and what it is called in records."""
+
 Trace = list[dict[str, Any]]
 """One dictionary for each action of each person."""
 
@@ -158,6 +166,14 @@ class Summary:
     discounted_return: tuple[float, float]
     cut_off: int
 
+    def record(self) -> dict[str, Any]:
+        """Give it as plain data; a standard error that is not known is None."""
+        record: dict[str, Any] = {"policy": self.policy, "episodes": self.episodes}
+        for name, label in SHOWN.items():
+            mean, error = getattr(self, name)
+            record[label] = {"mean": mean, "stderr": None if math.isnan(error) else error}
+        return {**record, "cut_off": self.cut_off}
+
     def __str__(self) -> str:
         shown = [
             f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
@@ -178,16 +194,3 @@ def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
 def summarise(episodes: Episodes) -> Summary:
     """Summarise the episodes of one policy."""
     return episodes.summary()
-
-
-def illustrative(helped: Episodes, alone: Episodes) -> Episode:
-    """Choose an episode to look at: of those in which help saved actions, the one of median saving.
-
-    Parameters
-    ----------
-    helped, alone : Episodes
-        The same episodes with and without a robot.
-    """
-    saved = (alone.actions.sum(axis=1) - helped.actions.sum(axis=1)).tolist()
-    better = sorted((number, i) for i, number in enumerate(saved) if number > 0)
-    return helped[better[(len(better) - 1) // 2][1]] if better else helped[0]

@@ -12,7 +12,7 @@ from planner import Instance, InstanceError, find_instances
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
-from ..team.policies import POLICIES
+from ..team.policies import POLICIES, parse
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyError
 
@@ -245,17 +245,17 @@ def _policies(
     """Read names of policies; one of the user's own is written FILE.py:FUNCTION and called by its function."""
     names, own = [], {}
     for name in table.texts(key, default):
-        path, colon, function = name.rpartition(":")
-        if colon:
-            where = file.parent / path
+        place = parse(name, file.parent)
+        if place is not None:
+            where, function = place
             if not where.is_file():
                 raise table.fault(key, f"{where}: no such file")
             if function in POLICIES:
                 raise table.fault(key, f"'{function}' is a policy of the package; expected another name")
-            own[function] = (where, function)
+            own[function] = place
         elif name not in POLICIES:
             raise table.fault(key, f"'{name}'; expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION")
-        names.append(function)
+        names.append(name if place is None else place[1])
     return tuple(names), own
 
 

@@ -9,14 +9,13 @@ alone, so that policies, team sizes, settings and conditions are compared on the
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +27,10 @@ from ..people.human import Mixture, Population
 from ..person.qmdp import qmdp
 from ..simulation.episodes import Episodes
 from ..simulation.simulate import simulate
+from ..team.policies import OwnPolicy
 from ..team.pool import SIMULATED_STATES, Pool
 from ..team.settings import Setting
-from ..team.state import TeamPolicy
+from ..team.state import PolicyError, TeamPolicy
 
 SCHEMA = 1
 """The version of what `episodes.jsonl` and `summary.json` hold."""
@@ -347,20 +347,9 @@ def _choices(instance: Instance) -> Choices:
 
 
 @cache
-def _function(file: Path, name: str) -> TeamPolicy:
-    """Load a policy from a Python file."""
-    spec = importlib.util.spec_from_file_location(f"_study_{file.stem}", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise StudyError(f"{file}: cannot be loaded: {error!r}") from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise StudyError(f"{file}: has no function '{name}'")
-    return cast(TeamPolicy, function)
+def _function(file: Path, name: str) -> OwnPolicy:
+    """Load a policy from a Python file, once in each process."""
+    return OwnPolicy.load(file, name)
 
 
 def check(study: Study) -> None:
@@ -373,7 +362,10 @@ def check(study: Study) -> None:
     for _, files in study.instances:
         _choices(files)
     for _, (file, name) in study.own_policies:
-        _function(file, name)
+        try:
+            _function(file, name)
+        except PolicyError as error:
+            raise StudyError(str(error)) from error
     for condition in study.conditions:
         for label, setting in condition.settings:
             for name in condition.instances:

@@ -1,0 +1,63 @@
+"""Team policies on the command line: by name, or one's own as FILE.py:FUNCTION."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+from ..team.policies import POLICIES, OwnPolicy, parse
+from ..team.state import PolicyError
+from .console import EXIT_FAILED, fail
+from .options import Option
+
+
+class PolicyName(click.ParamType):  # type: ignore[type-arg]
+    """The name of a team policy, or the place of one's own."""
+
+    name = "policy"
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
+        """Show what there is."""
+        return f"[{'|'.join(POLICIES)}|FILE.py:FUNCTION]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Read it; what is in the file is looked at later."""
+        if value not in POLICIES:
+            place = parse(value)
+            if place is None:
+                self.fail(f"'{value}'; expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION", param, ctx)
+            if not place[0].is_file():
+                self.fail(f"{place[0]}: no such file", param, ctx)
+        return str(value)
+
+
+def policy_option(help_text: str) -> Option[Any]:
+    """Give the option `--policy`, which may be repeated."""
+    return click.option(
+        "--policy", "names", type=PolicyName(), multiple=True, default=("attention",), show_default=True,
+        help=help_text,
+    )  # fmt: skip
+
+
+def policies_of(names: tuple[str, ...]) -> dict[str, str | OwnPolicy]:
+    """Give each policy by the name that it has in results."""
+    found: dict[str, str | OwnPolicy] = {}
+    for name in dict.fromkeys(names):
+        place = parse(name)
+        called = name if place is None else place[1]
+        if called in found or (place is not None and called in POLICIES):
+            raise click.UsageError(f"--policy {name}: there is another policy '{called}'; expected another name")
+        found[called] = name if place is None else OwnPolicy.load(*place)
+    return found
+
+
+@contextmanager
+def policy_errors() -> Iterator[None]:
+    """Say in one line, with file and line, what goes wrong in a policy."""
+    try:
+        yield
+    except PolicyError as error:
+        fail(str(error), EXIT_FAILED)

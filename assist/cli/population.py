@@ -1,0 +1,62 @@
+"""From whom people are drawn: ranges of their parameters, or a file that `fit --population` has written."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from .options import INPUT_FILE, Command, Option, Range, range_option
+
+if TYPE_CHECKING:
+    from ..people.human import Mixture, Population
+
+RANGES = ("beta", "theta", "sigma")
+
+
+def population_options(whose: str = "people's", influence: str = "them") -> Callable[[Command], Command]:
+    """Add the options that `population_of` takes, but for the range of sigma, which one person does not have."""
+
+    def add(command: Command) -> Command:
+        options: tuple[Option[Command], ...] = (
+            click.option(
+                "--population", "population_file", type=INPUT_FILE, metavar="FILE",
+                help="Draw people from what `fit --population` has written, in place of ranges.",
+            ),
+            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence}."),
+            range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise."),
+        )  # fmt: skip
+        for option in options:
+            command = option(command)
+        return command
+
+    return add
+
+
+def population_of(
+    beta: Range, theta: Range, sigma: Range | None = None, *, file: Path | None = None
+) -> Population | Mixture:
+    """Give the population that the options describe.
+
+    Raises
+    ------
+    click.UsageError
+        Ranges that cannot be, a file that holds no population, or both ranges and a file.
+    """
+    from ..learning import population as populations
+    from ..people.human import Population
+
+    try:
+        if file is None:
+            return Population(beta, theta) if sigma is None else Population(beta, theta, sigma)
+        context = click.get_current_context()
+        for name in RANGES if sigma is not None else RANGES[:2]:
+            if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+                raise click.UsageError(f"--population {file} says what --{name} says; expected one of them")
+        return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise click.UsageError(f"--population {file}: {error}" if file else str(error)) from None

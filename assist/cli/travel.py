@@ -1,0 +1,39 @@
+"""The way between people's places: the options that describe it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .options import INPUT_FILE, NUMBER, Command
+
+if TYPE_CHECKING:
+    from ..team.settings import Setting
+    from ..team.travel import Travel
+
+
+def travel_options(command: Command) -> Command:
+    """Add the options that say how far it is; two are of the setting, `travel_of` takes the third."""
+    for option in (
+        click.option(
+            "--distances", type=INPUT_FILE, metavar="FILE",
+            help="Distances between the K places and the base, which comes last (JSON list of lists); 1 unless given.",
+        ),
+        click.option("--travel-time", type=NUMBER, default=0.0, show_default=True, help="Steps for a distance of 1."),
+        click.option("--c-move", type=NUMBER, default=0.5, show_default=True, help="Cost of a distance of 1."),
+    ):  # fmt: skip
+        command = option(command)
+    return command
+
+
+def travel_of(setting: Setting, humans: int, distances: Path | None) -> Travel:
+    """Give the way between so many people."""
+    if distances is None:
+        return setting.travel(humans)
+    try:
+        return setting.travel(humans, json.loads(distances.read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise click.UsageError(f"--distances {distances}: {error}") from None

@@ -1,0 +1,62 @@
+"""One episode to look at: what came of it with help, and what without."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ..team.pool import Pool
+from ..team.state import TeamPolicy
+from ..team.travel import Travel
+from .episodes import Episode, Episodes, Trace
+from .simulate import simulate
+
+
+@dataclass(frozen=True)
+class Illustration:
+    """An episode with every action of everybody.
+
+    Attributes
+    ----------
+    episode : Episode
+    trace : list
+        As `simulate` gives it.
+    alone : list
+        The same of the same episode without a robot.
+    """
+
+    episode: Episode
+    trace: Trace
+    alone: Trace
+
+    @classmethod
+    def of(
+        cls,
+        pool: Pool,
+        policy: TeamPolicy | str,
+        helped: Episodes,
+        *,
+        humans: int | Sequence[int],
+        seed: int,
+        travel: Travel | None = None,
+    ) -> Illustration:
+        """Choose one of a policy's episodes, and look closer; the parameters are those of `simulate`."""
+        alone = simulate(pool, "none", humans=humans, episodes=helped.episode, seed=seed, travel=travel)
+        shown = typical(helped, alone)
+        traces: tuple[Trace, Trace] = ([], [])
+        for one, trace in zip((policy, "none"), traces, strict=True):
+            simulate(pool, one, humans=humans, episodes=[shown.episode], seed=seed, travel=travel, trace=trace)
+        return cls(shown, *traces)
+
+
+def typical(helped: Episodes, alone: Episodes) -> Episode:
+    """Choose an episode: of those in which help saved actions, the one of median saving.
+
+    Parameters
+    ----------
+    helped, alone : Episodes
+        The same episodes with and without a robot.
+    """
+    saved = (alone.actions.sum(axis=1) - helped.actions.sum(axis=1)).tolist()
+    better = sorted((number, i) for i, number in enumerate(saved) if number > 0)
+    return helped[better[(len(better) - 1) // 2][1]] if better else helped[0]
