@@ -2,6 +2,6 @@ from .belief_trace import beliefs_of_episode as beliefs_of_episode
 from .episodes import Episode as Episode
 from .episodes import Episodes as Episodes
 from .episodes import Summary as Summary
-from .episodes import illustrative as illustrative
+from .illustration import Illustration as Illustration
 from .presence import Presence as Presence
 from .simulate import simulate as simulate
