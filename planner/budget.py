@@ -10,10 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .fast_downward import LimitError
-
-
-class MemoryLimitError(LimitError):
-    """More memory would be needed than is allowed."""
+from .fast_downward import MemoryLimitError as MemoryLimitError
 
 
 @dataclass(frozen=True)

@@ -46,6 +46,10 @@ class LimitError(RuntimeError):
     """A limit of time, memory or states was reached before the answer was known."""
 
 
+class MemoryLimitError(LimitError):
+    """More memory would be needed than is allowed."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """What one call may use: seconds of wall-clock time and MB of memory, `None` for no limit."""
@@ -202,7 +206,7 @@ def _check_limits(what: str, code: int, limits: Limits) -> None:
     if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
         raise LimitError(f"{what} ran out of time")
     if code in EXIT_OUT_OF_MEMORY or (code < 0 and limits.memory_mb is not None):
-        raise LimitError(f"{what} ran out of memory")
+        raise MemoryLimitError(f"{what} ran out of memory")
 
 
 def _limit(pid: int, what: int, value: int) -> None:

@@ -15,7 +15,7 @@ from assist.cli import COMMANDS, main
 
 ROOMS = {
     "planner": """lazy errors storage processes workers pddl fast_downward built task budget successors statespace
-        costtogo moves kernels coding sweep ondemand methods solving results batch""",
+        costtogo moves kernels coding sweep ondemand methods solving results batch engine""",
     "assist.people": "choices human belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": "actions log recording fit misconception population diagnostics record",

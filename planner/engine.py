@@ -1,0 +1,162 @@
+"""The planner as an engine of unified-planning: optimal plans for problems that were built in Python.
+
+One line registers it,
+
+    unified_planning.environment.get_environment().factory.add_engine("kitassist", "planner.engine", "Engine")
+
+or two lines of a file `up.ini`, which unified-planning reads by itself from the working folder, those above it, and
+the user's home:
+
+    [engine kitassist]
+    module_name: planner.engine
+    class_name: Engine
+
+Then `OneshotPlanner(name="kitassist")` finds plans that are proven to be optimal: of the least cost where the problem
+asks for that, else of the fewest actions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import IO, TYPE_CHECKING, Any
+from warnings import warn
+
+from unified_planning import engines
+from unified_planning.engines import Credits, OptimalityGuarantee, PlanGenerationResult
+from unified_planning.engines import PlanGenerationResultStatus as Status
+from unified_planning.engines.mixins import OneshotPlannerMixin
+from unified_planning.io import PDDLWriter
+from unified_planning.model import ProblemKind
+from unified_planning.plans import ActionInstance, SequentialPlan
+
+from .costtogo import astar
+from .fast_downward import LimitError, Limits, MemoryLimitError
+from .pddl import PDDLError
+from .task import load
+
+if TYPE_CHECKING:
+    from unified_planning.model import Problem
+
+KIND = {
+    "problem_class": ("ACTION_BASED",),
+    "typing": ("FLAT_TYPING", "HIERARCHICAL_TYPING"),
+    "conditions_kind": (
+        "NEGATIVE_CONDITIONS", "DISJUNCTIVE_CONDITIONS", "EQUALITIES", "EXISTENTIAL_CONDITIONS", "UNIVERSAL_CONDITIONS",
+    ),
+    "effects_kind": (
+        "CONDITIONAL_EFFECTS", "FORALL_EFFECTS", "STATIC_FLUENTS_IN_BOOLEAN_ASSIGNMENTS",
+        "FLUENTS_IN_BOOLEAN_ASSIGNMENTS",
+    ),
+    "quality_metrics": ("ACTIONS_COST", "PLAN_LENGTH"),
+    "actions_cost_kind": ("STATIC_FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST"),
+}  # fmt: skip
+"""What of unified-planning's features there is, by kind: classical planning with action costs."""
+
+
+class Engine(engines.Engine, OneshotPlannerMixin):
+    """A one-shot planner whose plans are optimal.
+
+    What its results say, `SOLVED_OPTIMALLY` or `UNSOLVABLE_PROVEN`, is proven; with `TIMEOUT` and `MEMOUT` nothing is
+    known, and `UNSUPPORTED_PROBLEM` says that the problem cannot be written in PDDL, or read by Fast Downward.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        engines.Engine.__init__(self)
+        OneshotPlannerMixin.__init__(self)
+        if options:
+            raise TypeError(f"{', '.join(options)}: this engine has no such options")
+
+    @property
+    def name(self) -> str:
+        """As it is registered."""
+        return "kitassist"
+
+    @staticmethod
+    def supported_kind() -> ProblemKind:
+        """Give the features that it supports."""
+        kind = ProblemKind(version=2)
+        for what, features in KIND.items():
+            for feature in features:
+                getattr(kind, f"set_{what}")(feature)
+        return kind
+
+    @staticmethod
+    def supports(problem_kind: ProblemKind) -> bool:
+        """Tell whether it supports all features of a problem."""
+        return bool(problem_kind <= Engine.supported_kind())
+
+    @staticmethod
+    def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:  # noqa: ARG004  each there is
+        """Tell whether plans are as good as that: they are optimal."""
+        return True
+
+    @staticmethod
+    def get_credits(**_: Any) -> Credits:
+        """Say whose work it is."""
+        what = "Optimal plans, and the exact cost-to-go of every state, for assistance in task planning."
+        return Credits(
+            "kitassist", "the authors of kitassist", "", "", "Apache-2.0", what, f"{what} Runs Fast Downward."
+        )
+
+    def _solve(
+        self,
+        problem: Problem,
+        heuristic: Callable[[Any], float | None] | None = None,
+        timeout: float | None = None,
+        output_stream: IO[str] | None = None,
+    ) -> PlanGenerationResult:
+        for name, value in (("heuristic", heuristic), ("output_stream", output_stream)):
+            if value is not None:
+                warn(f"kitassist does not use the {name} that it was given", stacklevel=3)
+        start = time.monotonic()
+
+        def left() -> Limits:
+            return Limits() if timeout is None else Limits(seconds=max(0.01, timeout - (time.monotonic() - start)))
+
+        try:
+            task = load(problem, limits=left())
+            _, plan = astar(task, limits=left())
+        except MemoryLimitError as error:
+            return self._without(Status.MEMOUT, error)
+        except LimitError as error:
+            return self._without(Status.TIMEOUT, error)
+        except PDDLError as error:
+            return self._without(Status.UNSUPPORTED_PROBLEM, error)
+        if plan is None:
+            return PlanGenerationResult(Status.UNSOLVABLE_PROVEN, None, self.name)
+        return PlanGenerationResult(Status.SOLVED_OPTIMALLY, read_plan(problem, plan), self.name)
+
+    def _without(self, status: Status, error: Exception) -> PlanGenerationResult:
+        message = engines.results.LogMessage(engines.results.LogLevel.ERROR, str(error))
+        return PlanGenerationResult(status, None, self.name, log_messages=[message])
+
+
+def read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
+    """Give a plan, `(name argument ...)` each, as unified-planning has it.
+
+    Parameters
+    ----------
+    problem : Problem
+    plan : list of str
+        In the names of the problem; those that could not be written so are in its PDDL's.
+    """
+    writer = PDDLWriter(problem)
+    items: dict[str, Any] = {}
+    own = {item.name: item for item in (*problem.actions, *problem.all_objects)}
+
+    def find(word: str) -> Any:
+        if word in own:
+            return own[word]
+        if not items:
+            writer.get_domain()
+            writer.get_problem()
+            items.update(writer.nto_renamings)
+        return items[word]
+
+    steps = []
+    for action in plan:
+        name, *arguments = action[1:-1].split()
+        objects = [problem.environment.expression_manager.ObjectExp(find(word)) for word in arguments]
+        steps.append(ActionInstance(find(name), tuple(objects)))
+    return SequentialPlan(steps, problem.environment)
