@@ -25,7 +25,7 @@ ROOMS = {
     "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study protocol runner summary wording claims pictures report",
-    "assist.live": "advice problem assistant",
+    "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries
         solve simulate policy bound export fit study""",
 }
@@ -36,7 +36,6 @@ LONGEST = 500
 
 LONGER = {
     "assist/person/hsvi.py", "assist/interop/exchange.py", "assist/learning/fit.py",
-    "assist/live/assistant.py",
 }  # fmt: skip
 """The compiled search, which is one function to the compiler."""
 

@@ -102,7 +102,7 @@ def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monk
         assert told.to_json() == parts.to_json()
         # The same suggestions, followed through the whole table.
         replayed = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.05))
-        record = replayed._people["ann"]
+        record = replayed._team.by_name["ann"]
         for step, action in enumerate(MANY_MISTAKES):
             replayed._suggest(record, silent[step])
             replayed.observe("ann", action)

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,39 +32,13 @@ from ..person.pomdp import Policy
 from ..simulation.dynamics import update
 from ..team.policies import POLICIES, named
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, TeamPolicy, TeamState, by_model
+from ..team.state import BASE, NOBODY, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
-from .problem import InapplicableError, Part, Problem, UnknownError, digest
+from .problem import InapplicableError, Part, Problem, digest
+from .roster import Record, Roster, Step
 
 FORMAT = "kitassist team 1"
 """Of saved teams."""
-
-NAMED = 10  # people, in a message
-
-
-class Step(NamedTuple):
-    """An action of a person: where, after what of the robot's, and which."""
-
-    part: int
-    row: int
-    robot: int
-    slot: int
-
-
-@dataclass
-class _Person:
-    """Somebody's record: the task that they are at, their steps in it, and what was believed when they began it."""
-
-    name: str
-    place: int
-    problem: Problem
-    before: Floats
-    steps: list[Step] = field(default_factory=list)
-    past: list[tuple[Problem, list[Step]]] = field(default_factory=list)
-
-    def episodes(self) -> list[tuple[Problem, list[Step]]]:
-        """Give all tasks that they have been at, with their steps."""
-        return [*self.past, (self.problem, self.steps)]
 
 
 @dataclass(frozen=True)
@@ -126,8 +100,6 @@ class Assistant:
         self._distance = None if distance is None else np.array(distance, dtype=float)
         self._parts: list[Part] = []
         self._problems: dict[tuple[int, Population | Mixture], Problem] = {}
-        self._people: dict[str, _Person] = {}
-        self._order: list[_Person] = []
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         if isinstance(policy, str) and policy not in POLICIES:
             named(policy, (), self.setting.travel(1))  # says what there is
@@ -137,45 +109,23 @@ class Assistant:
         names = list(people)
         places = len(names) if self._distance is None else len(self._distance) - 1
         self._travel = self.setting.travel(max(1, places), self._distance)
-        self._allocate(len(self._travel), (0, 0))
+        self._team = Roster(self._parts, len(self._travel))
         for name in names:
             self.join(name, people[name] if isinstance(people, Mapping) else None)
         if names:
             self._policy()
-
-    def _allocate(self, places: int, shape: tuple[int, int]) -> None:
-        """Make room for so many people, and keep what there is."""
-        old = len(self._order)
-
-        def room(like: NDArray[Any] | None, fill: Any, dtype: Any, *more: int) -> NDArray[Any]:
-            array = np.full((places, *more), fill, dtype=dtype)
-            if like is not None and old:
-                array[:old] = like[:old]
-            return array
-
-        mine = self.__dict__.get
-        self._x = room(mine("_x"), 0, np.int64)
-        self._model = room(mine("_model"), 0, np.int64)
-        self._robot = room(mine("_robot"), 0, np.int64)
-        self._erred = room(mine("_erred"), False, np.bool_)
-        self._present = room(mine("_present"), False, np.bool_)
-        self._ended = room(mine("_ended"), False, np.bool_)
-        self._stale = room(mine("_stale"), True, np.bool_)
-        self._belief = room(mine("_belief"), 0.0, np.float64, *shape)
-        self._worth = room(mine("_worth"), -np.inf, np.float64, mine("_worth", np.empty((0, 1))).shape[1])
-        self._after = np.empty(shape)
 
     # People come and go.
 
     @property
     def people(self) -> tuple[str, ...]:
         """Who is there."""
-        return tuple(person.name for person in self._order if self._present[person.place])
+        return self._team.names
 
     @property
     def finished(self) -> bool:
         """Whether everybody who is there has reached their goal."""
-        return not (self._present & ~self._ended).any()
+        return not (self._team.present & ~self._team.ended).any()
 
     def join(
         self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
@@ -192,41 +142,30 @@ class Assistant:
         """
         if not isinstance(person, str) or not person.strip():
             raise ValueError(f"person {person!r}: expected a name")
-        if person in self._people:
-            place = self._people[person].place
-            if self._present[place]:
+        team = self._team
+        if person in team.by_name:
+            place = team.by_name[person].place
+            if team.present[place]:
                 raise ValueError(f"{person} is there already")
             if task is not None or population is not None:
                 raise ValueError(f"{person} comes back to the task that they left; `begin` gives them another")
-            self._present[place] = True
-            self._advice = None
-            return
-        place = len(self._order)
-        if place == len(self._travel) and self._distance is not None:
-            raise ValueError(f"{person}: there is a place for {place} people; expected a larger matrix of distances")
-        problem = self._problem(task, population)
-        number, row = problem.at(problem.initial)
-        prior = self._parts[number].policy.pomdp.prior
-        shape = (prior.shape[0], prior.shape[1])
-        if self._belief.shape[1:] != shape:
-            if self._order:
+            team.present[place] = True
+        else:
+            place = len(team.records)
+            if place == len(team) and self._distance is not None:
                 raise ValueError(
-                    f"{person}: a belief of shape {shape}; expected {self._belief.shape[1:]}, as that in others"
+                    f"{person}: there is a place for {place} people; expected a larger matrix of distances"
                 )
-            self._allocate(len(self._x), shape)
-        if place == len(self._x):
-            self._travel = self.setting.travel(2 * place)
-            self._allocate(2 * place, shape)
-        record = _Person(person, place, problem, prior.copy())
-        self._people[person] = record
-        self._order.append(record)
-        self._present[place] = True
-        self._place(record, number, row)
-        self._belief[place] = prior
+            problem = self._problem(task, population)
+            if place == len(team):
+                self._travel = self.setting.travel(2 * place)
+                team.grow(2 * place)
+            team.add(person, problem)
+        self._advice = None
 
     def leave(self, person: str) -> None:
         """Let somebody go, finished or not."""
-        self._present[self._known(person).place] = False
+        self._team.present[self._team.known(person).place] = False
         self._advice = None
 
     def begin(
@@ -242,17 +181,21 @@ class Assistant:
         population : Population or Mixture, optional
             Of whom those are taken to be whose policy it will be; as before unless given.
         """
-        record = self._known(person)
+        record = self._team.known(person)
         problem = record.problem
         if task is not None or population is not None:
             problem = self._problem(task or record.problem.task, population or record.problem.prior)
         number, row = problem.at(problem.initial)
-        here, there = self._parts[self._model[record.place]].policy.pomdp.grid, self._parts[number].policy.pomdp.grid
+        here, there = (
+            self._parts[self._team.model[record.place]].policy.pomdp.grid,
+            self._parts[number].policy.pomdp.grid,
+        )
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
         record.past.append((record.problem, record.steps))
-        record.problem, record.before, record.steps = problem, self._belief[record.place].copy(), []
-        self._place(record, number, row)
+        record.problem, record.before, record.steps = problem, self._team.belief[record.place].copy(), []
+        self._team.put(record, number, row)
+        self._advice = None
 
     def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> Problem:
         task, population = task or self._task, population or self.population
@@ -261,33 +204,13 @@ class Assistant:
         key = (id(task), population)
         if key not in self._problems:
             self._problems[key] = Problem(task, self.setting, population, self._parts)
-            self._worked_out()
+            self._forget_policy()
         return self._problems[key]
 
-    def _worked_out(self) -> None:
-        """Take note of further parts of tasks."""
+    def _forget_policy(self) -> None:
+        """Have a policy that goes by its name made anew, since there are further parts of tasks."""
         if isinstance(self.policy, str):
             self._made = None
-        widest = max(part.policy.pomdp.suggested.shape[1] for part in self._parts)
-        if widest > self._worth.shape[1]:
-            more = np.full((len(self._worth), widest - self._worth.shape[1]), -np.inf)
-            self._worth = np.concatenate([self._worth, more], axis=1)
-
-    def _known(self, person: str) -> _Person:
-        record = self._people.get(person)
-        if record is None or not self._present[record.place]:
-            names = self.people
-            there = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
-            raise UnknownError(f"{person!r} is not in the team; who is there: {there or 'nobody'}")
-        return record
-
-    def _place(self, record: _Person, number: int, row: int, *, erred: bool = False, robot: int = 0) -> None:
-        """Put somebody into a state."""
-        k = record.place
-        self._model[k], self._x[k], self._erred[k], self._robot[k] = number, row, erred, robot
-        self._ended[k] = self._parts[number].choices.goal[row]
-        self._stale[k] = True
-        self._advice = None
 
     # Observations come in.
 
@@ -311,21 +234,22 @@ class Assistant:
         LimitError
             The state that it leads to could not be evaluated. Nothing has changed, in this case as in the others.
         """
-        record = self._known(person)
+        record = self._team.known(person)
         k, problem = record.place, record.problem
-        number, row = int(self._model[k]), int(self._x[k])
+        number, row = int(self._team.model[k]), int(self._team.x[k])
         part = self._parts[number]
-        if self._ended[k]:
+        if self._team.ended[k]:
             raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
         slot = problem.slot(number, row, action)
         count = len(self._parts)
         to = problem.at(part.state(int(part.choices.targets[row, slot])))
         if len(self._parts) > count:
-            self._worked_out()
-        step = Step(number, row, int(self._robot[k]) if heard else 0, slot)
-        update(self._belief[k], self._after, row, step.robot, slot, part.arrays)
+            self._forget_policy()
+        step = Step(number, row, int(self._team.robot[k]) if heard else 0, slot)
+        self._believe(self._team.belief[k], step)
         record.steps.append(step)
-        self._place(record, *to, erred=self._was_no_progress(step))
+        self._team.put(record, *to, erred=self._was_no_progress(step))
+        self._advice = None
 
     def undo(self, person: str) -> str:
         """Take somebody's last action back, as if it had not been observed.
@@ -342,17 +266,21 @@ class Assistant:
         InapplicableError
             They have done nothing yet in this task.
         """
-        record = self._known(person)
+        record = self._team.known(person)
         if not record.steps:
             raise InapplicableError(f"{person} has done nothing yet that could be taken back")
         last = record.steps.pop()
-        belief = self._belief[record.place]
+        belief = self._team.belief[record.place]
         belief[:] = record.before
         for step in record.steps:
-            update(belief, self._after, step.row, step.robot, step.slot, self._parts[step.part].arrays)
+            self._believe(belief, step)
         erred = bool(record.steps) and self._was_no_progress(record.steps[-1])
-        self._place(record, last.part, last.row, erred=erred, robot=last.robot)
+        self._team.put(record, last.part, last.row, erred=erred, robot=last.robot)
+        self._advice = None
         return self._parts[last.part].choices.name(last.row, last.slot)
+
+    def _believe(self, belief: Floats, step: Step) -> None:
+        update(belief, np.empty_like(belief), step.row, step.robot, step.slot, self._parts[step.part].arrays)
 
     def _was_no_progress(self, step: Step) -> bool:
         choices = self._parts[step.part].choices
@@ -372,18 +300,18 @@ class Assistant:
 
     def arrived(self, person: str | None = None) -> None:
         """Take note of where the robot is: with somebody, or at its base."""
-        self._location = BASE if person is None else self._known(person).place
+        self._location = BASE if person is None else self._team.known(person).place
         self._under_way = False
         self._advice = None
 
     def _decide(self) -> Advice:
         if self._under_way:
-            going_to = self._order[self._location]
+            going_to = self._team.records[self._location]
             return Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
-        active = self._present & ~self._ended & (self._robot == 0)
+        active = self._team.present & ~self._team.ended & (self._team.robot == 0)
         if not active.any():
             return Advice(None, None, None, arrived=True)
-        team = self._team(active)
+        team = self._as_policies_see_it(active)
         action = self._policy()(team)
         team.check(action)
         k, robot = int(action.person[0]), int(action.robot[0])
@@ -391,22 +319,16 @@ class Assistant:
             return Advice(None, None, None, arrived=True)
         moving = self._travel.c_move * float(self._travel.distance[self._location, k])
         self._under_way = bool(self._travel.steps[self._location, k] > 0)
-        self._location, self._robot[k] = k, robot
+        self._location, self._team.robot[k] = k, robot
         return Advice(
-            self._order[k].name, self._suggestion(k), self._reason(k, robot, moving), arrived=not self._under_way
+            self._team.records[k].name, self._suggestion(k), self._reason(k, robot, moving), arrived=not self._under_way
         )
 
-    def _team(self, active: NDArray[np.bool_]) -> TeamState:
-        policies = [part.policy for part in self._parts]
-        rows = np.flatnonzero(self._stale & active)
-        for number, mine in by_model(self._model, rows, len(policies)):
-            values = policies[number].q_values(self._x[mine], self._belief[mine])
-            self._worth[mine] = -np.inf
-            self._worth[mine, : values.shape[1]] = values
-        self._stale[rows] = False
+    def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
+        t, policies = self._team, [part.policy for part in self._parts]
         return _LiveTeam(
-            self._step, self._x[None], active[None], self._erred[None], np.array([self._location]), self._model[None],
-            self._belief[None], policies, self._travel, self._worth,
+            self._step, t.x[None], active[None], t.erred[None], np.array([self._location]), t.model[None],
+            t.belief[None], policies, self._travel, t.worth(active),
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
@@ -418,11 +340,11 @@ class Assistant:
         return self._made
 
     def _suggestion(self, k: int) -> str | None:
-        return self._parts[self._model[k]].policy.pomdp.suggestion(int(self._x[k]), int(self._robot[k]))
+        return self._parts[self._team.model[k]].policy.pomdp.suggestion(int(self._team.x[k]), int(self._team.robot[k]))
 
     def _reason(self, k: int, robot: int, moving: float) -> Reason:
-        policy, belief = self._parts[self._model[k]].policy, self._belief[k]
-        q = policy.q_values(self._x[k : k + 1], belief[None])[0]
+        policy, belief = self._parts[self._team.model[k]].policy, self._team.belief[k]
+        q = policy.q_values(self._team.x[k : k + 1], belief[None])[0]
         saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
         grid = policy.pomdp.grid
         beta, theta = Spread.of(grid.beta, belief.sum(axis=1)), Spread.of(grid.theta, belief.sum(axis=0))
@@ -434,26 +356,26 @@ class Assistant:
 
     def person(self, person: str) -> PersonState:
         """Give what is known of somebody, there or not."""
-        record = self._people.get(person) or self._known(person)
-        k, part = record.place, self._parts[self._model[record.place]]
-        row, choices = int(self._x[k]), part.choices
-        names = () if self._ended[k] else tuple(
+        record = self._team.by_name.get(person) or self._team.known(person)
+        k, part = record.place, self._parts[self._team.model[record.place]]
+        row, choices = int(self._team.x[k]), part.choices
+        names = () if self._team.ended[k] else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
-            person, bool(self._present[k]), bool(self._ended[k]), part.state(row), names, self._suggestion(k),
-            float(choices.h[row]), len(record.steps), part.policy.pomdp.grid, self._belief[k].copy(),
+            person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names, self._suggestion(k),
+            float(choices.h[row]), len(record.steps), part.policy.pomdp.grid, self._team.belief[k].copy(),
         )  # fmt: skip
 
     @property
     def robot(self) -> str | None:
         """With whom the robot is, or to whom it is under way; None at its base."""
-        return None if self._location == BASE else self._order[self._location].name
+        return None if self._location == BASE else self._team.records[self._location].name
 
     def log(self) -> list[dict[str, Any]]:
         """Give everybody's actions as `fit` reads them: one dictionary each, a person's in their order."""
         rows = []
-        for record in self._order:
+        for record in self._team.records:
             for number, (_, steps) in enumerate(record.episodes(), start=1):
                 for count, step in enumerate(steps):
                     rows.append({"person": record.name, "episode": str(number), "step": count, **self._named(step)})
@@ -476,14 +398,14 @@ class Assistant:
         people = [
             {
                 "person": record.name,
-                "present": bool(self._present[record.place]),
+                "present": bool(self._team.present[record.place]),
                 "episodes": [
                     {"task": digest(p.task), "population": asdict(p.prior), "steps": [self._named(s) for s in steps]}
                     for p, steps in record.episodes()
                 ],
                 "suggestion": self._suggestion(record.place),
             }
-            for record in self._order
+            for record in self._team.records
         ]
         return json.dumps(
             {
@@ -541,14 +463,14 @@ class Assistant:
                     raise ValueError(f"the task of {one['person']} is not among the {len(tasks)} that were given")
                 enter = self.begin if number else self.join
                 enter(one["person"], task, population=_population(episode["population"]))
-                record = self._people[one["person"]]
+                record = self._team.by_name[one["person"]]
                 for step in episode["steps"]:
                     self._suggest(record, step["suggestion"])
                     self.observe(record.name, step["action"])
             self._suggest(record, one["suggestion"])
-            self._present[record.place] = one["present"]
+            self._team.present[record.place] = one["present"]
         self._step, self._under_way = saved["step"], saved["under_way"]
-        self._location = BASE if saved["robot"] is None else self._people[saved["robot"]].place
+        self._location = BASE if saved["robot"] is None else self._team.by_name[saved["robot"]].place
         advice = saved["advice"]
         if advice is not None:
             reason = advice["reason"]
@@ -557,9 +479,9 @@ class Assistant:
                 reason = Reason(**(reason | intervals))
             self._advice = Advice(**(advice | {"reason": reason}))
 
-    def _suggest(self, record: _Person, suggestion: str | None) -> None:
+    def _suggest(self, record: Record, suggestion: str | None) -> None:
         k = record.place
-        self._robot[k] = record.problem.robot(int(self._model[k]), int(self._x[k]), suggestion)
+        self._team.robot[k] = record.problem.robot(int(self._team.model[k]), int(self._team.x[k]), suggestion)
 
 
 def _population(plain: dict[str, Any]) -> Population | Mixture:
