@@ -24,10 +24,12 @@ from rich.table import Table as Grid
 from scipy.stats import spearmanr
 
 from assist.learning.diagnostics import check
-from assist.learning.fit import Method, Observations, fit, largest_beta, log_likelihood, observe
+from assist.learning.estimates import largest_beta, maximum_likelihood
+from assist.learning.likelihood import Method, log_likelihood
 from assist.learning.log import Log
 from assist.learning.misconception import MarginalLikelihood, fit_misconception
-from assist.learning.population import fit_crowd
+from assist.learning.observations import Observations, observe
+from assist.learning.population import fit_population
 from assist.learning.recording import replay
 from assist.people.belief import Grid as BeliefGrid
 from assist.people.choices import Choices
@@ -261,9 +263,9 @@ def recover(
         )  # fmt: skip
         observations = observed(table, record(table, people, episodes=episodes, rng=rng, suggest=suggest, most=2000))
         start = time.perf_counter()
-        fits = fit(observations, method)
+        fits = maximum_likelihood(observations, method)
         seconds = time.perf_counter() - start
-        crowd = fit_crowd(observations, method)
+        crowd = fit_population(observations, method)
         theta_of = crowd.theta
         true_moments = np.array([people.beta.mean(), people.beta.std()])
         fitted = np.array([crowd.beta.mean, crowd.beta.spread])
@@ -370,7 +372,7 @@ def misconceptions(count: int) -> None:
             rng = np.random.default_rng(1)
             noise = sigma * rng.standard_normal((count, len(table)))
             people = People(np.full(count, 2.0), np.full(count, 0.6), noise=noise)
-            fits = fit(observed(table, record(table, people, episodes=episodes, rng=rng, most=500)))
+            fits = maximum_likelihood(observed(table, record(table, people, episodes=episodes, rng=rng, most=500)))
             start = time.perf_counter()
             found = [fit_misconception(f) for f in fits]
             seconds = (time.perf_counter() - start) / count
@@ -405,7 +407,9 @@ def identify(out: Path) -> None:
     draw_identify(table, out / "fit_identify.png")
     draw_online(table, out / "fit_online.png")
     people = People(np.geomspace(0.1, 4.0, 24), np.full(24, 0.6))
-    fits = fit(observed(table, record(table, people, episodes=3, rng=np.random.default_rng(3), suggest=0.5)))
+    fits = maximum_likelihood(
+        observed(table, record(table, people, episodes=3, rng=np.random.default_rng(3), suggest=0.5))
+    )
     save(expertise_figure(fits), out / "fit_expertise.png")
     save(calibration_figure(fits), out / "fit_calibration.png")
 
@@ -429,7 +433,7 @@ def draw_identify(table: Table, file: Path) -> None:
     for place, episodes in ((1, 3), (2, 30)):
         person = People(np.array([2.0]), np.array([0.6]), noise=noise)
         (o,) = observed(table, record(table, person, episodes=episodes, rng=np.random.default_rng(5)))
-        model = MarginalLikelihood(fit([o])[0])
+        model = MarginalLikelihood(maximum_likelihood([o])[0])
         values = np.array([[model.marginal(b, s)[0] for b in beta] for s in sigma])
         axis = panel(
             figure, place, f"beta against sigma: {episodes} episodes, {len(o)} actions", "expertise β",
@@ -505,7 +509,7 @@ def draw_online(table: Table, file: Path) -> None:
         path.append((float(margin @ grid.beta), low, high))
     mean, low, high = np.array(path).T
     ends = np.unique(np.append(np.flatnonzero(o.begins)[1:], len(o)))
-    offline = [fit(observed(table, rows[:end]))[0].beta for end in ends]
+    offline = [maximum_likelihood(observed(table, rows[:end]))[0].beta for end in ends]
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axis = figure.subplots()
     n = np.arange(1, len(o) + 1)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from assist.learning.fit import Observations, observe
 from assist.learning.log import Entry, Log
+from assist.learning.observations import Observations, observe
 from assist.learning.recording import replay
 from assist.people.choices import Choices
 from assist.people.human import choice, influence, perceived_cost, perceived_value, trust

@@ -18,7 +18,8 @@ ROOMS = {
         costtogo moves kernels coding sweep ondemand methods solving results batch engine""",
     "assist.people": "choices human belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
-    "assist.learning": "actions log recording fit misconception population diagnostics record",
+    "assist.learning": """actions log recording observations likelihood estimates misconception
+        diagnostics population record people summary""",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.interop": "exchange",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
@@ -27,7 +28,7 @@ ROOMS = {
     "assist.study": "statistics study protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries
-        solve simulate policy bound export fit study""",
+        solve simulate policy bound export log fit study""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

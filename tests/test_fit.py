@@ -21,9 +21,11 @@ from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work,
 
 from assist.cli import main
 from assist.learning.diagnostics import calibrate, check
-from assist.learning.fit import Method, Observations, fit, log_likelihood
+from assist.learning.estimates import maximum_likelihood
+from assist.learning.likelihood import Method, log_likelihood
 from assist.learning.misconception import MarginalLikelihood, fit_misconception
-from assist.learning.population import fit_crowd, mixture
+from assist.learning.observations import Observations
+from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import (
@@ -99,7 +101,7 @@ def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[
 def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations]) -> None:
     beta, theta, eta = np.linspace(0, 5, 126), np.linspace(0, 1, 41), np.linspace(0, 1, 41)
     team = team[1::2]
-    for o, found in zip(team, fit(team), strict=True):
+    for o, found in zip(team, maximum_likelihood(team), strict=True):
         assert found.theta is not None
         assert found.eta is not None
         values = log_likelihood(o, beta, theta, eta)
@@ -121,8 +123,8 @@ def test_estimates_and_intervals_against_a_dense_grid(team: list[Observations]) 
 def test_laws_of_estimates(seed: int, beta: float) -> None:
     table = TINY
     rows = people_at_work(TINY_CHOICES, [beta], np.random.default_rng(seed), suggest=0.3, episodes=2)
-    (found,) = fit(observed(table, rows), Method(eta=0.2))
-    (wide,) = fit(observed(table, rows), Method(eta=0.2, level=0.99))
+    (found,) = maximum_likelihood(observed(table, rows), Method(eta=0.2))
+    (wide,) = maximum_likelihood(observed(table, rows), Method(eta=0.2, level=0.99))
     for estimate, wider in ((found.beta, wide.beta), (found.theta, wide.theta)):
         if estimate is None or wider is None:
             assert all(row["suggestion"] is None for row in rows)
@@ -132,7 +134,7 @@ def test_laws_of_estimates(seed: int, beta: float) -> None:
         assert wider.interval[0] <= low + 2e-3
         assert wider.interval[1] >= high - 2e-3
     shuffled = [rows[i] for i in np.random.default_rng(seed).permutation(len(rows))]
-    (again,) = fit(observed(table, shuffled), Method(eta=0.2))
+    (again,) = maximum_likelihood(observed(table, shuffled), Method(eta=0.2))
     assert (again.beta, again.theta, again.log_likelihood) == (found.beta, found.theta, found.log_likelihood)
     p = found.probabilities()
     np.testing.assert_allclose(p.sum(axis=1), 1.0)
@@ -146,24 +148,24 @@ PLAN = TINY.optimal_plan() or []
 def test_who_never_errs_gets_a_stated_bound(tiny: Table) -> None:
     """Six actions without a mistake: beta's lower bound is where they have the probability exp(-1.92)."""
     (o,) = observed(tiny, lines(*PLAN))
-    (found,) = fit([o])
+    (found,) = maximum_likelihood([o])
     assert o.suboptimal == 0
     assert found.beta.value == found.beta.interval[1] == pytest.approx(5.0)  # 10 for mistakes that cost 2
     assert found.beta.open_above
     low = found.beta.interval[0]
     values = log_likelihood(o, np.array([low, 5.0]), np.array([0.5]), np.array([0.0])).ravel()
     assert values[1] - values[0] == pytest.approx(1.9207, abs=1e-3)
-    (other,) = fit([o], Method(largest_beta=3.0))
+    (other,) = maximum_likelihood([o], Method(largest_beta=3.0))
     assert other.beta.interval[1] == other.beta.value == pytest.approx(3.0)
 
 
 def test_random_actions_and_no_choices(tiny: Table) -> None:
-    (back_and_forth,) = fit(observed(tiny, lines(*[FETCH, BACK] * 10)))
+    (back_and_forth,) = maximum_likelihood(observed(tiny, lines(*[FETCH, BACK] * 10)))
     assert back_and_forth.beta.value == 0
     assert back_and_forth.beta.open_below
     assert back_and_forth.beta.interval[0] == 0
     assert back_and_forth.beta.interval[1] < 1
-    (silent,) = fit(observed(tiny, lines(FETCH)))
+    (silent,) = maximum_likelihood(observed(tiny, lines(FETCH)))
     assert not silent.beta.identified
     assert silent.theta is None
     assert silent.eta is None
@@ -183,7 +185,7 @@ def test_dead_ends_do_no_harm(sealed: Table) -> None:
         x = int(choices.targets[x, slot])
     (o,) = observed(sealed, rows)
     assert np.isinf(o.cost_to_go).any()
-    (found,) = fit([o])
+    (found,) = maximum_likelihood([o])
     assert np.isfinite(found.log_likelihood)
     assert check(found, rng).p is not None or o.suboptimal < 1
     assert np.isfinite(fit_misconception(found).log_likelihood)
@@ -193,7 +195,9 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
     """Forty people: intervals cover nine in ten at least, and the order of beta is kept."""
     rng = np.random.default_rng(7)
     beta = np.geomspace(0.1, 3.0, 40)
-    found = fit(observed(paper, people_at_work(paper_choices, beta.tolist(), rng, suggest=0.4)), Method(eta=0.2))
+    found = maximum_likelihood(
+        observed(paper, people_at_work(paper_choices, beta.tolist(), rng, suggest=0.4)), Method(eta=0.2)
+    )
     found = sorted(found, key=lambda f: int(f.observations.person[1:]))
     covered = [f.beta.interval[0] <= b <= f.beta.interval[1] for f, b in zip(found, beta, strict=True)]
     assert sum(covered) >= 36
@@ -202,28 +206,28 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
     told = [f for f in found if f.theta is not None]
     assert sum(f.theta.interval[0] <= 0.6 <= f.theta.interval[1] for f in told if f.theta) >= 0.88 * len(told)
 
-    crowd = fit_crowd([f.observations for f in found], Method(eta=0.2))
-    assert crowd.beta.mean == pytest.approx(beta.mean(), rel=0.25)
-    assert crowd.theta is not None
-    assert crowd.theta.mean == pytest.approx(0.6, abs=0.06)
-    population = crowd.population()
-    assert mixture(json.loads(json.dumps(crowd.record()))) == population
+    found_population = fit_population([f.observations for f in found], Method(eta=0.2))
+    assert found_population.beta.mean == pytest.approx(beta.mean(), rel=0.25)
+    assert found_population.theta is not None
+    assert found_population.theta.mean == pytest.approx(0.6, abs=0.06)
+    population = found_population.population()
+    assert mixture(json.loads(json.dumps(found_population.as_dict()))) == population
     drawn = population.sample(TINY_CHOICES, 3000, rng)
-    assert np.mean([human.beta for human in drawn]) == pytest.approx(crowd.beta.mean, rel=0.08)
-    assert np.mean([human.theta for human in drawn]) == pytest.approx(crowd.theta.mean, rel=0.03)
+    assert np.mean([human.beta for human in drawn]) == pytest.approx(found_population.beta.mean, rel=0.08)
+    assert np.mean([human.theta for human in drawn]) == pytest.approx(found_population.theta.mean, rel=0.03)
 
     # More of these people are novices than a uniform distribution has, and what they did says so.
-    even = fit_crowd([f.observations for f in found], Method(eta=0.2), family="uniform").beta
+    even = fit_population([f.observations for f in found], Method(eta=0.2), family="uniform").beta
     assert even.mean > 1.2 * beta.mean()
     assert even.recorded[0] == pytest.approx(beta.mean(), rel=0.1)
 
-    free = fit_crowd([f.observations for f in found], Method(eta=0.2), family="histogram")
-    assert free.log_likelihood >= crowd.log_likelihood - 0.5
+    free = fit_population([f.observations for f in found], Method(eta=0.2), family="histogram")
+    assert free.log_likelihood >= found_population.log_likelihood - 0.5
     assert sum(free.population().shares) == pytest.approx(1)
     # The most likely shares are those that the people themselves have, on average, in the light of them.
     assert free.beta.recorded == pytest.approx((free.beta.mean, free.beta.spread), rel=1e-3)
     with pytest.raises(ValueError, match="unknown family"):
-        fit_crowd([f.observations for f in found], family="cauchy")
+        fit_population([f.observations for f in found], family="cauchy")
 
 
 def test_a_mixture_is_the_sum_of_its_parts() -> None:
@@ -244,7 +248,7 @@ def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: 
     noise = rng.standard_normal(len(paper))
     mistaken = observed(paper, people_at_work(paper_choices, [2.0], rng, episodes=12, noise=noise))
     careless = observed(paper, people_at_work(paper_choices, [0.7], rng, episodes=12))
-    first, second = (fit(o)[0] for o in (mistaken, careless))
+    first, second = (maximum_likelihood(o)[0] for o in (mistaken, careless))
     assert first.beta.value < 1.2  # the plain model takes misconceptions for a lack of expertise
     found = fit_misconception(first)
     assert found.interval[0] > 0.3
@@ -267,7 +271,7 @@ def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: 
 def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -> None:
     """Two alternatives with one uncertain cost each: a normal integral of a logistic function."""
     rows = lines(FETCH, WRONG, "(remove hammer slot-2 box-a)")
-    (found,) = fit(observed(tiny, rows[:3]))
+    (found,) = maximum_likelihood(observed(tiny, rows[:3]))
     model = MarginalLikelihood(found)
     beta, sigma = 0.8, 0.5
     value, z = model.marginal(beta, sigma)
@@ -278,7 +282,7 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
 
 
 def test_calibration_counts_every_choice(team: list[Observations]) -> None:
-    c = calibrate(fit(team))
+    c = calibrate(maximum_likelihood(team))
     assert c.count.sum() == sum(o.applicable.sum() for o in team)
     assert (c.observed * c.count).sum() == pytest.approx(sum(map(len, team)))
     assert ((c.low <= c.observed + 1e-12) & (c.observed <= c.high + 1e-12)).all()
@@ -288,7 +292,9 @@ def test_calibration_counts_every_choice(team: list[Observations]) -> None:
 def test_the_check_is_fair(paper: Table, paper_choices: Choices) -> None:
     """People for whom the model holds rarely look odd."""
     rng = np.random.default_rng(3)
-    found = fit(observed(paper, people_at_work(paper_choices, np.linspace(0.3, 1.2, 40).tolist(), rng, episodes=2)))
+    found = maximum_likelihood(
+        observed(paper, people_at_work(paper_choices, np.linspace(0.3, 1.2, 40).tolist(), rng, episodes=2))
+    )
     p = np.array([c.p for c in (check(f, rng, 199) for f in found) if c.p is not None])
     assert len(p) >= 35
     assert (p < 0.05).sum() <= 6
@@ -308,7 +314,7 @@ def test_the_online_belief_is_the_offline_likelihood(tiny: Table, tiny_choices: 
     likelihood = log_likelihood(o, grid.beta, np.array([0.5]), np.array([0.0])).ravel()
     offline = pomdp.prior.sum(axis=1) * np.exp(likelihood - likelihood.max())
     np.testing.assert_allclose(online, offline / offline.sum(), rtol=1e-6, atol=1e-12)
-    (found,) = fit([o])
+    (found,) = maximum_likelihood([o])
     assert grid.beta[online.argmax()] == pytest.approx(found.beta.value, abs=0.05)
     assert found.beta.interval[0] < grid.beta @ online < found.beta.interval[1]
 

@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
 
 from assist.cli import main
-from assist.learning.fit import Method, fit, observe
+from assist.learning.estimates import maximum_likelihood
+from assist.learning.likelihood import Method
 from assist.learning.log import Log, read_log, told
+from assist.learning.observations import observe
 from assist.learning.recording import replay
 from assist.people.choices import Choices
 from assist.people.human import Population
@@ -356,7 +358,9 @@ def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
         assert any(row.get("executed") for row in trace) == execute
         assert any(row["action"] is None for row in trace) == execute
         covered = []
-        for found in fit(observe(recording, PAPER.h, PAPER.is_goal(np.arange(len(PAPER)))), Method(eta=0.2)):
+        for found in maximum_likelihood(
+            observe(recording, PAPER.h, PAPER.is_goal(np.arange(len(PAPER)))), Method(eta=0.2)
+        ):
             human = pool.people[int(found.observations.person.removeprefix("human-")) - 1]
             assert found.theta is not None
             covered.append(found.beta.interval[0] <= human.beta <= found.beta.interval[1])

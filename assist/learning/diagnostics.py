@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from ..people.human import Floats
-from .fit import Fit
+from .estimates import Fit
 
 TERMS = ("repetition", "large_mistakes", "learning")
 

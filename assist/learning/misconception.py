@@ -21,7 +21,8 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.special import chdtri
 
 from ..people.human import NOTHING, Floats
-from .fit import Fit, Ints, Observations
+from .estimates import Fit
+from .observations import Ints, Observations
 
 LARGEST_SIGMA = 5.0
 """Where the search for sigma ends, in units of the smallest mistake that the person could make."""

@@ -21,10 +21,12 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import ndtr
+from scipy.special import chdtri, ndtr
 
 from ..people.human import NOTHING, Floats, Mixture, Population, Range
-from .fit import Method, Observations, largest_beta, log_likelihood
+from .estimates import largest_beta
+from .likelihood import Method, log_likelihood
+from .observations import Observations
 
 BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
 THETA_FAMILIES = ("uniform", "normal")
@@ -90,8 +92,8 @@ class Margin:
 
 
 @dataclass(frozen=True)
-class Crowd:
-    """A population fit.
+class PopulationFit:
+    """The distribution of people that a log speaks for.
 
     Attributes
     ----------
@@ -101,7 +103,7 @@ class Crowd:
     theta : Margin or None
         None where nothing was ever suggested.
     eta : float or None
-        Rate of the trust update, the same for all people; None where nothing was ever suggested.
+        Rate of the trust update, the same for all people; None where what was recorded says nothing about it.
     log_likelihood : float
         Of all that was recorded.
     shares : float array, shape (B, T)
@@ -142,7 +144,7 @@ class Crowd:
         parts = tuple(Population(beta, span, sigma) for _, beta, span in pieces)
         return Mixture(parts, tuple(share / total for share, _, _ in pieces))
 
-    def record(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
+    def as_dict(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
         """Give all of it as plain data, the population included."""
         mixture = self.population(sigma)
         return {
@@ -158,7 +160,7 @@ class Crowd:
 
 
 def mixture(record: dict[str, Any]) -> Mixture:
-    """Read the population of a `Crowd.record` back.
+    """Read the population of a `PopulationFit.as_dict` back.
 
     Raises
     ------
@@ -176,13 +178,13 @@ def mixture(record: dict[str, Any]) -> Mixture:
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({error!r})") from None
 
 
-def fit_crowd(
+def fit_population(
     observations: Sequence[Observations],
     method: Method | None = None,
     *,
     family: str | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Crowd:
+) -> PopulationFit:
     """Estimate the distribution of beta and theta over people.
 
     Parameters
@@ -215,6 +217,7 @@ def fit_crowd(
         return np.exp(values - top), float(top.sum())
 
     eta = method.eta if told else 0.0
+    known = told
     if eta is None:
         rates = np.linspace(0.0, 1.0, ETAS)
         scores = []
@@ -224,6 +227,7 @@ def fit_crowd(
             if progress is not None:
                 progress(1)
         eta = _summit(rates, np.array(scores))
+        known = max(scores) - min(scores) > float(chdtri(1, 1 - method.level)) / 2
     table, top = likelihoods(eta)
     if family == "histogram":
         shares, score = _free(table, 2000)
@@ -248,8 +252,8 @@ def fit_crowd(
         )
         for k in range(1 + told)
     ]  # fmt: skip
-    return Crowd(
-        len(observations), margins[0], margins[1] if told else None, eta if told else None, score + top, shares
+    return PopulationFit(
+        len(observations), margins[0], margins[1] if told else None, eta if known else None, score + top, shares
     )
 
 

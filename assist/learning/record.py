@@ -1,34 +1,95 @@
-"""All that a log says of each person, in one record: estimates, a check of the model, misconceptions."""
+"""All that a log says of one person: estimates, a check of the model, misconceptions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ..people.human import NOTHING
-from .diagnostics import Check, check
-from .fit import Estimate, Fit, Ints, Method, Observations, fit
-from .misconception import Misconception, fit_misconception
+from .diagnostics import Check
+from .estimates import Estimate, Fit
+from .misconception import Misconception
+from .observations import Ints
 
 STRIKING = 0.01  # below this probability of the check the model is said not to fit
 
+Interval = tuple[float, float]
+
 
 @dataclass(frozen=True)
-class Profile:
-    """What was learned about one person."""
+class Record:
+    """What was learned about one person.
+
+    A parameter about which the person's actions say nothing is None, and its interval the whole range; without
+    suggestions theta and eta have no interval either, nor has eta where it was given.
+
+    Attributes
+    ----------
+    fit : Fit
+    check : Check
+    misconception : Misconception or None
+    left_out : int
+        Actions that were left out, since the cost-to-go after one of the choices is not known.
+    """
 
     fit: Fit
     check: Check
-    misconception: Misconception | None
+    misconception: Misconception | None = None
+    left_out: int = 0
+
+    @property
+    def person(self) -> str:
+        """Who it is."""
+        return self.fit.observations.person
+
+    @property
+    def beta(self) -> float | None:
+        """Expertise, per cost unit."""
+        return _value(self.fit.beta)
+
+    @property
+    def beta_interval(self) -> Interval:
+        """All values of beta that are not rejected."""
+        return self.fit.beta.interval
+
+    @property
+    def theta(self) -> float | None:
+        """Influence of the robot at the beginning of an episode."""
+        return _value(self.fit.theta)
+
+    @property
+    def theta_interval(self) -> Interval | None:
+        """All values of theta that are not rejected."""
+        return None if self.fit.theta is None else self.fit.theta.interval
+
+    @property
+    def eta(self) -> float | None:
+        """Rate of the trust update."""
+        return _value(self.fit.eta)
+
+    @property
+    def eta_interval(self) -> Interval | None:
+        """All values of eta that are not rejected."""
+        return None if self.fit.eta is None else self.fit.eta.interval
+
+    @property
+    def actions(self) -> int:
+        """How many actions this rests on."""
+        return len(self.fit.observations)
+
+    @property
+    def suboptimal_actions(self) -> int:
+        """How many actions no cheapest way to the goal begins with, where there was one."""
+        return self.fit.observations.suboptimal
 
     @property
     def notes(self) -> list[str]:
         """What a reader of the estimates has to know."""
         o, beta = self.fit.observations, self.fit.beta
         notes = []
+        if self.left_out:
+            notes.append(f"{self.left_out} actions are left out, since states were not evaluated in time")
         if not beta.identified:
             notes.append("these actions say nothing about beta")
         elif beta.open_above:
@@ -45,15 +106,13 @@ class Profile:
             notes.append(f"the model does not fit (p = {self.check.p:.3f}): {_words(self.check)}")
         return notes
 
-    def record(self, facts: Callable[[Ints], list[list[str]]] | None = None, *, left_out: int = 0) -> dict[str, Any]:
+    def as_dict(self, facts: Callable[[Ints], list[list[str]]] | None = None) -> dict[str, Any]:
         """Give all of it as plain data.
 
         Parameters
         ----------
         facts : callable, optional
-            Gives what holds in states, shape (M,), for the record of a misconception.
-        left_out : int
-            How many of the person's actions `Recording.evaluated` left out.
+            Gives what holds in states, shape (M,), for the states of a misconception.
         """
         o = self.fit.observations
         told = o.suggested != NOTHING
@@ -69,30 +128,47 @@ class Profile:
             "log_likelihood": self.fit.log_likelihood,
             "check": {"p": self.check.p, **self.check.scores},
         }
-        m = self.misconception
-        if m is not None:
-            shown = [{}] * len(m.states) if facts is None else [{"facts": held} for held in facts(m.states)]
-            record["misconception"] = {
-                "sigma": m.sigma,
-                "sigma_interval": list(m.interval),
-                "sigma_open": ["above"] * m.open_above,
-                "beta": m.beta,
-                "log_likelihood": m.log_likelihood,
-                "log_likelihood_without": m.without,
-                "states": [
-                    {"cost_to_go": float(h), "perceived": float(own), "seen": int(seen), **held}
-                    for h, own, seen, held in zip(m.cost_to_go, m.perceived, m.seen, shown, strict=True)
-                ],
-            }
-        notes = [f"{left_out} actions are left out, since states were not evaluated in time"] if left_out else []
-        return record | {"left_out": left_out, "notes": notes + self.notes, "error": None}
+        if self.misconception is not None:
+            record["misconception"] = _misconception(self.misconception, facts)
+        return record | {"left_out": self.left_out, "notes": self.notes, "error": None}
+
+
+def nothing_known(person: str, error: str, left_out: int = 0) -> dict[str, Any]:
+    """Give as plain data what is known of a person of whom nothing could be used, and why."""
+    record: dict[str, Any] = {"person": person}
+    for name in ("beta", "theta", "eta"):
+        record |= _estimate(name, None)
+    return record | {
+        "episodes": 0, "actions": 0, "suboptimal_actions": None, "suggestions": 0, "followed": 0,
+        "log_likelihood": None, "check": None, "left_out": left_out, "notes": [], "error": error,
+    }  # fmt: skip
+
+
+def _value(estimate: Estimate | None) -> float | None:
+    return None if estimate is None or not estimate.identified else estimate.value
 
 
 def _estimate(name: str, estimate: Estimate | None) -> dict[str, Any]:
     if estimate is None:
         return {name: None, f"{name}_interval": None, f"{name}_open": None}
     sides = [side for side, is_open in (("below", estimate.open_below), ("above", estimate.open_above)) if is_open]
-    return {name: estimate.value, f"{name}_interval": list(estimate.interval), f"{name}_open": sides}
+    return {name: _value(estimate), f"{name}_interval": list(estimate.interval), f"{name}_open": sides}
+
+
+def _misconception(m: Misconception, facts: Callable[[Ints], list[list[str]]] | None) -> dict[str, Any]:
+    shown = [{}] * len(m.states) if facts is None else [{"facts": held} for held in facts(m.states)]
+    return {
+        "sigma": m.sigma,
+        "sigma_interval": list(m.interval),
+        "sigma_open": ["above"] * m.open_above,
+        "beta": m.beta,
+        "log_likelihood": m.log_likelihood,
+        "log_likelihood_without": m.without,
+        "states": [
+            {"cost_to_go": float(h), "perceived": float(own), "seen": int(seen), **held}
+            for h, own, seen, held in zip(m.cost_to_go, m.perceived, m.seen, shown, strict=True)
+        ],
+    }
 
 
 def _words(found: Check) -> str:
@@ -109,47 +185,3 @@ def _words(found: Check) -> str:
         if score > 0
         else "there are more mistakes in later actions",
     }.get(term or "", "choices are not those of one beta")
-
-
-def failed(person: str, error: str, *, left_out: int = 0) -> dict[str, Any]:
-    """Give the record of a person of whom nothing could be used."""
-    record: dict[str, Any] = {"person": person}
-    for name in ("beta", "theta", "eta"):
-        record |= _estimate(name, None)
-    return record | {
-        "episodes": 0, "actions": 0, "suboptimal_actions": None, "suggestions": 0, "followed": 0,
-        "log_likelihood": None, "check": None, "left_out": left_out, "notes": [], "error": error,
-    }  # fmt: skip
-
-
-def profiles(
-    observations: Sequence[Observations],
-    method: Method,
-    rng: np.random.Generator,
-    *,
-    misconceptions: bool = False,
-    jobs: int = 1,
-    progress: Callable[[int], None] | None = None,
-) -> list[Profile]:
-    """Learn about each person.
-
-    Parameters
-    ----------
-    observations : sequence of Observations
-        One for each person.
-    method : Method
-    rng : numpy.random.Generator
-        For the check.
-    misconceptions : bool
-        Whether to estimate them too, which takes a second or more for each person.
-    jobs : int
-        Threads.
-    progress : callable, optional
-        Called with how many people have been finished since the last call.
-    """
-    result = []
-    for fitted in fit(observations, method, jobs=jobs, progress=None if misconceptions else progress):
-        result.append(Profile(fitted, check(fitted, rng), fit_misconception(fitted) if misconceptions else None))
-        if misconceptions and progress is not None:
-            progress(1)
-    return result

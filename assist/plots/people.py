@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..learning.diagnostics import calibrate
-from ..learning.fit import Fit
+from ..learning.estimates import Fit
 from ..people.human import NOTHING
 from .style import BLUE, GREEN, GREY, ORANGE, require, save
 

@@ -15,160 +15,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import chdtri
 
 from ..people.human import NOTHING, Floats, choice, influence, lapse
-from .recording import Recording
-
-Ints = NDArray[np.int64]
+from .likelihood import Data, Method, alone, at_point, on_grid, thetas, with_trust
+from .observations import Observations
 
 BETA, THETA, ETA = 0, 1, 2
-
-
-@dataclass(frozen=True)
-class Observations:
-    """What one person could choose from and what they chose; N steps of up to A choices.
-
-    Attributes
-    ----------
-    person : str
-    episodes : tuple of str
-        The names of their episodes.
-    excess : float array, shape (N, A)
-        Q(x, a) - min over a' of Q(x, a'), in cost units, for h* in place of h: how much an action costs more than
-        the best. Infinite for a needless action into a dead end, 0 where all actions lead to one.
-    applicable : bool array, shape (N, A)
-    targets : int array, shape (N, A)
-        The state after each choice.
-    ahead : float array, shape (N, A)
-        h* of the targets.
-    chosen, suggested : int arrays, shape (N,)
-        Slots; `NOTHING` where nothing was suggested.
-    gain : float array, shape (N,)
-        V(x_r) - V(x) of the suggested action, in cost units; 0 where nothing was suggested.
-    begins : bool array, shape (N,)
-        Where an episode begins.
-    state : int array, shape (N,)
-    cost_to_go : float array, shape (N,)
-        h* of the state.
-    goal : bool array, shape (N, A)
-        Which targets are goal states.
-    """
-
-    person: str
-    episodes: tuple[str, ...]
-    excess: Floats
-    applicable: NDArray[np.bool_]
-    targets: Ints
-    ahead: Floats
-    chosen: Ints
-    suggested: Ints
-    gain: Floats
-    begins: NDArray[np.bool_]
-    state: Ints
-    cost_to_go: Floats
-    goal: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
-
-    def __len__(self) -> int:
-        return len(self.chosen)
-
-    @property
-    def regret(self) -> Floats:
-        """What each action cost more than the best one, shape (N,)."""
-        return self.excess[np.arange(len(self)), self.chosen]
-
-    @property
-    def suboptimal(self) -> int:
-        """How many actions no cheapest way to the goal begins with, where there was one."""
-        return int((self.regret > 0).sum())
-
-
-def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Observations]:
-    """Give each person's observations, in the order of `recording.people`.
-
-    Parameters
-    ----------
-    recording : Recording
-    h : float array, shape (states,)
-        h* of the states that `recording.wanted()` names, infinite at dead ends; others are not read.
-    goal : bool array, shape (states,)
-        Which of them are goal states.
-    """
-    r = recording
-    ahead = np.where(r.applicable, h[r.targets], np.inf)
-    q = np.where(r.applicable, r.costs + ahead, np.inf)
-    best = q.min(axis=1, initial=np.inf)
-    with np.errstate(invalid="ignore"):
-        excess = np.where(np.isinf(best)[:, None], 0.0, q - best[:, None])
-    excess = np.where(r.applicable, excess, np.inf)
-    rows = np.arange(len(r))
-    told = r.suggested != NOTHING
-    # V = -h*: the cost-to-go is exact, so that it equals the smallest Q.
-    expected = np.where(told, ahead[rows, np.maximum(r.suggested, 0)], best)
-    with np.errstate(invalid="ignore"):
-        gain = np.where(expected == best, 0.0, best - expected)
-    begins = np.ones(len(r), dtype=bool)
-    begins[1:] = r.episode[1:] != r.episode[:-1]
-    result = []
-    for number, person in enumerate(r.people):
-        own = r.person == number
-        names = tuple(r.episodes[e] for e in r.episode[own & begins])
-        result.append(
-            Observations(
-                person, names, excess[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
-                r.suggested[own], gain[own], begins[own], r.state[own], best[own],
-                goal[r.targets[own]] & r.applicable[own],
-            )
-        )  # fmt: skip
-    return result
-
-
-@dataclass(frozen=True)
-class Method:
-    """How parameters are estimated.
-
-    Attributes
-    ----------
-    level : float
-        Of the intervals.
-    lapse : float
-        Weight of a uniform choice in the likelihood, so that no action has probability zero.
-    utility_scale : float
-        The unit of V in the trust update, in cost units.
-    eta : float or None
-        Rate of the trust update where it is known; estimated, from 0 to 1, where it is None.
-    largest_beta : float or None
-        Estimates and intervals end here. None: where the smallest mistake that could be made has odds of only
-        exp(-10), 5 in 100,000. That is less than a lapse has, so that nothing recorded speaks about larger values.
-    """
-
-    level: float = 0.95
-    lapse: float = 1e-3
-    utility_scale: float = 1.0
-    eta: float | None = None
-    largest_beta: float | None = None
-
-    def __post_init__(self) -> None:
-        for name, low, high in (("level", 0.0, 1.0), ("lapse", 0.0, 1.0), ("utility_scale", 0.0, np.inf)):
-            if not low < getattr(self, name) < high:
-                raise ValueError(f"{name} {getattr(self, name):g}: expected {low:g} < {name} < {high:g}")
-        if self.eta is not None and not 0 <= self.eta < np.inf:
-            raise ValueError(f"eta {self.eta:g}: expected 0 or more")
-        if self.largest_beta is not None and not 0 < self.largest_beta < np.inf:
-            raise ValueError(f"largest beta {self.largest_beta:g}: expected a number above 0")
 
 
 @dataclass(frozen=True)
@@ -233,7 +91,7 @@ class Fit:
             return np.full(len(self.observations), 0.5)
         eta = self.eta.value if self.eta is not None else self.known_eta
         gain = self.observations.gain / self.method.utility_scale
-        return _thetas(gain, self.observations.begins, self.theta.value, 0.0 if eta is None else eta)
+        return thetas(gain, self.observations.begins, self.theta.value, 0.0 if eta is None else eta)
 
 
 def largest_beta(observations: Sequence[Observations], method: Method) -> float:
@@ -244,7 +102,7 @@ def largest_beta(observations: Sequence[Observations], method: Method) -> float:
     return 10.0 / min((float(size.min()) for size in sizes if len(size)), default=1.0)
 
 
-def fit(
+def maximum_likelihood(
     observations: Sequence[Observations],
     method: Method | None = None,
     *,
@@ -278,41 +136,9 @@ def fit(
         return list(pool.map(one, observations))
 
 
-def log_likelihood(
-    observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
-) -> Floats:
-    """Give the log-likelihood of one person's actions on a grid, shape (B, T, E).
-
-    Parameters
-    ----------
-    observations : Observations
-    beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
-        Theta is that at the beginning of each episode.
-    """
-    axes = [np.ascontiguousarray(np.atleast_1d(axis), dtype=np.float64) for axis in (beta, theta, eta)]
-    return _grid(_Data.of(observations, method or Method()), *axes)
-
-
 SMALL = 1e-3  # beta is searched on a scale that is linear below this share of its range, and logarithmic above
 POINTS = (48, 31, 17)  # of the coarse grid over beta, theta, eta
 RIDGES = 5
-
-
-class _Data(NamedTuple):
-    """Observations in the form that compiled code reads."""
-
-    excess: Floats
-    options: Ints
-    chosen: Ints
-    suggested: Ints
-    gain: Floats
-    begins: NDArray[np.bool_]
-    lapse: float
-
-    @classmethod
-    def of(cls, o: Observations, method: Method) -> _Data:
-        gain = o.gain / method.utility_scale
-        return cls(o.excess, o.applicable.sum(axis=1), o.chosen, o.suggested, gain, o.begins, method.lapse)
 
 
 class _Search:
@@ -320,7 +146,7 @@ class _Search:
 
     def __init__(self, observations: Observations, method: Method, largest: float) -> None:
         self.observations, self.method = observations, method
-        self.data = _Data.of(observations, method)
+        self.data = Data.of(observations, method)
         self.small = SMALL * largest
         told = bool((observations.suggested != NOTHING).any())
         spans = [
@@ -331,7 +157,7 @@ class _Search:
         self.axes = spans
         self.low, self.high = (np.array([axis[end] for axis in spans]) for end in (0, -1))
         self.step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in spans])
-        self.values = _grid(self.data, self.small * np.expm1(spans[BETA]), spans[THETA], spans[ETA])
+        self.values = on_grid(self.data, self.small * np.expm1(spans[BETA]), spans[THETA], spans[ETA])
         sizes = np.abs(self.data.gain[np.isfinite(self.data.gain) & (self.data.gain != 0)])
         self.unit = float(sizes.min()) if len(sizes) else 1.0
         self.drop = float(chdtri(1, 1 - method.level)) / 2
@@ -379,7 +205,7 @@ class _Search:
             for end in (self.high[axis], self.low[axis]):
                 moved = at.copy()
                 moved[axis] = end
-                if self.step[axis] > 0 and _at(self.data, moved, self.small) >= best - 1e-6:
+                if self.step[axis] > 0 and at_point(self.data, moved, self.small) >= best - 1e-6:
                     at = moved
                     break
         return at
@@ -435,79 +261,7 @@ class _Search:
 
 
 @numba.njit(cache=True, nogil=True)
-def _alone(data: _Data, beta: float, own: Floats, told: Floats, rest: Floats) -> None:
-    """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
-
-    It is that without a suggestion. The others are summed: 1 - told would lose its digits where that is almost 1.
-    """
-    for i in range(len(data.chosen)):
-        picked = heard = others = 0.0
-        for a in range(data.options[i]):
-            weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
-            if a == data.chosen[i]:
-                picked = weight
-            if a == data.suggested[i]:
-                heard = weight
-            else:
-                others += weight
-        own[i] = picked / (heard + others)
-        told[i] = heard / (heard + others)
-        rest[i] = others / (heard + others)
-
-
-@numba.njit(cache=True, nogil=True)
-def _moved(theta: float, eta: float, gain: float) -> float:
-    """Eq. 6; a suggestion into a dead end ends trust."""
-    if eta == 0.0 or gain == 0.0:
-        return theta
-    return min(max(theta + eta * gain, 0.0), 1.0)
-
-
-@numba.njit(cache=True, nogil=True)
-def _with_trust(data: _Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
-    """Add up the log-likelihood for what `_alone` has filled in."""
-    total = 0.0
-    product = 1.0  # of several probabilities: a logarithm costs more than they do
-    theta = first
-    for i in range(len(own)):
-        if data.begins[i]:
-            theta = first
-        p = own[i]
-        if data.suggested[i] >= 0:
-            norm = theta * told[i] + (1.0 - theta) * rest[i]
-            if norm > 0.0:
-                p *= (theta if data.chosen[i] == data.suggested[i] else 1.0 - theta) / norm
-            theta = _moved(theta, eta, data.gain[i])
-        product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
-        if product < 1e-100:
-            total += math.log(product)
-            product = 1.0
-    return total + math.log(product)
-
-
-@numba.njit(cache=True, nogil=True)
-def _grid(data: _Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
-    result = np.empty((len(beta), len(theta), len(eta)))
-    n = len(data.chosen)
-    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    for b in range(len(beta)):
-        _alone(data, beta[b], own, told, rest)
-        for t in range(len(theta)):
-            for e in range(len(eta)):
-                result[b, t, e] = _with_trust(data, own, told, rest, theta[t], eta[e])
-    return result
-
-
-@numba.njit(cache=True, nogil=True)
-def _at(data: _Data, at: Floats, small: float) -> float:
-    n = len(data.chosen)
-    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    _alone(data, small * math.expm1(at[0]), own, told, rest)
-    return _with_trust(data, own, told, rest, at[1], at[2])
-
-
-@numba.njit(cache=True, nogil=True)
-def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, small: float, unit: float) -> float:
+def _climb(data: Data, at: Floats, step: Floats, low: Floats, high: Floats, small: float, unit: float) -> float:
     """Improve a point in place by a pattern search (Hooke and Jeeves 1961); return its log-likelihood.
 
     Besides single coordinates it moves along theta + k unit eta = constant: where trust just reaches 0 or 1 after k
@@ -516,8 +270,8 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
     n = len(data.chosen)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
     filled = at[0]
-    _alone(data, small * math.expm1(filled), own, told, rest)
-    best = _with_trust(data, own, told, rest, at[1], at[2])
+    alone(data, small * math.expm1(filled), own, told, rest)
+    best = with_trust(data, own, told, rest, at[1], at[2])
     before = at.copy()
     for _ in range(18):  # until steps are a 260,000th of the grid's
         improved = True
@@ -539,8 +293,8 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
                         at[c] = min(max(at[c], low[c]), high[c])
                     if at[0] != filled:
                         filled = at[0]
-                        _alone(data, small * math.expm1(filled), own, told, rest)
-                    value = _with_trust(data, own, told, rest, at[1], at[2])
+                        alone(data, small * math.expm1(filled), own, told, rest)
+                    value = with_trust(data, own, told, rest, at[1], at[2])
                     if value > best:
                         best = value
                         improved = True
@@ -548,15 +302,3 @@ def _climb(data: _Data, at: Floats, step: Floats, low: Floats, high: Floats, sma
                     at[:] = before
         step /= 2
     return best
-
-
-@numba.njit(cache=True, nogil=True)
-def _thetas(gain: Floats, begins: NDArray[np.bool_], first: float, eta: float) -> Floats:
-    result = np.empty(len(gain))
-    theta = first
-    for i in range(len(gain)):
-        if begins[i]:
-            theta = first
-        result[i] = theta
-        theta = _moved(theta, eta, gain[i])
-    return result

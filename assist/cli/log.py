@@ -1,0 +1,166 @@
+"""Recorded actions: the options that say how a log is read and people are estimated, and how that is carried out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
+from planner.solving import SolveOptions
+
+from .console import EXIT_FAILED, fail
+from .options import JOBS, NUMBER, OUTPUT_FOLDER, SECONDS, SEED
+from .progress import progress_bar
+
+if TYPE_CHECKING:
+    from ..learning.people import People
+
+
+def log_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add the options that say what a log is and how people are estimated; `people_of` takes them all."""
+    options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
+        click.option(
+            "--misconception", "misconceptions", is_flag=True,
+            help="Also estimate sigma, and what people take for the cost-to-go.",
+        ),
+        click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given."),
+        click.option(
+            "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
+        ),
+        click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help="Weight of a uniform choice."),
+        click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Of the intervals."),
+        click.option(
+            "--largest-beta", type=NUMBER,
+            help="Where beta's range ends.  [default: 10, divided by the cost of the smallest possible mistake]",
+        ),
+        click.option("--drop", multiple=True, metavar="NAME", help="Leave actions of this name out; may be repeated."),
+        click.option(
+            "--rename", multiple=True, metavar="OLD=NEW",
+            help="What the log calls OLD the task calls NEW; may be repeated.",
+        ),
+        click.option(
+            "--gaps", is_flag=True, help="Steps may skip numbers without a line missing, as the log counts otherwise."
+        ),
+        click.option(
+            "--strict", is_flag=True, help="Fit nothing if any line cannot be used, or if any state takes too long."
+        ),
+        click.option(
+            "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
+            help="On a larger task evaluate only states that were visited, and their successors.",
+        ),
+        click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each of these states."),
+        click.option(
+            "--cache", type=OUTPUT_FOLDER,
+            help="Folder where these states are kept.  [default: kitassist in the user's cache folder]",
+        ),
+        click.option("--jobs", type=JOBS, help="Processors to use; all unless given."),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="Of the check of the model."),
+    )  # fmt: skip
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def people_of(
+    found: Instance,
+    file: Path,
+    *,
+    drop: tuple[str, ...],
+    rename: tuple[str, ...],
+    gaps: bool,
+    strict: bool,
+    misconceptions: bool,
+    seed: int,
+    jobs: int | None,
+    max_states: int,
+    time_limit: float | None,
+    cache: Path | None,
+    **setting: Any,
+) -> People:
+    """Learn about the people of a log on the task of an instance; errors are those of a command.
+
+    Raises
+    ------
+    click.UsageError
+        An option that cannot be.
+    """
+    from ..learning.likelihood import Method
+    from ..learning.log import read_log, told
+    from ..learning.people import LogError, learn, require_actions
+    from ..learning.recording import replay
+
+    names = _renamed(rename)
+    try:
+        method = Method(**setting)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    task, log = load(found), read_log(file, gaps=gaps)
+    if task.decided_by_translator:
+        why = "the goal cannot be reached, or holds from the start; there is nothing to learn from"
+        fail(f"{found}: {why}", EXIT_FAILED)
+    walked = OnDemand(task)
+    try:
+        recording, more = replay(log, walked, drop=drop, rename=names)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    faults = tuple(sorted([*log.faults, *more], key=lambda fault: fault.line))
+    for line in told(faults, file):
+        click.echo(line, err=True)
+    if strict and faults:
+        fail(f"{file}: nothing is fitted, because of --strict", EXIT_FAILED)
+    jobs = jobs or os.cpu_count() or 1
+    try:
+        require_actions(log, recording, walked)
+        h = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
+        with progress_bar("fitting people", len(recording.people)) as advance:
+            return learn(
+                log, walked, recording, h, faults=faults, method=method, misconceptions=misconceptions, seed=seed,
+                jobs=jobs, progress=advance,
+            )  # fmt: skip
+    except LogError as error:
+        fail(str(error), EXIT_FAILED)
+
+
+def _renamed(pairs: tuple[str, ...]) -> dict[str, str]:
+    names: dict[str, str] = {}
+    for pair in pairs:
+        old, _, new = (part.strip() for part in pair.partition("="))
+        if not old or not new:
+            raise click.UsageError(f"--rename {pair}: expected OLD=NEW")
+        if names.setdefault(old.lower(), new) != new:
+            raise click.UsageError(f"--rename {pair}: '{old}' is renamed already")
+    return names
+
+
+def _evaluate(
+    walked: OnDemand, wanted: NDArray[np.int64], max_states: int, time_limit: float | None, cache: Path | None,
+    jobs: int, *, strict: bool,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Give h* of all states that were met, NaN but for the wanted ones: from a sweep, or one by one on demand.
+
+    States that took too long have NaN unless `strict`, where they are an error.
+    """
+    values, limits = walked.values(wanted), Limits(seconds=time_limit)
+    costs = cost_to_go(walked.task, values, max_states=max_states, jobs=jobs, limits=limits)
+    h = np.full(len(walked), np.nan)
+    if not isinstance(costs, OnDemand):
+        h[wanted] = costs.lookup(costs.numbers(values))
+        return h
+    click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
+    costs = OnDemand(walked.task, cache=Cache(walked.task, cache), jobs=jobs, limits=limits)
+    with progress_bar("evaluating states", len(wanted)) as advance:
+        numbers = costs.numbers(values)
+        try:
+            h[wanted] = costs.lookup(numbers, advance)
+        except LimitError as error:
+            if strict:
+                raise
+            h[wanted] = costs.known(numbers)
+            click.echo(f"{error}; actions that depend on them are left out", err=True)
+    return h

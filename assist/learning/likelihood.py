@@ -1,0 +1,180 @@
+"""How likely a person's actions are under the model of `assist.people.human`, for any beta, theta and eta; compiled.
+
+The person's cost-to-go is taken for h*. Theta begins anew in each episode.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import Floats
+from .observations import Ints, Observations
+
+LARGE = 1e9
+"""The largest parameter: squares of larger ones are soon beyond what numbers can hold."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """How parameters are estimated.
+
+    Attributes
+    ----------
+    level : float
+        Of the intervals.
+    lapse : float
+        Weight of a uniform choice in the likelihood, so that no action has probability zero.
+    utility_scale : float
+        The unit of V in the trust update, in cost units.
+    eta : float or None
+        Rate of the trust update where it is known; estimated, from 0 to 1, where it is None.
+    largest_beta : float or None
+        Estimates and intervals end here. None: where the smallest mistake that could be made has odds of only
+        exp(-10), 5 in 100,000. That is less than a lapse has, so that nothing recorded speaks about larger values.
+    """
+
+    level: float = 0.95
+    lapse: float = 1e-3
+    utility_scale: float = 1.0
+    eta: float | None = None
+    largest_beta: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("level", "lapse"):
+            if not 0 < getattr(self, name) < 1:
+                raise ValueError(f"{name} {getattr(self, name):g}: expected 0 < {name} < 1")
+        for name in ("utility_scale", "largest_beta"):
+            value = getattr(self, name)
+            if value is not None and not 1 / LARGE <= value <= LARGE:
+                raise ValueError(f"{name.replace('_', ' ')} {value:g}: expected {1 / LARGE:g} to {LARGE:g}")
+        if self.eta is not None and not 0 <= self.eta <= LARGE:
+            raise ValueError(f"eta {self.eta:g}: expected 0 to {LARGE:g}")
+
+
+def log_likelihood(
+    observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
+) -> Floats:
+    """Give the log-likelihood of one person's actions on a grid, shape (B, T, E).
+
+    Parameters
+    ----------
+    observations : Observations
+    beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
+        Theta is that at the beginning of each episode.
+    """
+    axes = [np.ascontiguousarray(np.atleast_1d(axis), dtype=np.float64) for axis in (beta, theta, eta)]
+    return on_grid(Data.of(observations, method or Method()), *axes)
+
+
+class Data(NamedTuple):
+    """Observations in the form that compiled code reads, which takes named tuples and no dataclasses."""
+
+    excess: Floats
+    options: Ints
+    chosen: Ints
+    suggested: Ints
+    gain: Floats
+    begins: NDArray[np.bool_]
+    lapse: float
+
+    @classmethod
+    def of(cls, o: Observations, method: Method) -> Data:
+        """Arrange one person's observations."""
+        gain = o.gain / method.utility_scale
+        return cls(
+            excess=o.excess, options=o.applicable.sum(axis=1), chosen=o.chosen, suggested=o.suggested, gain=gain,
+            begins=o.begins, lapse=method.lapse,
+        )  # fmt: skip
+
+
+@numba.njit(cache=True, nogil=True)
+def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> None:
+    """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
+
+    It is that without a suggestion. The others are summed: 1 - told would lose its digits where that is almost 1.
+    """
+    for i in range(len(data.chosen)):
+        picked = heard = others = 0.0
+        for a in range(data.options[i]):
+            weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
+            if a == data.chosen[i]:
+                picked = weight
+            if a == data.suggested[i]:
+                heard = weight
+            else:
+                others += weight
+        own[i] = picked / (heard + others)
+        told[i] = heard / (heard + others)
+        rest[i] = others / (heard + others)
+
+
+@numba.njit(cache=True, nogil=True)
+def _moved(theta: float, eta: float, gain: float) -> float:
+    """Eq. 6; a suggestion into a dead end ends trust."""
+    if eta == 0.0 or gain == 0.0:
+        return theta
+    return min(max(theta + eta * gain, 0.0), 1.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
+    """Add up the log-likelihood for what `alone` has filled in."""
+    total = 0.0
+    product = 1.0  # of several probabilities: a logarithm costs more than they do
+    theta = first
+    for i in range(len(own)):
+        if data.begins[i]:
+            theta = first
+        p = own[i]
+        if data.suggested[i] >= 0:
+            norm = theta * told[i] + (1.0 - theta) * rest[i]
+            if norm > 0.0:
+                p *= (theta if data.chosen[i] == data.suggested[i] else 1.0 - theta) / norm
+            theta = _moved(theta, eta, data.gain[i])
+        product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
+        if product < 1e-100:
+            total += math.log(product)
+            product = 1.0
+    return total + math.log(product)
+
+
+@numba.njit(cache=True, nogil=True)
+def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
+    """Give the log-likelihood for all combinations, shape (B, T, E)."""
+    result = np.empty((len(beta), len(theta), len(eta)))
+    n = len(data.chosen)
+    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
+    for b in range(len(beta)):
+        alone(data, beta[b], own, told, rest)
+        for t in range(len(theta)):
+            for e in range(len(eta)):
+                result[b, t, e] = with_trust(data, own, told, rest, theta[t], eta[e])
+    return result
+
+
+@numba.njit(cache=True, nogil=True)
+def at_point(data: Data, at: Floats, small: float) -> float:
+    """Give the log-likelihood at the coordinates (log1p(beta / small), theta, eta)."""
+    n = len(data.chosen)
+    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
+    alone(data, small * math.expm1(at[0]), own, told, rest)
+    return with_trust(data, own, told, rest, at[1], at[2])
+
+
+@numba.njit(cache=True, nogil=True)
+def thetas(gain: Floats, begins: NDArray[np.bool_], first: float, eta: float) -> Floats:
+    """Give theta before each step, shape (N,)."""
+    result = np.empty(len(gain))
+    theta = first
+    for i in range(len(gain)):
+        if begins[i]:
+            theta = first
+        result[i] = theta
+        theta = _moved(theta, eta, gain[i])
+    return result

@@ -1,0 +1,117 @@
+"""What a person could choose from and what they chose, in costs: how much worse than the best each choice is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.human import NOTHING, Floats
+from .recording import Recording
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What one person could choose from and what they chose; N steps of up to A choices.
+
+    Attributes
+    ----------
+    person : str
+    episodes : tuple of str
+        The names of their episodes.
+    excess : float array, shape (N, A)
+        Q(x, a) - min over a' of Q(x, a'), in cost units, for h* in place of h: how much an action costs more than
+        the best. Infinite for a needless action into a dead end, 0 where all actions lead to one.
+    applicable : bool array, shape (N, A)
+    targets : int array, shape (N, A)
+        The state after each choice.
+    ahead : float array, shape (N, A)
+        h* of the targets.
+    chosen, suggested : int arrays, shape (N,)
+        Slots; `NOTHING` where nothing was suggested.
+    gain : float array, shape (N,)
+        V(x_r) - V(x) of the suggested action, in cost units; 0 where nothing was suggested.
+    begins : bool array, shape (N,)
+        Where an episode begins.
+    state : int array, shape (N,)
+    cost_to_go : float array, shape (N,)
+        h* of the state.
+    goal : bool array, shape (N, A)
+        Which targets are goal states.
+    """
+
+    person: str
+    episodes: tuple[str, ...]
+    excess: Floats
+    applicable: NDArray[np.bool_]
+    targets: Ints
+    ahead: Floats
+    chosen: Ints
+    suggested: Ints
+    gain: Floats
+    begins: NDArray[np.bool_]
+    state: Ints
+    cost_to_go: Floats
+    goal: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    @property
+    def regret(self) -> Floats:
+        """What each action cost more than the best one, shape (N,)."""
+        return self.excess[np.arange(len(self)), self.chosen]
+
+    @property
+    def suboptimal(self) -> int:
+        """How many actions no cheapest way to the goal begins with, where there was one."""
+        return int((self.regret > 0).sum())
+
+
+def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Observations]:
+    """Give each person's observations, in the order of `recording.people`.
+
+    Parameters
+    ----------
+    recording : Recording
+    h : float array, shape (states,)
+        h* of the states that `recording.wanted()` names, infinite at dead ends; others are not read.
+    goal : bool array, shape (states,)
+        Which of them are goal states.
+    """
+    r = recording
+    ahead = np.where(r.applicable, h[r.targets], np.inf)
+    q = np.where(r.applicable, r.costs + ahead, np.inf)
+    best = q.min(axis=1, initial=np.inf)
+    with np.errstate(invalid="ignore"):
+        excess = np.where(np.isinf(best)[:, None], 0.0, q - best[:, None])
+    excess = np.where(r.applicable, excess, np.inf)
+    rows = np.arange(len(r))
+    told = r.suggested != NOTHING
+    # V = -h*: the cost-to-go is exact, so that it equals the smallest Q.
+    expected = np.where(told, ahead[rows, np.maximum(r.suggested, 0)], best)
+    with np.errstate(invalid="ignore"):
+        gain = np.where(expected == best, 0.0, best - expected)
+    begins = np.ones(len(r), dtype=bool)
+    begins[1:] = r.episode[1:] != r.episode[:-1]
+    result = []
+    for number, person in enumerate(r.people):
+        own = r.person == number
+        names = tuple(r.episodes[e] for e in r.episode[own & begins])
+        result.append(
+            Observations(
+                person, names, excess[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
+                r.suggested[own], gain[own], begins[own], r.state[own], best[own],
+                goal[r.targets[own]] & r.applicable[own],
+            )
+        )  # fmt: skip
+    return result

@@ -1,0 +1,242 @@
+"""`fit`: what a log says of people, from the log and the task to everybody's estimates.
+
+The front door of this room; what it does is in the other files, in the order in which they build on each other.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from planner import CostToGo, LimitError
+
+from ..people.human import Floats, Mixture
+from .diagnostics import check
+from .estimates import maximum_likelihood
+from .likelihood import Method
+from .log import Fault, Log, in_order
+from .misconception import fit_misconception
+from .observations import Ints, observe
+from .population import PopulationFit, fit_population
+from .record import Record, nothing_known
+from .recording import Recording, replay
+
+Progress = Callable[[int], None]
+
+
+class LogError(ValueError):
+    """A log of which nothing can be used, or not all of it where it should be."""
+
+
+@dataclass(frozen=True, eq=False)
+class People(Mapping[str, Record]):
+    """What a log says of people: a `Record` by the name of each.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        In the order of the names.
+    unknown : dict of str to dict
+        The people of whom nothing could be used, each with the record that says why.
+    faults : tuple of Fault
+        Lines of the log that could not be used.
+    method : Method
+        How estimates were made.
+    facts : callable
+        Gives what holds in states, shape (M,), of the task.
+    """
+
+    records: tuple[Record, ...]
+    unknown: Mapping[str, Mapping[str, Any]]
+    faults: tuple[Fault, ...]
+    method: Method
+    facts: Callable[[Ints], list[list[str]]]
+
+    def __getitem__(self, person: str) -> Record:
+        for record in self.records:
+            if record.person == person:
+                return record
+        raise KeyError(person)
+
+    def __iter__(self) -> Iterator[str]:
+        return (record.person for record in self.records)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every line and every action of the log was used."""
+        return not self.faults and not self.unknown and not any(record.left_out for record in self.records)
+
+    def distribution(self, *, family: str | None = None, progress: Progress | None = None) -> PopulationFit:
+        """Estimate how beta and theta are distributed over people; parameters as of `fit_population`."""
+        observations = [record.fit.observations for record in self.records]
+        return fit_population(observations, self.method, family=family, progress=progress)
+
+    def population(self, *, family: str | None = None) -> Mixture:
+        """Give a population like these people, to draw others from.
+
+        Parameters
+        ----------
+        family : str, optional
+            Of beta's distribution, as for `distribution`.
+        """
+        return self.distribution(family=family).population(self.sigma)
+
+    @property
+    def sigma(self) -> tuple[float, float]:
+        """The range of people's misconceptions, without the largest and smallest tenth; (0, 0) if not estimated."""
+        sizes = [record.misconception.sigma for record in self.records if record.misconception is not None]
+        low, high = np.quantile(sizes, (0.1, 0.9)).tolist() if sizes else (0.0, 0.0)
+        return low, high
+
+    def as_dicts(self) -> list[dict[str, Any]]:
+        """Give all of it as plain data, a record for everybody who is named in the log."""
+        found = [record.as_dict(self.facts) for record in self.records] + [dict(one) for one in self.unknown.values()]
+        return sorted(found, key=lambda record: in_order(record["person"]))
+
+
+def fit(
+    costs: CostToGo,
+    log: Log,
+    *,
+    drop: Sequence[str] = (),
+    rename: Mapping[str, str] | None = None,
+    method: Method | None = None,
+    misconceptions: bool = False,
+    strict: bool = False,
+    seed: int | np.random.Generator = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> People:
+    """Learn expertise, influence and trust of people from a log of their actions.
+
+    Parameters
+    ----------
+    costs : CostToGo
+        Of the task that they worked on: a table, or on demand, where only states that were visited and their
+        successors are asked for.
+    log : Log
+        As `read_log` gives it.
+    drop, rename
+        As for `replay`.
+    method : Method, optional
+        How estimates are made: level of the intervals, lapses, what is known beforehand.
+    misconceptions : bool
+        Whether to estimate sigma and what people take for the cost-to-go, too; a second or more for each person.
+    strict : bool
+        Whether to refuse a log that cannot be used completely.
+    seed : int or numpy.random.Generator
+        Of the check of the model.
+    jobs : int
+        Threads.
+    progress : callable, optional
+        Called with how many people have been finished since the last call.
+
+    Raises
+    ------
+    LogError
+        Nothing in the log can be used; with `strict`, something cannot.
+    ValueError
+        A name in `drop` or `rename` that stands for nothing.
+
+    Warns
+    -----
+    UserWarning
+        Some lines cannot be used, or some states were not evaluated; `People.faults` has the lines.
+    """
+    recording, found = replay(log, costs, drop=drop, rename=rename)
+    faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
+    if faults:
+        message = f"{log.name}:{faults[0].line}: {faults[0]}"
+        if strict:
+            raise LogError(message)
+        others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
+        warnings.warn(message + others, stacklevel=2)
+    require_actions(log, recording, costs)
+    wanted, h = recording.wanted(), np.full(len(costs), np.nan)
+    try:
+        h[wanted] = costs.lookup(wanted)
+    except LimitError as error:
+        known = getattr(costs, "known", None)
+        if strict or known is None:
+            raise
+        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=2)
+        h[wanted] = known(wanted)
+    return learn(
+        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, seed=seed, jobs=jobs,
+        progress=progress,
+    )  # fmt: skip
+
+
+def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
+    """Refuse a log of which no episode can be used."""
+    if len(recording):
+        return
+    if not log.people:
+        raise LogError(f"{log.name}: no recorded actions")
+    place = costs.task.instance
+    raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")
+
+
+def learn(
+    log: Log,
+    costs: CostToGo,
+    recording: Recording,
+    h: Floats,
+    *,
+    faults: tuple[Fault, ...] = (),
+    method: Method | None = None,
+    misconceptions: bool = False,
+    seed: int | np.random.Generator = 0,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> People:
+    """Learn about people from what was replayed; for who has the cost-to-go of its states in another way.
+
+    Parameters
+    ----------
+    costs : CostToGo
+        Of the task, as it was replayed on; it is not asked for costs.
+    h : float array, shape (states,)
+        h* of the states that `recording.wanted()` names, NaN where it is not known.
+    faults, method, misconceptions, seed, jobs, progress
+        As for `fit`; faults are all that was found.
+    """
+    method = method or Method()
+    recording, left_out = recording.evaluated(h)
+    if not len(recording):
+        raise LogError(f"{log.name}: the states after every action took too long")
+    if not math.isfinite(h[recording.wanted()].min()):
+        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
+    wanted, goal = recording.wanted(), np.zeros(len(h), dtype=bool)
+    goal[wanted] = costs.is_goal(wanted)
+    rng = np.random.default_rng(seed)
+    records = []
+    tell = None if misconceptions else progress
+    for fitted in maximum_likelihood(observe(recording, h, goal), method, jobs=jobs, progress=tell):
+        misconception = fit_misconception(fitted) if misconceptions else None
+        person = fitted.observations.person
+        records.append(Record(fitted, check(fitted, rng), misconception, left_out.get(person, 0)))
+        if misconceptions and progress is not None:
+            progress(1)
+
+    def facts(states: Ints) -> list[list[str]]:
+        return [costs.task.facts(values) for values in costs.values(states).tolist()]
+
+    named = log.people | {fault.person for fault in faults if fault.person is not None}
+    unknown = {
+        person: nothing_known(
+            person,
+            "no action can be used" if left_out.get(person) else "no episode can be used",
+            left_out.get(person, 0),
+        )
+        for person in sorted(named - set(recording.people), key=in_order)
+    }
+    return People(tuple(records), unknown, faults, method, facts)

@@ -1,0 +1,62 @@
+"""Estimates as people read them: a table with a row for everybody, and what has to be said besides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.table import Table
+
+from .log import in_order
+from .people import People
+from .population import PopulationFit
+
+
+def table_of(people: People) -> Table:
+    """Give the estimates of everybody who is named in the log, with their intervals."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("person")
+    for name in ("beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"):
+        table.add_column(name, justify="right")
+    if any(record.misconception is not None for record in people.values()):
+        table.add_column("sigma", justify="right")
+    for name in _everybody(people):
+        if name not in people:
+            table.add_row(name, *["-"] * 7)
+            continue
+        record = people[name]
+        fit, m = record.fit, record.misconception
+        cells = [
+            "-" if estimate is None else _interval(value, estimate.interval, estimate.open_above)
+            for value, estimate in ((record.beta, fit.beta), (record.theta, fit.theta), (record.eta, fit.eta))
+        ]
+        cells += [f"{record.actions}", f"{record.suboptimal_actions}", f"{fit.log_likelihood:.2f}"]
+        cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
+        if m is not None:
+            cells.append(_interval(m.sigma, m.interval, m.open_above))
+        table.add_row(name, *cells)
+    return table
+
+
+def lines_of(people: People, found: PopulationFit | None) -> Iterable[str]:
+    """Give what a reader of the table has to know of each person, and the distribution over people if it is known."""
+    for name in _everybody(people):
+        notes = people[name].notes if name in people else [people.unknown[name]["error"]]
+        yield from (f"{name}: {note}" for note in notes)
+    if found is None:
+        return
+    whose = f"population of {found.people}"
+    for name, margin in (("beta", found.beta), ("theta", found.theta)):
+        if margin is not None:
+            spread = f"mean {margin.mean:.2f}, standard deviation {margin.spread:.2f}"
+            yield f"{whose}: {name} is {margin.family}, {spread}"
+    if found.eta is not None:
+        yield f"{whose}: eta {found.eta:.2f}"
+
+
+def _everybody(people: People) -> list[str]:
+    return sorted([*people, *people.unknown], key=in_order)
+
+
+def _interval(value: float | None, interval: tuple[float, float], open_above: bool) -> str:
+    shown = "?" if value is None else f"{value:.2f}"
+    return f"{shown} ({interval[0]:.2f} to {interval[1]:.2f}{'+' if open_above else ''})"

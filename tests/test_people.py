@@ -1,0 +1,129 @@
+"""From a log to people: `fit` from Python, and the command on top of it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+from recorded import FETCH, WRONG, lines, people_at_work, write_log
+
+from assist.cli import main
+from assist.learning.likelihood import Method
+from assist.learning.log import Log, read_log
+from assist.learning.people import LogError, People, fit
+from assist.people.choices import Choices
+from planner import OnDemand, Table, load, sweep
+
+TINY = KITTING / "tiny.pddl"
+PLAN = sweep(load(TINY)).optimal_plan() or []
+
+
+@pytest.fixture(scope="module")
+def rows(tiny: Table) -> list[dict]:
+    rng = np.random.default_rng(6)
+    return people_at_work(Choices.of(tiny), [0.3, 0.8, 1.5], rng, suggest=0.4, episodes=4)
+
+
+def test_people_by_their_names(tiny: Table, rows: list[dict], tmp_path: Path) -> None:
+    """What the command prints is what Python gives, on a table and on demand alike."""
+    file = write_log(tmp_path / "log.jsonl", rows)
+    people = fit(tiny, read_log(file))
+    assert list(people) == ["p0", "p1", "p2"]
+    assert people.complete
+    ann = people["p0"]
+    assert ann.beta is not None
+    assert ann.theta is not None
+    assert ann.theta_interval is not None
+    assert ann.beta_interval[0] <= ann.beta <= ann.beta_interval[1] < 1.5
+    assert ann.actions == sum(row["person"] == "p0" for row in rows)
+    with pytest.raises(KeyError, match="zoe"):
+        people["zoe"]
+    result = CliRunner().invoke(main, ["fit", str(TINY), str(file), "--json"])
+    assert (result.exit_code, json.loads(result.stdout)) == (0, people.as_dicts())
+    asked = fit(OnDemand(tiny.task), read_log(file), method=Method(level=0.95), seed=np.random.default_rng(0))
+    assert asked.as_dicts() == people.as_dicts()
+    drawn = people.population().sample(Choices.of(tiny), 500, np.random.default_rng(0))
+    assert people.sigma == (0.0, 0.0)
+    assert np.mean([human.beta for human in drawn]) == pytest.approx(people.distribution().beta.mean, rel=0.15)
+
+
+def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
+    log = Log.of([*lines(*PLAN), *lines(FETCH, FETCH, person="bob"), *lines(FETCH, FETCH, person="cyd")])
+    with pytest.warns(UserWarning, match=r"log:8: person 'bob', episode '1', which is left out: .* \(and 1 more"):
+        people = fit(tiny, log)
+    assert (list(people), list(people.unknown), len(people.faults)) == (["ann"], ["bob", "cyd"], 2)
+    assert not people.complete
+    assert [record["error"] for record in people.as_dicts()] == [None, *["no episode can be used"] * 2]
+    with pytest.raises(LogError, match="log:8: person 'bob'"):
+        fit(tiny, log, strict=True)
+    with pytest.raises(LogError, match="log: no recorded actions"):
+        fit(tiny, Log.of([]))
+    with pytest.warns(UserWarning, match="log:1"), pytest.raises(LogError, match="is it the log of another instance"):
+        fit(tiny, Log.of(lines("(stack a b)")))
+    with pytest.raises(ValueError, match="drop nosuch"):
+        fit(tiny, log, drop=["nosuch"])
+
+
+def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None:
+    told: list[int] = []
+    people: People = fit(tiny, Log.of(rows), misconceptions=True, progress=told.append)
+    assert sum(told) == 3
+    found = [record.misconception for record in people.values()]
+    low, high = people.sigma
+    assert all(m is not None and m.sigma >= 0 for m in found)
+    assert low <= np.median([m.sigma for m in found if m is not None]) <= high
+    assert people.population().sigma == people.sigma
+    assert all("facts" in state for state in people.as_dicts()[0]["misconception"]["states"])
+
+
+def test_what_is_not_identified_has_no_value(tiny: Table, tmp_path: Path) -> None:
+    """Of an expert who follows one good suggestion nothing can be said of how trust changes."""
+    people = fit(tiny, Log.of(lines(*PLAN, told={1: PLAN[1]})))
+    record = people["ann"]
+    assert (record.eta, record.eta_interval) == (None, (0.0, 1.0))
+    assert "these actions say nothing about eta" in record.notes
+    shown = people.as_dicts()[0]
+    assert (shown["eta"], shown["eta_interval"], shown["eta_open"]) == (None, [0.0, 1.0], ["below", "above"])
+    file = write_log(tmp_path / "log.jsonl", lines(*PLAN, told={1: PLAN[1]}))
+    result = CliRunner().invoke(main, ["fit", str(TINY), str(file)])
+    assert "? (0.00 to 1.00+)" in result.stdout
+    silent = fit(tiny, Log.of(lines(FETCH)))["ann"]
+    assert (silent.beta, silent.theta, silent.theta_interval) == (None, None, None)
+
+
+def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
+    several = [row for name in "abcd" for row in lines(*PLAN, person=name, told={1: PLAN[1]})]
+    assert fit(tiny, Log.of(several)).distribution().eta is None
+    assert fit(tiny, Log.of(several), method=Method(eta=0.2)).distribution().eta == 0.2
+    many = people_at_work(Choices.of(tiny), [0.5] * 30, np.random.default_rng(1), suggest=0.6, episodes=8)
+    eta = fit(tiny, Log.of(many)).distribution().eta
+    assert eta == pytest.approx(0.2, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--out", "{0}/x", "--population", "{0}/x"], "--population {0}/x: this is the file of --out"),
+        (["--out", "{0}/log.jsonl"], "--out {0}/log.jsonl: this is the file of LOG"),
+        (["--population", "{0}/tiny.pddl"], "--population {0}/tiny.pddl: this is the file of INSTANCE"),
+        (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: this is the file of its domain"),
+        (["--family", "uniform", "--json"], "--family: expected --population"),
+        (["--largest-beta", "1e300"], "largest beta 1e+300: expected 1e-09 to 1e+09"),
+        (["--utility-scale", "1e-300"], "utility scale 1e-300: expected 1e-09 to 1e+09"),
+        (["--eta", "1e300"], "eta 1e+300: expected 0 to 1e+09"),
+    ],
+)
+def test_options_that_cannot_be(tmp_path: Path, options: list[str], words: str) -> None:
+    for name in ("tiny.pddl", "domain.pddl"):
+        (tmp_path / name).write_text((KITTING / name).read_text())
+    file = write_log(tmp_path / "log.jsonl", lines(FETCH, WRONG))
+    before = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    arguments = [option.format(tmp_path) for option in options]
+    result = CliRunner().invoke(main, ["fit", str(tmp_path / "tiny.pddl"), str(file), *arguments])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words.format(tmp_path) in result.stderr
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
