@@ -158,9 +158,23 @@ def read_records(file: Path) -> list[dict[str, Any]]:
     DamagedFileError
         A line that is no record.
     """
+    found = []
+    for record in each_record(file):
+        if isinstance(record, DamagedFileError):
+            raise record
+        found.append(record)
+    return found
+
+
+def each_record(file: Path) -> Iterator[dict[str, Any] | DamagedFileError]:
+    """Give each line of JSON Lines as `read_records` does, and what is wrong with it in the place of what is none."""
     if not file.is_file():
-        return []
-    return [_record(file, number, line) for number, line in enumerate(file.read_bytes().split(b"\n")[:-1], start=1)]
+        return
+    for number, line in enumerate(file.read_bytes().split(b"\n")[:-1], start=1):
+        try:
+            yield _record(file, number, line)
+        except DamagedFileError as error:
+            yield error
 
 
 def _record(file: Path, number: int, line: bytes) -> dict[str, Any]:

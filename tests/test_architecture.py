@@ -25,7 +25,7 @@ ROOMS = {
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
-    "assist.study": "statistics study protocol runner summary wording claims pictures report",
+    "assist.study": "statistics study cells protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries
         solve simulate policy bound export log fit study""",
@@ -42,7 +42,8 @@ LONGER = {
 
 ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
 ORDER.remove("planner")
-MAY_READ_PDDL = ("assist.study.study", "assist.study.protocol", "assist.cli")  # with all that is in them
+# With all that is in them.
+MAY_READ_PDDL = ("assist.study.study", "assist.study.cells", "assist.study.protocol", "assist.cli")
 ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 

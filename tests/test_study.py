@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from conftest import DOMAINS, KITTING, ROOT, kitassist
 from matplotlib.text import Text
 from scipy import stats
@@ -24,13 +25,16 @@ from assist.person import qmdp as mdp
 from assist.person.pomdp import AssistPOMDP
 from assist.simulation.simulate import simulate
 from assist.study import protocol, statistics
+from assist.study.cells import carry_out, check, pool_of
 from assist.study.protocol import read
 from assist.study.report import Report, write_report
 from assist.study.runner import load_study, profile, run_study
-from assist.study.study import Study, StudyError, check
+from assist.study.study import Study, StudyError
 from assist.study.summary import Found
 from assist.team.pool import Pool
 from assist.team.settings import Setting
+from assist.team.state import PolicyError
+from planner.errors import DamagedFileError
 
 TINY = f"""
 title = "small"
@@ -232,7 +236,7 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
     study = read(write(tmp_path))
     cells = list(study.cells())
     assert len(cells) == len(set(cells)) == 3 * (1 + 2) + 2 * 2
-    pools = {cell: study.people(cell) for cell in cells if cell.repeat < 2 and cell.population == "everybody"}
+    pools = {cell: pool_of(study, cell) for cell in cells if cell.repeat < 2 and cell.population == "everybody"}
     betas = {(cell.repeat, tuple(p.beta for p in pool.people)) for cell, pool in pools.items()}
     assert len(betas) == 2  # one pool in each repeat
     teams = study.teams(0, 3)
@@ -292,7 +296,7 @@ def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path
     with pytest.raises(StudyError, match=r"mine.py: has no function 'mine'"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:mine"]'))))
     (tmp_path / "mine.py").write_text("import nothing_of_this_name\n")
-    with pytest.raises(StudyError, match=r"mine.py: cannot be loaded: ModuleNotFoundError"):
+    with pytest.raises(StudyError, match=r"mine.py:1: ModuleNotFoundError: No module named 'nothing"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:broken"]'))))
 
 
@@ -368,13 +372,115 @@ def test_repeats_can_be_added_and_another_study_is_refused(done: tuple[Study, Pa
     assert set(profile(out)) >= {"people's POMDPs", "simulating none", "simulating attention"}
 
 
+def spoil(file: Path, number: int, line: bytes) -> None:
+    lines = file.read_bytes().split(b"\n")
+    lines[number - 1] = line
+    file.write_bytes(b"\n".join(lines))
+
+
+@pytest.fixture
+def results(done: tuple[Study, Path, dict], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(done[1], tmp_path / "out", ignore=shutil.ignore_patterns("figures")))
+
+
+@pytest.mark.parametrize(
+    ("line", "what"),
+    [
+        (b'{"condition": "fir', "is no JSON; expected a record, all of it on this line"),
+        (b"\x93NUMPY\x01\x00", "is not text (UTF-8); expected a record as JSON"),
+        (b"[1, 2]", "expected a record: a JSON object"),
+        (b"{}", "lacks fields, or has others than expected"),
+        (b'{"condition": ["first"]}', "lacks fields, or has others than expected"),
+    ],
+)
+def test_cells_with_damaged_lines_are_run_again(
+    done: tuple[Study, Path, dict], results: Path, line: bytes, what: str
+) -> None:
+    study, whole, _ = done
+    spoil(results / "episodes.jsonl", 7, line)
+    spoil(results / "profile.jsonl", 2, line)
+    said, counts = [], []
+    assert run_study(study, results, resume=True, warn=said.append, progress=counts.append) == []
+    assert said == [
+        f"{results / 'episodes.jsonl'}:7: {what}; the cells of such lines are run again",
+        f"{results / 'profile.jsonl'}:2: {what}; how long these cells took is forgotten",
+    ]
+    assert (results / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
+    total = sum(map(study.episodes, study.cells()))
+    assert counts[0] == total - study.episodes(next(study.cells()))  # all others are kept
+
+
+def test_lines_that_are_missing_twice_there_or_moved_are_noticed(done: tuple[Study, Path, dict], results: Path) -> None:
+    study, whole, _ = done
+    file = results / "episodes.jsonl"
+    lines = file.read_bytes().splitlines(keepends=True)
+    for changed in ([*lines[:3], *lines[4:]], [*lines[:4], lines[3], *lines[5:]], lines[::-1]):
+        file.write_bytes(b"".join(changed))
+        assert run_study(study, results, resume=True, warn=pytest.fail) == []
+        assert file.read_bytes() == (whole / "episodes.jsonl").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("content", "what"),
+    [
+        (b'{\n"schema": 1,\n"finger', "study.json:3: is no JSON"),
+        (b"\x89PNG\xff", "study.json: is not text (UTF-8)"),
+        (b"[]", "study.json: has no field 'schema'"),
+        (None, "study.json: is missing"),
+    ],
+)
+def test_results_of_nobody_knows_what_are_neither_continued_nor_replaced(
+    done: tuple[Study, Path, dict], results: Path, content: bytes | None, what: str
+) -> None:
+    study, whole, _ = done
+    if content is None:
+        (results / "study.json").unlink()
+    else:
+        (results / "study.json").write_bytes(content)
+    result = in_process("study", "--protocol", study.file, "--out", results, "--resume")
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"{results}/{what}")
+    assert result.stderr.count("\n") == 1
+    assert (results / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
+    if content is not None:
+        with pytest.raises(DamagedFileError, match="choose another folder"):
+            load_study(results)
+
+
+def in_process(*arguments: object) -> Result:
+    from assist.cli import main
+
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.mark.parametrize(
+    ("body", "line", "what"),
+    [
+        ("    raise RuntimeError('out of\\nideas')", 2, "RuntimeError: out of ideas"),
+        ("    team = {}\n    return team['oops']", 3, "KeyError: 'oops'"),
+        ("    return None", 1, "expected a TeamAction"),
+    ],
+)
+def test_a_policy_that_fails_is_named_with_its_line_and_words(tmp_path: Path, body: str, line: int, what: str) -> None:
+    (tmp_path / "mine.py").write_text(f"def faulty(team):\n{body}\n")
+    study = read(write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]')))
+    cell = next(cell for cell in study.cells() if cell.condition == "dear")
+    with pytest.raises(PolicyError) as caught:
+        carry_out(cell, study)
+    assert str(caught.value).startswith(f"{tmp_path / 'mine.py'}:{line}: ")
+    assert what in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_policy_that_fails_is_named_and_stops_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def faulty(team):\n    raise RuntimeError('out of ideas')\n")
     file = write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]'))
     result = kitassist("study", "--protocol", file, "--out", tmp_path / "out", "--repeats", 1, "--json")
     assert (result.returncode, result.stdout) == (1, "")
     lines = result.stderr.splitlines()
-    assert lines[0] == "dear, c_suggest 0.6, everybody, tiny, repeat 0: RuntimeError('out of ideas')"
+    assert (
+        lines[0] == f"dear, c_suggest 0.6, everybody, tiny, repeat 0: {tmp_path}/mine.py:2: RuntimeError: out of ideas"
+    )
     assert lines[-1] == "2 of 5 cells failed; --resume tries them again"
     assert set(load_study(tmp_path / "out")["condition"]) == {"first", "novices"}
 

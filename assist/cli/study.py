@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,11 +43,14 @@ def study(
 
     Without --protocol it is section V of the paper.
     """
+    from ..study.cells import check
     from ..study.protocol import read
     from ..study.report import require, write_report
     from ..study.runner import run_study
-    from ..study.study import StudyError, check
+    from ..study.study import StudyError
     from ..team.state import PolicyError
+
+    say = partial(click.echo, err=True)
 
     with one_line_errors("interrupted; what was finished is kept, --resume continues"):
         require()
@@ -54,11 +58,13 @@ def study(
             planned = read(protocol, repeats=repeats)
             check(planned)
             with progress_bar("episodes", sum(map(planned.episodes, planned.cells()))) as advance:
-                failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=advance)
+                failed = run_study(
+                    planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=advance, warn=say
+                )
         except StudyError as error:
             fail(str(error), EXIT_USAGE)
         for cell, reason in failed:
-            click.echo(f"{cell}: {reason if isinstance(reason, StudyError | PolicyError) else repr(reason)}", err=True)
+            say(f"{cell}: {reason if isinstance(reason, StudyError | PolicyError) else repr(reason)}")
         if failed:
             fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
         summary = write_report(planned, out, jobs=jobs)

@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..plots import study as draw
+from .cells import policy_of, pool_of
 from .study import Cell, Condition, Study
 from .summary import MEASURES, Found, average
 from .wording import Record, named
@@ -141,11 +142,11 @@ def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
         own = own[own[name] == value]
     row = own[own["repeat"] == 0].sort_values("interventions", ascending=False, kind="stable").iloc[0]
     cell = Cell(**found.main, instance=instance, repeat=0)
-    pool = study.people(cell)
+    pool = pool_of(study, cell)
     number = int(row["draw"]) * study.trials + int(row["trial"])
     team = study.teams(0, humans)[number]
     episode, beliefs = beliefs_of_episode(
-        pool, study.policy(study.focus, pool), humans=team.tolist(), episode=number, seed=study.luck(0),
+        pool, policy_of(study, study.focus, pool), humans=team.tolist(), episode=number, seed=study.luck(0),
         name=study.focus,
     )  # fmt: skip
     return pd.DataFrame(beliefs), episode

@@ -14,17 +14,30 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.errors import MissingExtraError
-from planner.storage import append_record, atomic, read_records, write_records
+from planner.errors import DamagedFileError, MissingExtraError
+from planner.storage import (
+    append,
+    append_record,
+    atomic,
+    each_record,
+    read_records,
+    remove_unfinished,
+    write_records,
+)
 from planner.workers import outcomes
 
-from .study import SCHEMA, Cell, Outcome, Study, StudyError, carry_out
+from .cells import Outcome, carry_out
+from .study import SCHEMA, Cell, Study, StudyError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 EPISODES, PROFILE, ABOUT = "episodes.jsonl", "profile.jsonl", "study.json"
 KEY = tuple(field.name for field in fields(Cell))
+EPISODE = ("policy", "humans", "draw", "trial")
+"""What tells the episodes of a cell apart."""
+LISTS = ("people", "beta", "theta", "sigma", "actions", "helped", "finished")
+NUMBERS = ("interventions", "moves", "steps", "discounted_return")
 
 
 def run_study(
@@ -35,6 +48,7 @@ def run_study(
     scheduler: str | None = None,
     resume: bool = False,
     progress: Callable[[int], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> list[tuple[Cell, Exception]]:
     """Carry a study out, and return the cells that failed, each with its error.
 
@@ -49,70 +63,145 @@ def run_study(
         Address of a Dask scheduler whose workers do the work instead. They have to see the same files at the same
         paths, and run one thread each.
     resume : bool
-        Keep the cells that are in the folder, and run the rest.
+        Keep the cells that are in the folder, and run the rest. A cell of which a line is damaged is run again.
     progress : callable, optional
         Called with the number of episodes that have been added since the last call.
+    warn : callable, optional
+        Called with a line for each file of which something is damaged, with the number of the first such line.
 
     Raises
     ------
     StudyError
         The folder holds results already and `resume` is not set; or they are those of another study, or of more
         repeats than are asked for.
+    DamagedFileError
+        `study.json` does not say whose results the folder holds.
     """
     order = {cell: number for number, cell in enumerate(study.cells())}
-    kept = _begin(study, out, resume, order)
+    kept = _begin(study, out, resume, order, warn or (lambda _: None))
     if progress is not None:
         progress(sum(study.episodes(cell) for cell in kept))
     failed: list[tuple[Cell, Exception]] = []
     todo = [cell for cell in order if cell not in kept]
-    with (out / EPISODES).open("a", encoding="utf-8") as stream:
-        for cell, outcome in outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler):
-            if isinstance(outcome, Outcome):
-                kept[cell] = outcome.lines
-                stream.write(outcome.lines)
-                stream.flush()
-                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
-            else:
-                failed.append((cell, outcome))
-            if progress is not None:
-                progress(study.episodes(cell))
+    for cell, outcome in outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler):
+        if isinstance(outcome, Outcome):
+            kept[cell] = outcome.lines
+            append(out / EPISODES, outcome.lines)
+            append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
+        else:
+            failed.append((cell, outcome))
+        if progress is not None:
+            progress(study.episodes(cell))
     _write(out / EPISODES, [kept[cell] for cell in order if cell in kept])
     spent = {_cell(record): record for record in read_records(out / PROFILE)}
     write_records(out / PROFILE, [spent[cell] for cell in order if cell in spent])
     return sorted(failed, key=lambda pair: order[pair[0]])
 
 
-def _begin(study: Study, out: Path, resume: bool, order: Mapping[Cell, int]) -> dict[Cell, str]:
+def _begin(
+    study: Study, out: Path, resume: bool, order: Mapping[Cell, int], warn: Callable[[str], None]
+) -> dict[Cell, str]:
     """Prepare the folder; return the lines of each cell that is in it, whole."""
-    about, episodes = out / ABOUT, out / EPISODES
+    about, episodes, profile = out / ABOUT, out / EPISODES, out / PROFILE
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}
+    spent: list[dict[str, Any]] = []
     if episodes.exists():
         if not resume:
             raise StudyError(f"{episodes} exists; resume it, or choose another folder")
-        before = json.loads(about.read_text(encoding="utf-8")) if about.is_file() else {}
+        before = _about(out)
         if any(before.get(name) != value for name, value in known.items()):
             raise StudyError(f"{about}: these are results of another study, or of other files; choose another folder")
-        kept = _whole_cells(study, episodes, order)
+        kept = _whole_cells(study, episodes, order, warn)
+        found, damaged = _readable(profile, lambda record: isinstance(record["seconds"], dict))
+        spent = [record for record, _ in found if _cell(record) in kept]
+        _say(damaged, "how long these cells took is forgotten", warn)
+    remove_unfinished(out)
     _write(about, [json.dumps({**known, "study": study.record()}, indent=1) + "\n"])
     _write(episodes, list(kept.values()))
-    spent = read_records(out / PROFILE) if kept else []
-    write_records(out / PROFILE, [record for record in spent if _cell(record) in kept])
+    write_records(profile, spent)
     return kept
 
 
-def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int]) -> dict[Cell, str]:
-    lines: dict[Cell, list[str]] = {}
-    for line in file.read_text(encoding="utf-8").split("\n")[:-1]:
-        cell = _cell(json.loads(line))
+def _about(folder: Path) -> dict[str, Any]:
+    """Read what the results of a folder are of."""
+    file = folder / ABOUT
+    lost = f"expected what `kitassist study` wrote; whose results {EPISODES} holds is not known: choose another folder"
+    try:
+        about = json.loads(file.read_bytes().decode())
+    except FileNotFoundError:
+        raise DamagedFileError(file, None, f"is missing; {lost}") from None
+    except UnicodeDecodeError:
+        raise DamagedFileError(file, None, f"is not text (UTF-8); {lost}") from None
+    except json.JSONDecodeError as error:
+        raise DamagedFileError(file, error.lineno, f"is no JSON; {lost}") from None
+    except (ValueError, RecursionError):
+        raise DamagedFileError(file, None, f"is no JSON; {lost}") from None
+    if not isinstance(about, dict) or "schema" not in about:
+        raise DamagedFileError(file, None, f"has no field 'schema'; {lost}")
+    return about
+
+
+def _readable(
+    file: Path, good: Callable[[dict[str, Any]], bool]
+) -> tuple[list[tuple[dict[str, Any], str]], list[DamagedFileError]]:
+    """Give the records that are as they should be, each with its line, and what is wrong with the others."""
+    found, damaged = [], []
+    for number, record in enumerate(each_record(file), start=1):
+        if isinstance(record, DamagedFileError):
+            damaged.append(record)
+            continue
+        try:
+            if _cell(record) and good(record):
+                found.append((record, json.dumps(record) + "\n"))
+                continue
+        except (KeyError, TypeError):
+            pass
+        damaged.append(DamagedFileError(file, number, "lacks fields, or has others than expected"))
+    return found, damaged
+
+
+def _say(damaged: Sequence[DamagedFileError], consequence: str, warn: Callable[[str], None]) -> None:
+    """Name the first of the damaged lines of a file, and how many there are."""
+    if damaged:
+        more = f" (and {len(damaged) - 1} other damaged lines)" if len(damaged) > 1 else ""
+        warn(f"{damaged[0]}{more}; {consequence}")
+
+
+def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Callable[[str], None]) -> dict[Cell, str]:
+    """Give the lines of the cells of which every episode is there, once, and undamaged."""
+    found, damaged = _readable(file, _is_episode)
+    lines: dict[Cell, dict[tuple[object, ...], str]] = {}
+    broken = set()
+    for record, line in found:
+        cell = _cell(record)
         if cell not in order:
             raise StudyError(f"{file}: has {cell}; expected --repeats {cell.repeat + 1} or more")
-        lines.setdefault(cell, []).append(line + "\n")
-    return {cell: "".join(own) for cell, own in lines.items() if len(own) == study.episodes(cell)}
+        own = lines.setdefault(cell, {})
+        which = tuple(record[name] for name in EPISODE)
+        if which in own:
+            broken.add(cell)
+        own[which] = line
+    _say(damaged, "the cells of such lines are run again", warn)
+    order_of = {cell: list(study.episodes_of(cell)) for cell in lines.keys() - broken}
+    whole = [cell for cell in lines if cell in order_of and set(order_of[cell]) == set(lines[cell])]
+    return {cell: "".join(lines[cell][which] for which in order_of[cell]) for cell in whole}
+
+
+def _is_episode(record: Mapping[str, Any]) -> bool:
+    """Whether a record has the fields of an episode, each of them of the right kind, and one entry for each person."""
+    humans = record["humans"]
+    return (
+        all(isinstance(record[name], int | float) for name in NUMBERS)
+        and all(isinstance(record[name], list) and len(record[name]) == humans for name in LISTS)
+        and set(record) == {*KEY, *EPISODE, *LISTS, *NUMBERS}
+    )
 
 
 def _cell(record: Mapping[str, Any]) -> Cell:
-    return Cell(**{name: record[name] for name in KEY})
+    cell = Cell(**{name: record[name] for name in KEY})
+    hash(cell)  # a field that is a list belongs to no cell
+    return cell
 
 
 def _write(file: Path, texts: Sequence[str]) -> None:
@@ -130,6 +219,8 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     ------
     StudyError
         No results, or results that this version does not read.
+    DamagedFileError
+        A line that is no record.
     MissingExtraError
         pandas is not installed.
     """
@@ -140,7 +231,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     folder = Path(folder)
     if not (folder / EPISODES).is_file() or not (folder / ABOUT).is_file():
         raise StudyError(f"{folder}: no results of a study; expected {EPISODES} and {ABOUT}")
-    schema = json.loads((folder / ABOUT).read_text(encoding="utf-8"))["schema"]
+    schema = _about(folder)["schema"]
     if schema != SCHEMA:
         raise StudyError(f"{folder}: results of schema {schema}; expected {SCHEMA}")
     frame = pd.DataFrame(read_records(folder / EPISODES))

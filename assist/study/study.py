@@ -10,32 +10,23 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import Instance, LimitError, load, sweep
+from planner import Instance
 
-from ..people.choices import Choices
 from ..people.human import Mixture, Population
-from ..person.qmdp import qmdp
-from ..simulation.episodes import Episodes
-from ..simulation.simulate import simulate
-from ..team.policies import OwnPolicy
-from ..team.pool import SIMULATED_STATES, Pool
 from ..team.settings import Setting
-from ..team.state import PolicyError, TeamPolicy
 
 SCHEMA = 1
 """The version of what `episodes.jsonl` and `summary.json` hold."""
 
-TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
 OF_NO_CONSEQUENCE = {"file", "title", "repeats", "focus", "contrasts", "reference"}  # for what episodes there are
 OWN = "own"
 """The prior that is the population from which people are drawn."""
@@ -209,6 +200,11 @@ class Study:
         condition = self.condition(cell.condition)
         return len(condition.policies) * len(condition.humans) * self.draws * self.trials
 
+    def episodes_of(self, cell: Cell) -> Iterator[tuple[str, int, int, int]]:
+        """Give the policy, team size, draw and trial of each episode of a cell."""
+        condition = self.condition(cell.condition)
+        return product(condition.policies, condition.humans, range(self.draws), range(self.trials))
+
     def setting(self, cell: Cell) -> Setting:
         """Give what a cell takes for granted."""
         return dict(self.condition(cell.condition).settings)[cell.setting]
@@ -232,16 +228,6 @@ class Study:
         """Give the study as plain data, file names as texts."""
         return json.loads(json.dumps(asdict(self), default=str))
 
-    def people(self, cell: Cell) -> Pool:
-        """Draw a cell's pool, and solve the POMDP of each person."""
-        populations = dict(self.populations)
-        population = populations[cell.population]
-        return Pool.sample(
-            _choices(dict(self.instances)[cell.instance]), self.pool, seed=self.luck(cell.repeat),
-            setting=self.setting(cell), population=population, solver=partial(qmdp, tolerance=TOLERANCE),
-            prior=population if cell.prior == OWN else populations[cell.prior],
-        )  # fmt: skip
-
     def luck(self, repeat: int) -> int:
         """Give the seed of a repeat."""
         words = np.random.SeedSequence(self.seed, spawn_key=(repeat,)).generate_state(4)
@@ -255,122 +241,3 @@ class Study:
         rng = np.random.default_rng(np.random.SeedSequence(self.luck(repeat), spawn_key=(2,)))
         drawn = rng.permuted(np.tile(np.arange(self.pool), (self.draws, 1)), axis=1)[:, :humans]
         return np.repeat(drawn, self.trials, axis=0)
-
-    def policy(self, name: str, pool: Pool) -> TeamPolicy:
-        """Make a team policy: one of the package's, or the study's own."""
-        own = dict(self.own_policies)
-        return _function(*own[name]) if name in own else pool.policy(name)
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a cell.
-
-    Attributes
-    ----------
-    lines : str
-        A line of JSON for each episode.
-    seconds : dict
-        How long each part of the work took.
-    """
-
-    lines: str
-    seconds: dict[str, float]
-
-
-def carry_out(cell: Cell, study: Study) -> Outcome:
-    """Simulate all teams of a cell under all policies of its condition."""
-    seconds: dict[str, float] = {}
-    start = time.perf_counter()
-
-    def lap(what: str) -> None:
-        nonlocal start
-        now = time.perf_counter()
-        seconds[what], start = seconds.get(what, 0.0) + now - start, now
-
-    _choices(dict(study.instances)[cell.instance])
-    lap("cost-to-go")
-    pool = study.people(cell)
-    lap("people's POMDPs")
-    condition = study.condition(cell.condition)
-    lines = []
-    for name in condition.policies:
-        policy = study.policy(name, pool)
-        lap(f"preparing {name}")
-        for humans in condition.humans:
-            teams = study.teams(cell.repeat, humans)
-            episodes = simulate(
-                pool, policy, humans=teams, episodes=len(teams), seed=study.luck(cell.repeat), name=name
-            )
-            lap(f"simulating {name}")
-            lines += [json.dumps(record) + "\n" for record in _records(cell, episodes, humans, study.trials)]
-            lap("records")
-    return Outcome("".join(lines), seconds)
-
-
-def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterator[dict[str, Any]]:
-    """Give a line of `episodes.jsonl` for each episode; a person's parameters are rounded, the rest is exact."""
-    for episode in episodes:
-        draw, trial = divmod(episode.episode, trials)
-        yield {
-            **asdict(cell),
-            "policy": episode.policy,
-            "humans": humans,
-            "draw": draw,
-            "trial": trial,
-            "people": [int(name.rpartition("-")[2]) for name in episode.people],
-            "beta": [round(number, 4) for number in episode.beta],
-            "theta": [round(number, 4) for number in episode.theta],
-            "sigma": [round(number, 4) for number in episode.sigma],
-            "actions": episode.actions,
-            "helped": episode.helped,
-            "finished": episode.finished,
-            "interventions": episode.interventions,
-            "moves": episode.moves,
-            "steps": episode.steps,
-            "discounted_return": episode.discounted_return,
-        }
-
-
-@cache  # cells of one task follow one another in a process
-def _choices(instance: Instance) -> Choices:
-    """Read and solve a task, once in each process."""
-    try:
-        table = sweep(load(instance), max_states=SIMULATED_STATES)
-    except LimitError as error:
-        raise StudyError(
-            f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states"
-        ) from None
-    if not np.isfinite(table[table.initial]):
-        raise StudyError(f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist")
-    return Choices.of(table)
-
-
-@cache
-def _function(file: Path, name: str) -> OwnPolicy:
-    """Load a policy from a Python file, once in each process."""
-    return OwnPolicy.load(file, name)
-
-
-def check(study: Study) -> None:
-    """Read all tasks and own policies and try all settings, so that what is wrong is said before the work begins.
-
-    Raises
-    ------
-    StudyError, planner.PDDLError
-    """
-    for _, files in study.instances:
-        _choices(files)
-    for _, (file, name) in study.own_policies:
-        try:
-            _function(file, name)
-        except PolicyError as error:
-            raise StudyError(str(error)) from error
-    for condition in study.conditions:
-        for label, setting in condition.settings:
-            for name in condition.instances:
-                try:
-                    setting.problem(_choices(dict(study.instances)[name]), None, Population())
-                except ValueError as error:
-                    place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
-                    raise StudyError(f"{study.file}: {place}: {error}") from None

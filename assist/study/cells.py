@@ -1,0 +1,158 @@
+"""Carrying out one cell of a study: drawing its people, preparing policies for them, and simulating their teams."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner import Instance, LimitError, load, sweep
+
+from ..people.choices import Choices
+from ..people.human import Population
+from ..person.qmdp import qmdp
+from ..simulation.episodes import Episodes
+from ..simulation.simulate import simulate
+from ..team.policies import OwnPolicy
+from ..team.pool import SIMULATED_STATES, Pool
+from ..team.state import PolicyError, TeamPolicy
+from .study import OWN, Cell, Study, StudyError
+
+TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
+
+
+def pool_of(study: Study, cell: Cell) -> Pool:
+    """Draw a cell's pool, and solve the POMDP of each person."""
+    populations = dict(study.populations)
+    population = populations[cell.population]
+    return Pool.sample(
+        _choices(dict(study.instances)[cell.instance]), study.pool, seed=study.luck(cell.repeat),
+        setting=study.setting(cell), population=population, solver=partial(qmdp, tolerance=TOLERANCE),
+        prior=population if cell.prior == OWN else populations[cell.prior],
+    )  # fmt: skip
+
+
+def policy_of(study: Study, name: str, pool: Pool) -> TeamPolicy:
+    """Make a team policy: one of the package's, or the study's own."""
+    own = dict(study.own_policies)
+    return _own(*own[name]) if name in own else pool.policy(name)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a cell.
+
+    Attributes
+    ----------
+    lines : str
+        A line of JSON for each episode.
+    seconds : dict
+        How long each part of the work took.
+    """
+
+    lines: str
+    seconds: dict[str, float]
+
+
+def carry_out(cell: Cell, study: Study) -> Outcome:
+    """Simulate all teams of a cell under all policies of its condition."""
+    seconds: dict[str, float] = {}
+    start = time.perf_counter()
+
+    def lap(what: str) -> None:
+        nonlocal start
+        now = time.perf_counter()
+        seconds[what], start = seconds.get(what, 0.0) + now - start, now
+
+    _choices(dict(study.instances)[cell.instance])
+    lap("cost-to-go")
+    pool = pool_of(study, cell)
+    lap("people's POMDPs")
+    condition = study.condition(cell.condition)
+    lines = []
+    for name in condition.policies:
+        chosen = policy_of(study, name, pool)
+        lap(f"preparing {name}")
+        for humans in condition.humans:
+            teams = study.teams(cell.repeat, humans)
+            episodes = simulate(
+                pool, chosen, humans=teams, episodes=len(teams), seed=study.luck(cell.repeat), name=name
+            )
+            lap(f"simulating {name}")
+            lines += [json.dumps(record) + "\n" for record in _records(cell, episodes, humans, study.trials)]
+            lap("records")
+    return Outcome("".join(lines), seconds)
+
+
+def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterator[dict[str, Any]]:
+    """Give a line of `episodes.jsonl` for each episode; a person's parameters are rounded, the rest is exact."""
+    for episode in episodes:
+        draw, trial = divmod(episode.episode, trials)
+        yield {
+            **asdict(cell),
+            "policy": episode.policy,
+            "humans": humans,
+            "draw": draw,
+            "trial": trial,
+            "people": [int(name.rpartition("-")[2]) for name in episode.people],
+            "beta": [round(number, 4) for number in episode.beta],
+            "theta": [round(number, 4) for number in episode.theta],
+            "sigma": [round(number, 4) for number in episode.sigma],
+            "actions": episode.actions,
+            "helped": episode.helped,
+            "finished": episode.finished,
+            "interventions": episode.interventions,
+            "moves": episode.moves,
+            "steps": episode.steps,
+            "discounted_return": episode.discounted_return,
+        }
+
+
+@cache  # cells of one task follow one another in a process
+def _choices(instance: Instance) -> Choices:
+    """Read and solve a task, once in each process."""
+    try:
+        table = sweep(load(instance), max_states=SIMULATED_STATES)
+    except LimitError as error:
+        raise StudyError(
+            f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states"
+        ) from None
+    if not np.isfinite(table[table.initial]):
+        raise StudyError(f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist")
+    return Choices.of(table)
+
+
+@cache
+def _own(file: Path, name: str) -> OwnPolicy:
+    """Load a policy of the study's own, once in each process."""
+    return OwnPolicy.load(file, name)
+
+
+def check(study: Study) -> None:
+    """Read all tasks and own policies and try all settings, so that what is wrong is said before the work begins.
+
+    Raises
+    ------
+    StudyError, planner.PDDLError
+    """
+    for _, files in study.instances:
+        _choices(files)
+    for _, (file, name) in study.own_policies:
+        try:
+            _own(file, name)
+        except PolicyError as error:
+            raise StudyError(str(error)) from None
+    for condition in study.conditions:
+        for label, setting in condition.settings:
+            for name in condition.instances:
+                try:
+                    setting.problem(_choices(dict(study.instances)[name]), None, Population())
+                except ValueError as error:
+                    place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
+                    raise StudyError(f"{study.file}: {place}: {error}") from None
