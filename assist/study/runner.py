@@ -116,7 +116,7 @@ def _begin(
         found, damaged = _readable(profile, lambda record: isinstance(record["seconds"], dict))
         spent = [record for record, _ in found if _cell(record) in kept]
         _say(damaged, "how long these cells took is forgotten", warn)
-    remove_unfinished(out)
+    remove_unfinished([out, out / "figures"])
     _write(about, [json.dumps({**known, "study": study.record()}, indent=1) + "\n"])
     _write(episodes, list(kept.values()))
     write_records(profile, spent)
