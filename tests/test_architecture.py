@@ -16,7 +16,7 @@ from assist.cli import COMMANDS, main
 ROOMS = {
     "planner": """lazy errors storage processes workers pddl fast_downward built task budget successors statespace
         costtogo moves kernels coding sweep ondemand methods solving results batch engine""",
-    "assist.people": "choices human belief",
+    "assist.people": "choices human compiled belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception
         diagnostics population record people summary""",

@@ -13,6 +13,7 @@ from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Population, choice, influence, lapse, perceived_cost_to_go, trust
 from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
 from planner import Table
 
 GRID = Grid(np.array([0.2, 1.0, 2.5]), np.array([0.0, 0.3, 0.7, 1.0]))
@@ -142,3 +143,21 @@ def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Cho
         there = tiny_choices.applicable[x, slot]
         total[there] += pomdp.likelihood(x[there], robot[there], np.full(there.sum(), slot))
     np.testing.assert_allclose(total, 1, rtol=1e-13)
+
+
+def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(sealed: Table) -> None:
+    """Eta 0 and a value of minus infinity: nobody's belief is lost, and nothing is suggested that only does harm."""
+    choices = Choices.of(sealed)
+    problem = AssistPOMDP.of(HumanModel.exact(choices, eta=0.0), suggestions="all")
+    slot = np.maximum(problem.suggested, 0)
+    into = (problem.suggested >= 0) & np.isinf(choices.h[np.take_along_axis(choices.targets, slot, axis=1)])
+    alive = np.isfinite(choices.h) & ~choices.goal
+    assert (into[alive].any(axis=1)).sum() > 50
+    expected = np.broadcast_to(problem.grid.theta, problem.weight.shape)
+    at = problem.grid.theta[problem.low]
+    np.testing.assert_allclose(at + problem.weight * (problem.grid.theta[problem.low + 1] - at), expected, atol=1e-12)
+    best, x = qmdp(problem), np.flatnonzero(alive)
+    for theta in range(problem.grid.shape[1]):
+        belief = np.zeros((len(x), *problem.grid.shape))
+        belief[:, :, theta] = 1 / problem.grid.shape[0]
+        assert not into[x, best.choose(x, belief)].any()

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ..people.compiled import answer, moved
 from ..people.human import Floats
 from .observations import Ints, Observations
 
@@ -115,14 +116,6 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> N
 
 
 @numba.njit(cache=True, nogil=True)
-def _moved(theta: float, eta: float, gain: float) -> float:
-    """Eq. 6; a suggestion into a dead end ends trust."""
-    if eta == 0.0 or gain == 0.0:
-        return theta
-    return min(max(theta + eta * gain, 0.0), 1.0)
-
-
-@numba.njit(cache=True, nogil=True)
 def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
     """Add up the log-likelihood for what `alone` has filled in."""
     total = 0.0
@@ -133,10 +126,9 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
             theta = first
         p = own[i]
         if data.suggested[i] >= 0:
-            norm = theta * told[i] + (1.0 - theta) * rest[i]
-            if norm > 0.0:
-                p *= (theta if data.chosen[i] == data.suggested[i] else 1.0 - theta) / norm
-            theta = _moved(theta, eta, data.gain[i])
+            same, other = answer(theta, told[i], rest[i])
+            p *= same if data.chosen[i] == data.suggested[i] else other
+            theta = moved(theta, eta, data.gain[i])
         product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
         if product < 1e-100:
             total += math.log(product)
@@ -176,5 +168,5 @@ def thetas(gain: Floats, begins: NDArray[np.bool_], first: float, eta: float) ->
         if begins[i]:
             theta = first
         result[i] = theta
-        theta = _moved(theta, eta, gain[i])
+        theta = moved(theta, eta, gain[i])
     return result

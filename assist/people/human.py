@@ -113,13 +113,16 @@ def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, u
 
     theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)
 
+    A suggestion into a dead end, whose value is minus infinity, ends trust: theta' = 0. From one dead end to another
+    trust does not change, and with eta = 0 it never does, dead ends included.
+
     Parameters
     ----------
     theta : float or array
         Influence before the suggestion.
     value, expected : float or array
         V(x), the person's value of the present state, and V(x_r), that of the state in which the
-        suggested action would end. From one dead end to another trust does not change.
+        suggested action would end.
     eta : float
         Rate.
     utility_scale : float
@@ -127,7 +130,7 @@ def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, u
     """
     theta, value, expected = (np.asarray(a, dtype=float) for a in (theta, value, expected))
     with np.errstate(invalid="ignore"):
-        gain = np.where(value == expected, 0.0, expected - value)
+        gain = np.where((value == expected) | (eta == 0), 0.0, expected - value)
     return np.asarray(np.clip(theta + eta * gain / utility_scale, 0.0, 1.0), dtype=float)
 
 

@@ -16,8 +16,8 @@ the end: any that keep the two conditions give a bound. So the bound that the se
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
 `trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
-the result on. All compiled functions of the search are in this one file, since numba keeps compiled code for as long as
-the file of the function itself is unchanged.
+the result on. All compiled functions of the search but that of eq. 5 are in this one file, since numba keeps compiled
+code for as long as the file of the function itself is unchanged.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ..people.compiled import answer
 from ..people.human import Floats
 from .qmdp import ROUNDING
 
@@ -452,7 +453,7 @@ def _split(x, r, belief, told, other, lapsed, m):
         if mass == 0.0:
             continue
         b, t = h // thetas, h % thetas
-        yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
+        yes, no = answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
         at, up = h - t + m.low[x, r, t], m.weight[x, r, t]
         told[at] += steady * yes * (1.0 - up) * mass
         told[at + 1] += steady * yes * up * mass
@@ -461,15 +462,6 @@ def _split(x, r, belief, told, other, lapsed, m):
         lapsed[at] += uniform * (1.0 - up) * mass
         lapsed[at + 1] += uniform * up * mass
     return place, slot
-
-
-@numba.njit(cache=True)
-def _answer(theta, p, rest):
-    """Give the factors by which a suggestion changes the chance p of the suggested slot, and that of the others."""
-    total = theta * p + (1.0 - theta) * rest
-    if total > 0.0:
-        return theta / total, (1.0 - theta) / total
-    return 1.0, 1.0
 
 
 @numba.njit(cache=True, fastmath=FAST)
@@ -566,7 +558,7 @@ def _plan(x, r, picked, vector, plans, m):
                 v = (1.0 - m.lapse) * other[t] + m.lapse * mean[t]
             else:
                 at, up = m.low[x, r, t], m.weight[x, r, t]
-                yes, no = _answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
+                yes, no = answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
                 v = (1.0 - m.lapse) * (
                     (1.0 - up) * (yes * told[at] + no * other[at]) + up * (yes * told[at + 1] + no * other[at + 1])
                 ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ..people.compiled import heed, moved, weigh
 from ..people.human import Floats
 from ..person.qmdp import Arrays
 
@@ -93,9 +94,9 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
             people.x[i], people.slot[i], people.cost[i], people.erred[i] = place, -1, 0.0, False
             continue
         count = m.counts[place]
-        _choice(p, minds.q[people.who[i], place], count, people.beta[i])
+        weigh(p, minds.q[people.who[i], place], count, people.beta[i])
         if suggestion >= 0:
-            _influence(p, count, suggestion, theta)
+            heed(p, count, suggestion, theta)
         slot = _draw(p, count, minds.lapse, people.luck[i, 0])
         y = m.targets[place, slot]
         people.slot[i], people.cost[i] = slot, m.costs[place, slot]
@@ -108,33 +109,10 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
                 value = minds.value[people.who[i]]
                 before, expected = value[x], value[m.targets[x, suggestion]]
                 gain = 0.0 if before == expected else expected - before
-                people.theta[i] = min(max(theta + minds.eta * gain, 0.0), 1.0)
+                people.theta[i] = moved(theta, minds.eta, gain)
         if believed:
             update(people.belief[i], after, x, robot, slot, m)
         people.x[i] = y
-
-
-@numba.njit(cache=True)
-def _choice(p: Floats, q: Floats, count: int, beta: float) -> None:
-    """Boltzmann choice (eq. 4), not normalised."""
-    best = np.inf
-    for a in range(count):
-        best = min(best, q[a])
-    for a in range(count):
-        # Where every action leads to a dead end, or nobody looks (beta 0), the choice is uniform.
-        p[a] = np.exp(-beta * (q[a] - best)) if best < np.inf and beta > 0.0 else 1.0
-
-
-@numba.njit(cache=True)
-def _influence(p: Floats, count: int, suggestion: int, theta: float) -> None:
-    """Weigh a choice by a suggestion (eq. 5); one that would leave no action possible is ignored."""
-    others = 0.0
-    for a in range(count):
-        if a != suggestion:
-            others += p[a]
-    if theta * p[suggestion] + (1.0 - theta) * others > 0.0:
-        for a in range(count):
-            p[a] *= theta if a == suggestion else 1.0 - theta
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,59 @@
+"""The equations of `human`, compiled: for code that takes one person, one choice, one pair (beta, theta) at a time.
+
+What simulates, fits and searches calls these. Where a loop was made faster by arranging an equation in another way
+(`person.qmdp`, `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `human`.
+
+numba keeps compiled code for as long as the file of the function that was compiled is unchanged, and so keeps these
+functions within callers of other files. Who changes an equation here removes the `__pycache__` folders of `assist`.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+from .human import Floats
+
+
+@numba.njit(cache=True)
+def weigh(p: Floats, q: Floats, count: int, beta: float) -> None:
+    """Fill in the weights, not normalised, with which `count` choices of perceived costs `q` are made (eq. 4)."""
+    best = np.inf
+    for a in range(count):
+        best = min(best, q[a])
+    for a in range(count):
+        # Where every action leads to a dead end, or nobody looks (beta 0), the choice is uniform.
+        p[a] = np.exp(-beta * (q[a] - best)) if best < np.inf and beta > 0.0 else 1.0
+
+
+@numba.njit(cache=True)
+def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
+    """Weigh the weights of `count` choices by a suggestion (eq. 5); one that leaves no action possible is ignored."""
+    others = 0.0
+    for a in range(count):
+        if a != suggestion:
+            others += p[a]
+    if theta * p[suggestion] + (1.0 - theta) * others > 0.0:
+        for a in range(count):
+            p[a] *= theta if a == suggestion else 1.0 - theta
+
+
+@numba.njit(cache=True)
+def answer(theta: float, p: float, others: float) -> tuple[float, float]:
+    """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 5).
+
+    `p` and `others` are the chances of the suggested choice and of all others; they are given both, since 1 - p would
+    lose its digits where p is almost 1.
+    """
+    total = theta * p + (1.0 - theta) * others
+    if total > 0.0:
+        return theta / total, (1.0 - theta) / total
+    return 1.0, 1.0
+
+
+@numba.njit(cache=True)
+def moved(theta: float, eta: float, gain: float) -> float:
+    """Give theta after a suggestion that changes the person's value by `gain` (eq. 6), in units of `eta`."""
+    if eta == 0.0 or gain == 0.0:
+        return theta
+    return min(max(theta + eta * gain, 0.0), 1.0)
