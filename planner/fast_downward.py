@@ -23,8 +23,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .expressions import Expression
 from .pddl import Instance, PDDLError
 from .processes import guarded_group
+from .source import Source
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
 
@@ -68,13 +70,13 @@ def version() -> str:
 
 def digest(instance: Instance) -> str:
     """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
-    found = hashlib.sha256(f"{version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"2 {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()
 
 
-def translate(instance: Instance, limits: Limits = NO_LIMITS) -> str:
+def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     """Ground an instance and return its finite-domain task as SAS text.
 
     A goal that cannot be reached even if nothing is ever deleted, or that always holds, gives a dummy task
@@ -88,16 +90,21 @@ def translate(instance: Instance, limits: Limits = NO_LIMITS) -> str:
         Out of time or memory.
     """
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
-        sas = Path(folder) / "output.sas"
-        # The translator reads PDDL in lower case, as `pddl.read` does.
+        sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
+        # The texts as all other readers have them, without marks of the encoding.
+        domain.write_text(source.domain_text, encoding="utf-8")
+        problem.write_text(source.problem_text, encoding="utf-8")
         command = [sys.executable, "-m", "fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas)]
-        command += [str(instance.domain.absolute()), str(instance.problem.absolute())]
-        code, output = _run(command, folder, None, limits)
+        code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, limits)
         if code in EXIT_INPUT_ERROR:
-            raise _refused(instance, output)
+            raise _refused(source, output)
         if code != 0 or not sas.is_file():
-            raise FastDownwardError(f"Fast Downward's translator failed (exit {code}): {_last_line(output)}")
+            fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
+            kind = f" ({fault[1]})" if fault else ""
+            raise PDDLError(
+                source.instance.problem, None, f"Fast Downward's translator fails at this task, exit code {code}{kind}"
+            )
         return sas.read_text(encoding="utf-8")
 
 
@@ -182,12 +189,9 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
         process_group=guarded_group(),
     )
     try:
-        if hasattr(resource, "prlimit"):
-            if limits.seconds is not None:
-                seconds = int(limits.seconds) + 1
-                _limit(process.pid, resource.RLIMIT_CPU, seconds)
-            if limits.memory_mb is not None:
-                _limit(process.pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
+        if hasattr(resource, "prlimit") and limits.seconds is not None:
+            _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
+        limit_memory(process.pid, limits)
         output, _ = process.communicate(text, timeout=limits.seconds)
     except subprocess.TimeoutExpired:
         raise LimitError(f"Fast Downward ran out of time ({limits.seconds:g} s)") from None
@@ -209,6 +213,12 @@ def _check_limits(what: str, code: int, limits: Limits) -> None:
         raise MemoryLimitError(f"{what} ran out of memory")
 
 
+def limit_memory(pid: int, limits: Limits) -> None:
+    """Limit the memory of a process that has just been started."""
+    if hasattr(resource, "prlimit") and limits.memory_mb is not None:
+        _limit(pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
+
+
 def _limit(pid: int, what: int, value: int) -> None:
     try:
         _, hard = resource.prlimit(pid, what)
@@ -224,16 +234,56 @@ def _last_line(output: str) -> str:
     return " ".join(lines[-2:]) if lines else "no output"
 
 
-def _refused(instance: Instance, output: str) -> PDDLError:
-    """What the translator says when it refuses, as one line, with the place of the word that it names."""
-    lines = [line.strip() for line in output.splitlines() if line.strip()]
-    lines = [line for line in lines if line != "Parsing..." and not line.startswith(("->", "Parsing "))]
-    file, number = instance.problem, None
-    got = next((line.removeprefix("Got: ") for line in lines if line.startswith("Got: ")), None)
+SHOWN = 60
+"""Characters of an expression that a message shows."""
+
+
+def _refused(source: Source, output: str) -> PDDLError:
+    """What the translator says when it refuses, as one line with its place.
+
+    It says where in the files it was, layer by layer, and then what is wrong, with the syntax that it expects and
+    the expression that it got.
+    """
+    lines = [line.strip() for line in output.splitlines() if line.strip() and not line.startswith("Warning: ")]
+    begin = next((n for n, line in enumerate(lines) if line in ("Parsing domain", "Parsing problem")), 0)
+    layers = [line.removeprefix("->") for line in lines[begin:] if line.startswith(("->", "Parsing "))]
+    told = [line for line in lines[begin:] if not line.startswith(("->", "Parsing "))]
+    told = [line for line in told if not line.startswith(("Reason: Tokens", "Expected: "))] or told
+    got = next((line.removeprefix("Got: ") for line in told if line.startswith("Got: ")), "")
+    syntax = next((line.removeprefix("Syntax: ") for line in told if line.startswith("Syntax: ")), "")
+    message = " ".join(line for line in told if not line.startswith(("Got: ", "Syntax: ")))
+    message = (message or "refused by Fast Downward's translator").removesuffix(".")
     if got:
-        for candidate in (instance.domain, instance.problem):
-            text = candidate.read_text(encoding="utf-8").lower()
-            if match := re.search(rf"(?<![\w-]){re.escape(got)}(?![\w-])", text):
-                file, number = candidate, text[: match.start()].count("\n") + 1
-                break
-    return PDDLError(file, number, " ".join(lines) or "refused by Fast Downward's translator")
+        message += f": {got if len(got) <= SHOWN else got[:SHOWN] + ' ...'}"
+    if syntax:
+        message += f"; expected {syntax}"
+    in_domain = bool(layers) and layers[0] == "Parsing domain"
+    file, whole = (source.instance.domain, source.domain) if in_domain else (source.instance.problem, source.problem)
+    if not layers:
+        return PDDLError(file, None, message)
+    block = _block(whole, layers)
+    place = next((each for each in block.walk() if str(each) == got), block) if got else block
+    return PDDLError(file, None if place is whole else place.line, message)
+
+
+def _block(whole: Expression, layers: Sequence[str]) -> Expression:
+    """Find the smallest part of a file that the translator's layers name."""
+    block = whole
+    for layer in layers:
+        if match := re.match(r"Parsing axiom/action entry #(\d+)", layer):
+            entries = [part for part in whole.parts if part.head in (":action", ":derived")]
+            block = entries[int(match[1]) - 1]
+        elif match := re.match(r"Parsing element #(\d+) in init block", layer):
+            block = (whole.section(":init") or whole).parts[int(match[1])]
+        elif match := re.match(
+            r"Parsing (requirements|types|constants|predicates|functions|objects|goal|metric)$", layer
+        ):
+            block = whole.section(f":{match[1]}") or block
+        elif match := re.match(r"Parsing predicate #(\d+)", layer):
+            block = block.parts[int(match[1])]
+        elif layer in ("Parsing precondition", "Parsing effect", "Parsing parameters"):
+            words = [part.word for part in block.parts]
+            keyword = f":{layer.split()[1]}"
+            if keyword in words[:-1]:
+                block = block.parts[words.index(keyword) + 1]
+    return block

@@ -17,22 +17,22 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from . import fast_downward, pddl
+from . import fast_downward
+from .checking import Checker, InvalidPlanError
 from .costtogo import MismatchError, Table, astar, verify
 from .fast_downward import FastDownwardError, LimitError, Limits
 from .methods import MAX_STATES, cost_to_go
 from .ondemand import OnDemand
-from .pddl import Instance, InvalidPlanError, PDDLError
+from .pddl import Instance, PDDLError
+from .replay import replay
+from .source import Source
 from .storage import atomic
 from .successors import Packing
-from .task import Task, from_sas
-
-if TYPE_CHECKING:
-    from unified_planning.model import Problem
+from .task import Task, ground
 
 Record = dict[str, Any]
 
@@ -140,10 +140,9 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     _reset_peak_memory()
     try:
         with phases.phase("read"):
-            problem = pddl.read(instance)
-        # Only now: loading libraries maps far more memory than is ever used.
-        with _memory_limit(options.memory_limit):
-            record = _solve(instance, problem, options, place, phases)
+            source = Source.of(instance)
+        with Checker(source, phases.limits()) as checker, _memory_limit(options.memory_limit):
+            record = _solve(source, checker, options, place, phases)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
     except LimitError as error:
@@ -166,10 +165,12 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     return record
 
 
-def _solve(instance: Instance, problem: Problem, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
+def _solve(source: Source, checker: Checker, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
+    instance = source.instance
     record = empty_record(instance, "solved", None)
     with phases.phase("translate"):
-        task = from_sas(fast_downward.translate(instance, phases.limits()), instance)
+        task = ground(source, checker, phases.limits())
+    notes = [task.note] if task.note else []
     table: Table | None = None
     if not task.decided_by_translator:
         memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
@@ -182,7 +183,7 @@ def _solve(instance: Instance, problem: Problem, options: SolveOptions, place: P
                 jobs=options.threads,
             )
         if isinstance(answers, OnDemand):
-            record["note"] = f"solved on demand: {answers.reason}"
+            notes.append(f"solved on demand: {answers.reason}")
         else:
             table = answers
     if table is not None:
@@ -208,10 +209,14 @@ def _solve(instance: Instance, problem: Problem, options: SolveOptions, place: P
         with phases.phase("validate"):
             if task.plan_cost(plan) != cost:
                 raise MismatchError(f"{instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
-            pddl.validate(problem, plan)
+            if not task.decided_by_translator and replay(task, plan) != cost:
+                raise MismatchError(f"{instance}: the plan does not cost {cost:g} when it is replayed")
+            if task.note is None and (unchecked := checker.check(plan)):
+                notes.append(f"the plan was replayed, but not checked by unified-planning: {unchecked}")
         record.update(cost=int(cost), plan=plan)
     else:
         record.update(status="unsolvable")
+    record["note"] = "; ".join(notes) or None
     if place is not None:
         table_file, plan_file = saved_files(place)
         with phases.phase("save"):

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import built, fast_downward, pddl
+from .checking import Checker, Refusal
 from .fast_downward import NO_LIMITS, Limits
+from .source import Source
 from .storage import atomic
 
 if TYPE_CHECKING:
@@ -76,6 +78,8 @@ class Task:
     initial : tuple of int
         Value of each variable; a derived variable has the value that it takes when no axiom applies.
     goal : tuple of Fact
+    note : str or None
+        What a user has to know of how it was read: that unified-planning has not checked the files, and why.
     """
 
     instance: pddl.Instance
@@ -87,6 +91,7 @@ class Task:
     axioms: tuple[Effect, ...]
     initial: tuple[int, ...]
     goal: tuple[Fact, ...]
+    note: str | None = None
 
     @property
     def name(self) -> str:
@@ -149,18 +154,52 @@ def load(
         problem = pddl.instance(problem, domain)
     if not isinstance(problem, pddl.Instance):
         return _load_built(problem, limits)
-    instance = problem
-    stored = None
+    instance, stored = problem, None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
         stored = cache / f"{fast_downward.digest(instance)}.sas"
         if stored.is_file():
-            return from_sas(stored.read_text(encoding="utf-8"), instance)
-    pddl.read(instance)
-    sas = fast_downward.translate(instance, limits)
+            note, _, sas = stored.read_text(encoding="utf-8").partition("\n")
+            return from_sas(sas, instance, note or None)
+    source = Source.of(instance)
+    with Checker(source, limits) as checker:
+        task = ground(source, checker, limits)
     if stored is not None:
         with atomic(stored) as path:
-            path.write_text(sas, encoding="utf-8")
-    return from_sas(sas, instance)
+            path.write_text(f"{task.note or ''}\n{task.sas}", encoding="utf-8")
+    return task
+
+
+def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task:
+    """Ground an instance that unified-planning is reading meanwhile.
+
+    Where unified-planning refuses what Fast Downward's translator reads, the translator has the last word, but for
+    faults that it would pass over in silence.
+
+    Raises
+    ------
+    PDDLError
+        The files are not valid, with file and line.
+    LimitError
+        Out of time or memory.
+    """
+    fault: pddl.PDDLError | None = None
+    sas = ""
+    try:
+        sas = fast_downward.translate(source, limits)
+    except pddl.PDDLError as error:
+        fault = error
+    refusal = checker.refusal()
+    if refusal is not None and (refusal.certain or (fault is not None and not refusal.vague)):
+        raise refusal.error(source.instance)
+    if fault is not None:
+        raise fault
+    note = None
+    if refusal is not None:
+        if refusal.vague and (derived := source.domain.section(":derived")) is not None:
+            refusal = Refusal("domain", derived.line, "it knows no derived predicates")
+        reason = refusal.message if refusal.line is None else str(refusal.error(source.instance))
+        note = f"read by Fast Downward's translator, not checked by unified-planning: {reason}"
+    return from_sas(sas, source.instance, note)
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:
@@ -168,13 +207,13 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         instance, names = built.write(problem, Path(folder))
         try:
-            sas = fast_downward.translate(instance, limits)
+            sas = fast_downward.translate(Source.of(instance), limits)
         except pddl.PDDLError as error:  # the places are those of files that nobody has seen
             raise pddl.PDDLError(named.problem, None, error.message) from None
     return from_sas(built.restore_names(sas, names), named)
 
 
-def from_sas(sas: str, instance: pddl.Instance) -> Task:
+def from_sas(sas: str, instance: pddl.Instance, note: str | None = None) -> Task:
     """Read the SAS text of Fast Downward's translator (file format version 3)."""
     lines = iter(sas.split("\n"))
 
@@ -252,4 +291,5 @@ def from_sas(sas: str, instance: pddl.Instance) -> Task:
         axioms=tuple(axioms),
         initial=initial,
         goal=goal,
+        note=note,
     )

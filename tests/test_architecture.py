@@ -14,8 +14,9 @@ from conftest import ROOT
 from assist.cli import COMMANDS, main
 
 ROOMS = {
-    "planner": """lazy errors storage processes workers pddl fast_downward built task budget successors statespace
-        costtogo moves kernels coding sweep ondemand methods solving results batch engine""",
+    "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking built
+        task replay budget successors statespace costtogo moves kernels coding sweep ondemand methods solving results
+        batch engine""",
     "assist.people": "choices human compiled belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception
@@ -173,7 +174,7 @@ def test_import_direction(module: str) -> None:
         ("planner.pddl", "import assist.people.human"),
         ("assist.people.human", "from ..simulation.episodes import Episode"),
         ("assist.person.pomdp", "from planner import load"),
-        ("assist.person.qmdp", "from planner.pddl import read"),
+        ("assist.person.qmdp", "from planner.checking import read"),
         ("assist.study.runner", "from planner import sweep"),
         ("assist.simulation.simulate", "from ..study.study import Study"),
         ("assist.learning.record", "from ..cli import main"),

@@ -15,7 +15,7 @@ import pytest
 from conftest import DOMAINS, KITTING, PAPERS, ROOT, kitassist, write_instance
 
 from planner import Packing, Table, load
-from planner.pddl import read, validate
+from planner.checking import read, validate
 from planner.solving import SolveOptions, solve_instance
 
 FIELDS = [

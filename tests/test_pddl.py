@@ -8,7 +8,7 @@ import pytest
 from conftest import KITTING, kitassist, write_instance
 
 from planner import InstanceError, PDDLError, find_instances, load
-from planner.pddl import InvalidPlanError, read, validate
+from planner.checking import InvalidPlanError, read, validate
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()
@@ -144,14 +144,6 @@ BROKEN = [
         "domain",
         "(:durative-action",
         ["durative actions"],
-    ),
-    (
-        "derived predicates",
-        changed(DOMAIN, "  ; storage -> platform", "  (:derived (busy) (not (platform-free)))"),
-        PROBLEM,
-        "domain",
-        "(:derived",
-        ["derived predicates"],
     ),
     ("no goal", DOMAIN, PROBLEM[: PROBLEM.index("(:goal")] + ")", "problem", None, ["(:goal"]),
     ("mistyped section", DOMAIN, changed(PROBLEM, "(:goal", "(:gaol"), "problem", "(:gaol", ["(:gaol"]),

@@ -26,8 +26,8 @@ from planner import (
     sweep,
     verify,
 )
+from planner.checking import read
 from planner.fast_downward import with_initial_state
-from planner.pddl import read
 from planner.task import Task, Variable
 
 WITH_STATES = solvable(SMALL)
