@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,24 +25,26 @@ class Budget:
         Bytes.
     deadline : float or None
         A time on `time.monotonic()`'s clock.
-    remark : str
-        What else there is to say where there are too many states.
+    stop : threading.Event or None
+        Once it is set there is no time left.
     """
 
     max_states: int | None
     memory: float
     deadline: float | None
-    remark: str = ""
+    stop: threading.Event | None = None
 
     def check_time(self, states: int) -> None:
         """Check the deadline; `states` is for the message."""
+        if self.stop is not None and self.stop.is_set():
+            raise LimitError(f"stopped after {states} states")
         if self.deadline is not None and time.monotonic() > self.deadline:
             raise LimitError(f"out of time after {states} states")
 
     def check_states(self, states: int) -> None:
         """Check the number of states."""
         if self.max_states is not None and states > self.max_states:
-            raise LimitError(f"more than {self.max_states} states{self.remark}")
+            raise LimitError(f"more than {self.max_states} states")
 
     def check_memory(self, needed: float) -> None:
         """Check a number of bytes that is about to be in use."""

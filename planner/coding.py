@@ -1,9 +1,15 @@
 """States as numbers on which a move is an addition.
 
-Variables that follow from the others are left out: of a group of facts of which exactly one holds for ever,
-each is one minus the sum of the others. The remaining variables are the digits of a mixed-radix number, the
-*index* of a state. A move adds a constant to it, and a state is decoded by adding up table entries. Which moves
-can be applied in a state is found by a trie of tests, laid out flat: a failed test skips what is below it.
+An *index* is a mixed-radix number whose digits are clusters of variables: a cluster's digit is the place of its
+variables' values in the list of those that they can take together. Variables that follow from the others are left
+out. There are two codings. `Coding.of` takes every variable as a cluster of its own and leaves out what follows from
+groups of facts of which exactly one holds for ever; on these indices a move adds a constant. Where that gives very
+many, `Coding.dense` looks deeper: for variables that any linear invariant determines (`invariants`), and for clusters
+of variables that take few values together (`clusters`); there a move adds what it finds in a table, by the cluster's
+digit.
+
+A state is decoded by adding up table entries. Which moves can be applied in a state is found by a trie of tests
+(`trie`).
 """
 
 from __future__ import annotations
@@ -16,13 +22,37 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .kernels import Decoder, Tests, decode_all
-from .moves import Move
+from .clusters import Cluster, clusters
+from .invariants import Determined, determined
+from .kernels import CLUSTER, NOWHERE, PRIME, Decoder, decode_all
+from .moves import Move, exactly_one
+from .mutexes import Mutexes
 from .successors import Ints, Packing, Words
 from .task import Fact, Task
 
 CHUNK = 1 << 11
 """Most entries in one of the tables that decode an index: all of them together should fit the cache."""
+
+MANY = 1 << 33
+"""Indices beyond which the dense coding is looked for: a bitmap of them takes a GB."""
+
+FIELDS = 3
+"""Fields of a cluster's value or of a sum in a word."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a move adds to the index.
+
+    Attributes
+    ----------
+    constant : int
+    lookups : tuple of (int, int array)
+        A cluster, and for each of its values by how much the move changes it, or `NOWHERE`.
+    """
+
+    constant: int
+    lookups: tuple[tuple[int, Ints], ...]
 
 
 @dataclass(frozen=True)
@@ -35,22 +65,28 @@ class Coding:
         Of all variables into 64-bit words.
     sizes : int64 array, shape (variables,)
         Values of each variable.
-    stride : int64 array, shape (variables,)
-        What one more in a variable's value adds to the index; 0 for the variables left out.
+    clusters : tuple of Cluster
+        Every variable is in one.
+    stride : int64 array, shape (clusters,)
+        What one more in a cluster's digit adds to the index; 0 for the clusters left out.
     size : int
         Every index is below this.
+    field : dict of int to (int, int)
+        The word and the shift of the value of each cluster whose changes are looked up.
     decoder : Decoder
     """
 
     packing: Packing
     sizes: Ints
+    clusters: tuple[Cluster, ...]
     stride: Ints
     size: int
+    field: dict[int, tuple[int, int]]
     decoder: Decoder
 
     @classmethod
     def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[Move]) -> Coding | None:
-        """Find the variables that the others imply, and number the states; None if 63 bits do not do."""
+        """Number the states by single variables, but those that the groups imply; None if 63 bits do not do."""
         sizes = [len(variable.facts) for variable in task.variables]
         sums = _implied(sizes, groups)
         # Blocks of states come in ascending order: what is tested most often should change least often.
@@ -59,47 +95,145 @@ class Coding:
         size = math.prod(sizes[v] for v in digits)
         if size >= 1 << 62:
             return None
-        stride = np.zeros(len(sizes), dtype=np.int64)
         packing = Packing.of(task)
-        chunks: list[list[int]] = [[]]
-        step = 1
-        for v in digits:
-            stride[v] = step
-            step *= sizes[v]
-            if math.prod(sizes[u] for u in (*chunks[-1], v)) > CHUNK and chunks[-1]:
-                chunks.append([])
-            chunks[-1].append(v)
-        decoder = _decoder(packing, sizes, chunks, sums)
-        return cls(packing, np.array(sizes, dtype=np.int64), stride, size, decoder)
+        own = tuple(Cluster((v,), np.arange(n)[:, None]) for v, n in enumerate(sizes))
+        constant, parts = _parts(packing, sizes, sums)
+        decoder = _decoder([parts[v] for v in digits], constant, [], [])
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder)
 
-    def delta(self, move: Move) -> int:
-        """What a move adds to the index."""
-        return sum(int(self.stride[v]) * (value - move.facts[v]) for v, value in move.after.items())
+    @classmethod
+    def dense(cls, task: Task, mutexes: Mutexes) -> Coding | None:
+        """Number the states by clusters, but for the variables that invariants determine; None as above.
+
+        The moves are those of the mutexes.
+        """
+        sizes = [len(variable.facts) for variable in task.variables]
+        left_out = determined(task, mutexes.moves)
+        implied = [d.variable for d in left_out]
+        merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied])
+        uses = Counter(v for move in mutexes.moves for v in move.facts)
+        merged.sort(key=lambda c: (sum(uses[v] for v in c.variables), c.variables))
+        size = math.prod(map(len, merged))
+        if size >= 1 << 62:
+            return None
+        own = (*merged, *clusters(mutexes, task.initial, implied, alone=True))
+        packing = Packing.of(task)
+        field = {
+            number: (packing.words + place // FIELDS, 64 // FIELDS * (place % FIELDS))
+            for place, number in enumerate(
+                n for n, c in enumerate(own) if len(c) < math.prod(sizes[v] for v in c.variables)
+            )
+        }
+        digits = list(range(len(merged)))
+        decoder = _dense_decoder(packing, sizes, own, digits, left_out, field)
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder)
+
+    def change(self, move: Move) -> Change | None:
+        """Say what a move adds to the index; None if it can never be applied."""
+        constant = 0
+        lookups = []
+        for number, cluster in enumerate(self.clusters):
+            after = [move.after.get(v) for v in cluster.variables]
+            if all(value is None for value in after):
+                continue
+            if number not in self.field:
+                # The cluster has all values, and those that change are known.
+                steps = [self._step(cluster, place) for place in range(len(cluster.variables))]
+                constant += int(self.stride[number]) * sum(
+                    step * (value - move.facts[v])
+                    for v, value, step in zip(cluster.variables, after, steps, strict=True)
+                    if value is not None
+                )
+                continue
+            holds = np.ones(len(cluster), dtype=bool)
+            target = cluster.values.copy()
+            for place, (v, value) in enumerate(zip(cluster.variables, after, strict=True)):
+                if v in move.facts:
+                    holds &= cluster.values[:, place] == move.facts[v]
+                if value is not None:
+                    target[:, place] = value
+            found = self._places(number, target)
+            changes = np.where(holds & (found >= 0), found - np.arange(len(cluster)), NOWHERE)
+            if not (changes > NOWHERE).any():
+                return None
+            lookups.append((number, changes))
+        return Change(constant, tuple(lookups))
+
+    def _step(self, cluster: Cluster, place: int) -> int:
+        """What one more in one of a cluster's variables adds to its digit, where it has all values."""
+        return math.prod(int(self.sizes[v]) for v in cluster.variables[place + 1 :])
+
+    def _keys(self, number: int, values: Ints) -> Ints:
+        """Values of a cluster's variables, shape (n, variables), as numbers in the same order."""
+        cluster = self.clusters[number]
+        factors = [self._step(cluster, place) for place in range(len(cluster.variables))]
+        return values @ np.array(factors, dtype=np.int64)
+
+    def _places(self, number: int, values: Ints) -> Ints:
+        """Give the digits of a cluster with values, shape (n, variables); -1 where it cannot take them."""
+        own, wanted = self._keys(number, self.clusters[number].values), self._keys(number, values)
+        at = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+        return np.where(own[at] == wanted, at, -1)
 
     def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
         """List the indices with some facts about their digits; None if there are more than `most`."""
         wanted = dict(facts)
-        free = [v for v in np.flatnonzero(self.stride) if int(v) not in wanted]
-        if math.prod(int(self.sizes[v]) for v in free) > most:
+        digits: list[Ints] = []
+        for number, cluster in enumerate(self.clusters):
+            if self.stride[number]:
+                holds = np.ones(len(cluster), dtype=bool)
+                for place, v in enumerate(cluster.variables):
+                    if v in wanted:
+                        holds &= cluster.values[:, place] == wanted[v]
+                digits.append(np.flatnonzero(holds) * self.stride[number])
+        if math.prod(map(len, digits)) > most:
             return None
-        index = np.array([sum(int(self.stride[v]) * value for v, value in wanted.items())], dtype=np.int64)
-        for v in free:
-            index = np.add.outer(np.arange(self.sizes[v]) * self.stride[v], index).reshape(-1)
+        index = np.zeros(1, dtype=np.int64)
+        for own in digits:
+            index = np.add.outer(own, index).reshape(-1)
         return index
 
     def encode(self, values: ArrayLike) -> Ints:
         """Give the indices of states with values of shape (n, variables); -1 where they fit no index."""
         array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
         legal = np.all((array >= 0) & (array < self.sizes), axis=1)
-        index = np.where(legal, array @ self.stride, 0)
+        legal_values = np.where(legal[:, None], array, 0)
+        index = np.zeros(len(array), dtype=np.int64)
+        for number, cluster in enumerate(self.clusters):
+            places = self._places(number, legal_values[:, list(cluster.variables)])
+            legal &= places >= 0
+            index += np.maximum(places, 0) * self.stride[number]
         consistent = (self.decode(index) == np.where(legal[:, None], array, -1)).all(axis=1)
         return np.where(consistent, index, -1)
 
     def decode(self, index: Ints) -> Ints:
         """Give the values, shape (n, variables), of indices, shape (n,)."""
-        words = np.empty((len(index), self.packing.words), dtype=np.uint64)
+        words = np.empty((len(index), self.decoder.rows.shape[1]), dtype=np.uint64)
         decode_all(self.decoder, index, words)
         return self.packing.unpack(words)
+
+
+def choose(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
+    """Choose the coding of a task, and leave out moves that can never be applied; no coding if 63 bits do not do."""
+    groups, possible = exactly_one(task, moves)
+    coding = Coding.of(task, groups, possible)
+    if coding is not None and coding.size <= MANY:
+        return coding, possible
+    mutexes = Mutexes.of(task, possible)
+    denser = None if mutexes is None else Coding.dense(task, mutexes)
+    if mutexes is None or denser is None or (coding is not None and denser.size >= coding.size):
+        return coding, possible
+    return denser, mutexes.moves
+
+
+def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
+    """What one more in each cluster's digit adds to the index; 0 for those that are no digits."""
+    stride = np.zeros(len(clusters), dtype=np.int64)
+    step = 1
+    for number in digits:
+        stride[number] = step if len(clusters[number]) > 1 else 0
+        step *= len(clusters[number])
+    return stride
 
 
 Sum = tuple[int, dict[Fact, int]]
@@ -150,9 +284,9 @@ def _one_minus(sums: Sequence[Sum]) -> Sum:
     return 1 - sum(constant for constant, _ in sums), {fact: n for fact, n in terms.items() if n}
 
 
-def _decoder(packing: Packing, sizes: Sequence[int], chunks: Sequence[Sequence[int]], sums: dict[Fact, Sum]) -> Decoder:
-    """Tabulate what each chunk of digits contributes to the packed state."""
-    parts = {v: np.zeros((sizes[v], packing.words), dtype=np.uint64) for chunk in chunks for v in chunk}
+def _parts(packing: Packing, sizes: Sequence[int], sums: dict[Fact, Sum]) -> tuple[Words, dict[int, Words]]:
+    """Tabulate what each value of a variable contributes to the packed state, and what is always there."""
+    parts = {v: np.zeros((sizes[v], packing.words), dtype=np.uint64) for v in range(len(sizes))}
     constant = np.zeros(packing.words, dtype=np.uint64)
     wrap = (1 << 64) - 1
     for u, size in enumerate(sizes):
@@ -162,65 +296,94 @@ def _decoder(packing: Packing, sizes: Sequence[int], chunks: Sequence[Sequence[i
             constant[word] = (int(constant[word]) + (start * value << shift)) & wrap
             for (v, digit), times in terms.items():
                 parts[v][digit, word] = (int(parts[v][digit, word]) + (times * value << shift)) & wrap
+    return constant, parts
+
+
+def _dense_decoder(
+    packing: Packing,
+    sizes: Sequence[int],
+    clusters: Sequence[Cluster],
+    digits: Sequence[int],
+    left_out: Sequence[Determined],
+    field: dict[int, tuple[int, int]],
+) -> Decoder:
+    """Tabulate what each cluster's values contribute to the packed state and to the sums that tell the others."""
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    words = packing.words + -(-len(field) // FIELDS)
+    places = [_field(words, place) for place in range(len(left_out))]
+    words += -(-len(left_out) // FIELDS)
+    assert (len(clusters) + 1) * PRIME < 1 << 64 // FIELDS
+    constant = np.zeros(words, dtype=np.uint64)
+    for (word, shift), own in zip(places, left_out, strict=True):
+        constant[word] += np.uint64(own.total << shift)
+    parts = []
+    for number, cluster in enumerate(clusters):
+        part = np.zeros((len(cluster), words), dtype=np.uint64)
+        for place, v in enumerate(cluster.variables):
+            part[:, packing.word[v]] |= cluster.values[:, place].astype(np.uint64) << np.uint64(packing.shift[v])
+        if number in field:
+            word, shift = field[number]
+            part[:, word] += np.arange(len(cluster), dtype=np.uint64) << np.uint64(shift)
+        for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
+            # What is determined before a sum is used is part of it; what comes after has equal weights in it.
+            if number in digits or number - len(digits) != step:
+                weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
+                part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
+        parts.append(part)
+    for step in range(len(left_out)):
+        # A variable that is determined later has the same weight whatever its value: it counts from the start.
+        word, shift = places[step]
+        for later in range(step + 1, len(left_out)):
+            number = len(digits) + later
+            same = parts[number][:, word] >> np.uint64(shift) & np.uint64(CLUSTER)
+            assert len(np.unique(same)) == 1
+            parts[number][:, word] -= same << np.uint64(shift)
+            constant[word] += same[0] << np.uint64(shift)
+    told = np.zeros((len(left_out), PRIME), dtype=np.int64)
+    for step, own in enumerate(left_out):
+        cluster = clusters[len(digits) + step]
+        told[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
+    steps = [parts[len(digits) + step] for step in range(len(left_out))]
+    return _decoder([parts[n] for n in digits], constant, list(zip(places, steps, strict=True)), told)
+
+
+def _field(first: int, place: int) -> tuple[int, int]:
+    """The word and the shift of a field, where those before it begin in the word `first`."""
+    return first + place // FIELDS, 64 // FIELDS * (place % FIELDS)
+
+
+def _decoder(
+    parts: Sequence[Words],
+    constant: Words,
+    steps: Sequence[tuple[tuple[int, int], Words]],
+    told: ArrayLike,
+) -> Decoder:
+    """Put the digits' tables together, those of several small digits into one."""
+    chunks: list[list[Words]] = [[]]
+    for part in parts:
+        if math.prod(map(len, (*chunks[-1], part))) > CHUNK and chunks[-1]:
+            chunks.append([])
+        chunks[-1].append(part)
     radix: list[int] = []
     first: list[int] = []
     tables: list[Words] = []
     for number, chunk in enumerate(chunks):
-        table = constant[None] if number == 0 else np.zeros((1, packing.words), dtype=np.uint64)
-        for v in chunk:  # the digit of the first variable runs fastest
-            table = (parts[v][:, None] + table[None]).reshape(-1, packing.words)
+        table = constant[None] if number == 0 else np.zeros((1, len(constant)), dtype=np.uint64)
+        for part in chunk:  # the digit of the first variable runs fastest
+            table = (part[:, None] + table[None]).reshape(-1, len(constant))
         radix.append(len(table))
         first.append(sum(radix[:-1]))
         tables.append(table)
-    return Decoder(np.array(radix, np.uint64), np.array(first, np.int64), np.concatenate(tables))
-
-
-def build_tests(moves: Sequence[Move], coding: Coding) -> Tests:
-    """Arrange moves so that facts that many of them share are tested once, the most frequent first."""
-    word, mask, value, skip, first = [0], [0], [0], [0], [0]  # test 0 always holds
-    order: list[Move] = []
-
-    def build(group: list[tuple[frozenset[Fact], Move]]) -> int:
-        """Add tests for the facts that are left of each move; give how many moves can apply at once."""
-        order.extend(move for facts, move in group if not facts)
-        first.append(len(order))
-        left = {number: pair for number, pair in enumerate(group) if pair[0]}
-        most: Counter[int] = Counter()  # by variable: its values exclude each other
-        having: dict[Fact, list[int]] = {}
-        for number, (facts, _) in left.items():
-            for fact in facts:
-                having.setdefault(fact, []).append(number)
-        counts = {fact: len(numbers) for fact, numbers in having.items()}
-        while left:
-            best = max(counts, key=lambda fact: (counts[fact], -fact[0], -fact[1]))
-            inside = [left.pop(number) for number in having[best] if number in left]
-            for facts, _ in inside:
-                for fact in facts:
-                    counts[fact] -= 1
-            shared = frozenset.intersection(*(facts for facts, _ in inside))
-            masks, values = coding.packing.condition(sorted(shared))
-            added = np.flatnonzero(masks)
-            start = len(word)
-            for w in added:
-                word.append(int(w))
-                mask.append(int(masks[w]))
-                value.append(int(values[w]))
-            skip.extend([0] * len(added))
-            first.extend([len(order)] * (len(added) - 1))
-            below = build([(facts - shared, move) for facts, move in inside])
-            most[best[0]] = max(most[best[0]], below)
-            skip[start : start + len(added)] = [len(word)] * len(added)
-        return sum(not facts for facts, _ in group) + most.total()
-
-    most = build([(frozenset(move.facts.items()), move) for move in moves])
-    skip[0] = len(word)
-    return Tests(
-        np.array(word, np.int64),
-        np.array(mask, np.uint64),
-        np.array(value, np.uint64),
-        np.array(skip, np.int64),
+    at = sum(radix)
+    fields = np.empty((len(steps), 3), dtype=np.int64)
+    for row, ((word, shift), part) in zip(fields, steps, strict=True):
+        row[:] = word, shift, at
+        tables.append(part)
+        at += len(part)
+    return Decoder(
+        np.array(radix, np.uint64),
         np.array(first, np.int64),
-        np.array([coding.delta(move) for move in order], np.int64),
-        np.array([move.action for move in order], np.int32),
-        most,
+        np.concatenate(tables),
+        fields,
+        np.asarray(told, dtype=np.int64).reshape(len(steps), PRIME),
     )

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import importlib.resources
+import math
 import os
 import re
 import resource
@@ -19,6 +20,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,10 +57,14 @@ class MemoryLimitError(LimitError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What one call may use: seconds of wall-clock time and MB of memory, `None` for no limit."""
+    """What one call may use: seconds of wall-clock time and MB of memory, `None` for no limit.
+
+    It ends as well once `stop` is set.
+    """
 
     seconds: float | None = None
     memory_mb: float | None = None
+    stop: threading.Event | None = None
 
 
 NO_LIMITS = Limits()
@@ -192,9 +199,7 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
         if hasattr(resource, "prlimit") and limits.seconds is not None:
             _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
         limit_memory(process.pid, limits)
-        output, _ = process.communicate(text, timeout=limits.seconds)
-    except subprocess.TimeoutExpired:
-        raise LimitError(f"Fast Downward ran out of time ({limits.seconds:g} s)") from None
+        output = _output(process, text, limits)
     finally:
         if process.poll() is None:
             process.kill()
@@ -203,6 +208,22 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
             if pipe is not None:
                 pipe.close()
     return process.returncode, output
+
+
+def _output(process: subprocess.Popen[str], text: str | None, limits: Limits) -> str:
+    """Wait for all that a program prints."""
+    end = math.inf if limits.seconds is None else time.monotonic() + limits.seconds
+    while True:
+        left = end - time.monotonic()
+        wait = left if limits.stop is None else min(left, 0.05)
+        try:
+            return process.communicate(text, timeout=None if wait == math.inf else max(wait, 0.0))[0]
+        except subprocess.TimeoutExpired:
+            text = None  # it has been taken
+            if limits.stop is not None and limits.stop.is_set():
+                raise LimitError("Fast Downward was stopped") from None
+            if time.monotonic() >= end:
+                raise LimitError(f"Fast Downward ran out of time ({limits.seconds:g} s)") from None
 
 
 def _check_limits(what: str, code: int, limits: Limits) -> None:

@@ -1,28 +1,32 @@
 """Compiled loops of the sweep.
 
 Kernels work on one block of indices, so that limits are checked between calls. Those that push stop where the
-output may not hold the successors of one more state, and say how far they came. The walk through the tests is
-written out in each kernel that applies moves, since what is done with a move is its innermost loop. `coding`
-explains indices, `Decoder` and `Tests`.
+output may not hold the successors of one more state, and say how far they came. `coding` explains indices,
+`Decoder` and `Tests`.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 from numpy.typing import NDArray
 
+from .atomics import exchange_free, fetch_min, fetch_or, prefetch
+from .reached import ask_for, find_slot, first_slot, number_of
 from .successors import Ints, Words
+
+PENDING = 256
+"""Successors that are collected before they are looked up."""
 
 
 class Decoder(NamedTuple):
     """Tables that give the packed state of an index (a namedtuple: numba takes it apart).
 
     The digits of an index fall into chunks, the lowest first. A packed state is the sum, modulo 2**64, of
-    one row for each chunk.
+    one row for each chunk. Then come steps, each for a variable that the others determine: a field of the sum, modulo
+    the invariants' prime, tells its value, and that tells a row to be added.
 
     Attributes
     ----------
@@ -31,11 +35,18 @@ class Decoder(NamedTuple):
     first : int64 array, shape (chunks,)
         The row of each chunk's value 0.
     rows : uint64 array, shape (rows, words)
+        The words of `successors.Packing` come first.
+    steps : int64 array, shape (steps, 3)
+        The word and the shift of each step's field, and the row of its value 0.
+    told : int64 array, shape (steps, prime)
+        The value that each sum tells; 0 where no value has that sum, which is so in no reachable state.
     """
 
     radix: Words
     first: Ints
     rows: Words
+    steps: Ints
+    told: Ints
 
 
 class Tests(NamedTuple):
@@ -47,12 +58,23 @@ class Tests(NamedTuple):
     mask, value : uint64 arrays, shape (tests,)
         A test holds in a packed state `s` where `s[word] & mask == value`.
     skip : int64 array, shape (tests,)
-        The test to go on with after a failed one: the next that is not below it.
+        The test to go on with after a failed one: the next that is not below it. If negative, a *switch* (a test that
+        never holds): `jump[(s[word] >> shift & field) - skip - 1]` is the test to go on with.
+    shift, field : uint64 arrays, shape (tests,)
+    jump : int64 array
     first : int64 array, shape (tests + 1,)
         Moves `first[t]:first[t + 1]` can be applied where `t` and all tests above it hold.
     delta : int64 array, shape (moves,)
-        What a move adds to the index.
+        What a move adds to the index, but for its lookups.
+    looks : int64 array, shape (moves + 1,)
+        Lookups `looks[m]:looks[m + 1]` are those of move `m`.
+    lookups : int64 array, shape (lookups, 5)
+        Of each: the word and the shift of a cluster's value, how many entries of the table each value has, the
+        entry of value 0, and what to multiply the entry with before adding it to the index.
+    table : int32 array
+        By how much a cluster's value changes; `NOWHERE` where the move leads to none.
     action : int32 array, shape (moves,)
+    cost : int64 array, shape (moves,)
     most : int
         No more moves than this can be applied in one state.
     """
@@ -61,21 +83,27 @@ class Tests(NamedTuple):
     mask: Words
     value: Words
     skip: Ints
+    shift: Words
+    field: Words
+    jump: Ints
     first: Ints
     delta: Ints
+    looks: Ints
+    lookups: Ints
+    table: NDArray[np.int32]
     action: NDArray[np.int32]
+    cost: Ints
     most: int
 
 
-@intrinsic
-def _fetch_and(typing: Any, array: Any, place: Any, keep: Any) -> Any:  # noqa: ARG001
-    """`array[place] &= keep` as one atomic step; gives the word before."""
+NOWHERE = -(1 << 31)
+"""In a table of changes: the move leads to no value of the cluster."""
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        return builder.atomic_rmw("and", builder.gep(data, [arguments[1]]), arguments[2], "monotonic")
+CLUSTER = (1 << 21) - 1
+"""Fields of a packed state that hold a cluster's value, or a sum that tells one, have 21 bits."""
 
-    return types.uint64(array, types.int64, types.uint64), code
+PRIME = 8191
+"""Sums that tell the value of a variable are taken modulo this prime."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -89,6 +117,41 @@ def decode(decoder, index, words):
         for w in range(len(words)):
             words[w] += decoder.rows[row, w]
         rest = above
+    for step in range(len(decoder.steps)):
+        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(CLUSTER)
+        row = decoder.steps[step, 2] + decoder.told[step, total % np.uint64(PRIME)]
+        for w in range(len(words)):
+            words[w] += decoder.rows[row, w]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def holding(tests, words, t):
+    """Give the first test from `t` on that holds and has moves, or the number of tests."""
+    while t < len(tests.word):
+        word = words[tests.word[t]]
+        if word & tests.mask[t] == tests.value[t]:
+            if tests.first[t] < tests.first[t + 1]:
+                return t
+            t += 1
+            continue
+        after = tests.skip[t]
+        if after < 0:
+            after = tests.jump[np.int64(word >> tests.shift[t] & tests.field[t]) - after - 1]
+        t = after
+    return t
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def after(tests, words, move, index):
+    """Give the index that a move leads to, negative if there is none."""
+    target = index + tests.delta[move]
+    for look in range(tests.looks[move], tests.looks[move + 1]):
+        value = words[tests.lookups[look, 0]] >> np.uint64(tests.lookups[look, 1]) & np.uint64(CLUSTER)
+        change = tests.table[tests.lookups[look, 3] + np.int64(value) * tests.lookups[look, 2]]
+        if change == NOWHERE:
+            return np.int64(-1)
+        target += tests.lookups[look, 4] * change
+    return target
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -99,15 +162,8 @@ def decode_all(decoder, indices, states):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def clear_bits(open_bits, indices):
-    """Clear the bits of indices."""
-    for i in range(len(indices)):
-        open_bits[indices[i] >> 6] &= ~(np.uint64(1) << np.uint64(indices[i] & 63))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def spread(tests, decoder, block, start, open_bits, out, filled):
-    """Push the successors that are still open, and close them.
+def spread(tests, decoder, closed, block, start, out, filled):
+    """Push the successors that are not closed yet, and close them.
 
     Several threads may work on one bitmap: which of them pushes a successor is left open, but one does.
 
@@ -126,188 +182,101 @@ def spread(tests, decoder, block, start, open_bits, out, filled):
             return i, filled, transitions
         index = block[i]
         decode(decoder, index, words)
-        t = 0
+        t = holding(tests, words, 0)
         while t < len(tests.word):
-            if words[tests.word[t]] & tests.mask[t] != tests.value[t]:
-                t = tests.skip[t]
-                continue
             for move in range(tests.first[t], tests.first[t + 1]):
                 transitions += 1
-                target = index + tests.delta[move]
+                target = after(tests, words, move, index)
+                if target < 0:
+                    continue
                 bit = np.uint64(1) << np.uint64(target & 63)
-                if open_bits[target >> 6] & bit and _fetch_and(open_bits, target >> 6, ~bit) & bit:
+                if not closed[target >> 6] & bit and not fetch_or(closed, target >> 6, bit) & bit:
                     out[filled] = target
                     filled += 1
-            t += 1
+            t = holding(tests, words, t + 1)
     return len(block), filled, transitions
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def find_slot(keys, index):
-    """Find where an index stands in a hash table, or the free place (-1) where it belongs."""
-    mask = np.uint64(len(keys) - 1)
-    mixed = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
-    at = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while keys[at] != index and keys[at] != -1:
-        at = (at + np.uint64(1)) & mask
-    return np.int64(at)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def insert_all(keys, indices):
-    """Put distinct indices into a hash table that has room for them."""
-    for i in range(len(indices)):
-        keys[find_slot(keys, indices[i])] = indices[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
     """Push the successors that are not in a hash table yet, at most `room`, and put them there.
 
-    Returns as `spread` does.
+    Returns as `spread` does. Several threads may work on one table. The places of many successors are asked for before
+    the first is looked at, since the memory takes long to answer.
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
+    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
     transitions = 0
     most = min(len(out), filled + room)
-    for i in range(start, len(block)):
-        if filled + tests.most > most:
-            return i, filled, transitions
-        index = block[i]
-        decode(decoder, index, words)
-        t = 0
-        while t < len(tests.word):
-            if words[tests.word[t]] & tests.mask[t] != tests.value[t]:
-                t = tests.skip[t]
-                continue
-            for move in range(tests.first[t], tests.first[t + 1]):
-                transitions += 1
-                target = index + tests.delta[move]
-                slot = find_slot(keys, target)
-                if keys[slot] == -1:
-                    keys[slot] = target
+    i = start
+    while i < len(block):
+        waiting, begun = 0, i
+        while i < len(block) and waiting + tests.most <= min(len(pending), most - filled):
+            index = block[i]
+            decode(decoder, index, words)
+            t = holding(tests, words, 0)
+            while t < len(tests.word):
+                for move in range(tests.first[t], tests.first[t + 1]):
+                    transitions += 1
+                    target = after(tests, words, move, index)
+                    if target >= 0:
+                        prefetch(keys, first_slot(keys, target))
+                        pending[waiting] = target
+                        waiting += 1
+                t = holding(tests, words, t + 1)
+            i += 1
+        if i == begun:
+            break
+        for target in pending[:waiting]:
+            slot = find_slot(keys, target)
+            while keys[slot] == -1:
+                before = exchange_free(keys, slot, target)
+                if before == -1:
                     out[filled] = target
                     filled += 1
-            t += 1
-    return len(block), filled, transitions
+                elif before != target:  # another thread took the place
+                    slot = find_slot(keys, target)
+    return i, filled, transitions
 
 
-class States(NamedTuple):
-    """The set of reachable indices: as a bitmap, or as a sorted list and a hash table.
+@njit(cache=True, nogil=True, error_model="numpy")
+def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
+    """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
 
-    Attributes
-    ----------
-    bits : uint64 array, shape (8 * blocks,)
-        The bitmap; empty where the others are used.
-    ranks : int64 array, shape (blocks + 1,)
-        How many states come before each 512 bits of it.
-    members : int64 array, shape (n,)
-        The indices in ascending order; empty where the bitmap is used.
-    keys, numbers : int64 arrays
-        The hash table from an index (or -1) to its place among the members.
+    Returns as `spread` does. Several threads may work on one array of distances.
     """
-
-    bits: Words
-    ranks: Ints
-    members: Ints
-    keys: Ints
-    numbers: Ints
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def count_ones(word):
-    """Count the bits of a word (the compiler has an instruction for this pattern)."""
-    word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
-    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_ranks(bits, ranks):
-    """Fill in the ranks of a bitmap."""
-    total = 0
-    for block in range(len(ranks) - 1):
-        ranks[block] = total
-        for word in range(8 * block, 8 * block + 8):
-            total += count_ones(bits[word])
-    ranks[-1] = total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def number_of(states, index):
-    """Give the number of the state with an index, or -1."""
-    if len(states.bits) == 0:
-        slot = find_slot(states.keys, index)
-        return states.numbers[slot] if states.keys[slot] == index else np.int64(-1)
-    word = index >> 6
-    bit = np.uint64(1) << np.uint64(index & 63)
-    if states.bits[word] & bit == 0:
-        return np.int64(-1)
-    number = states.ranks[word >> 3] + count_ones(states.bits[word] & (bit - np.uint64(1)))
-    for before in range(word & ~7, word):
-        number += count_ones(states.bits[before])
-    return number
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def numbers_of(states, indices, out):
-    """Write the number of each index to `out`, -1 where there is no such state."""
-    for i in range(len(indices)):
-        out[i] = number_of(states, indices[i]) if indices[i] >= 0 else -1
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def select(states, numbers, out):
-    """Write the index of each numbered state to `out`."""
-    for i in range(len(numbers)):
-        if len(states.bits) == 0:
-            out[i] = states.members[numbers[i]]
-            continue
-        low, high = 0, len(states.ranks) - 1  # the state is in block low or after, and before block high
-        while high - low > 1:
-            middle = (low + high) >> 1
-            if states.ranks[middle] <= numbers[i]:
-                low = middle
-            else:
-                high = middle
-        left = numbers[i] - states.ranks[low]
-        word = 8 * low
-        while left >= count_ones(states.bits[word]):
-            left -= count_ones(states.bits[word])
-            word += 1
-        rest = states.bits[word]
-        for _ in range(left):
-            rest &= rest - np.uint64(1)
-        out[i] = 64 * word + count_ones((rest & (~rest + np.uint64(1))) - np.uint64(1))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def list_members(states, start, out):
-    """Write the next indices in ascending order to `out`, beginning after a bitmap's first `start` words.
-
-    Returns
-    -------
-    stop : int
-        Words seen; where the states are listed, members seen.
-    filled : int
-    """
-    filled = 0
-    if len(states.bits) == 0:
-        filled = min(len(out), len(states.members) - start)
-        out[:filled] = states.members[start : start + filled]
-        return start + filled, filled
-    for word in range(start, len(states.bits)):
-        rest = states.bits[word]
-        if rest == 0:
-            continue
-        if filled + 64 > len(out):
-            return word, filled
-        while rest != 0:
-            lowest = rest & (~rest + np.uint64(1))
-            out[filled] = 64 * word + count_ones(lowest - np.uint64(1))
-            filled += 1
-            rest ^= lowest
-    return len(states.bits), filled
+    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
+    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    numbers = np.empty(len(pending), dtype=np.int64)
+    transitions = 0
+    i = start
+    while i < len(block):
+        waiting, begun = 0, i
+        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+            index = block[i]
+            decode(decoder, index, words)
+            t = holding(tests, words, 0)
+            while t < len(tests.word):
+                for move in range(tests.first[t], tests.first[t + 1]):
+                    transitions += 1
+                    target = after(tests, words, move, index)
+                    if target >= 0:
+                        ask_for(states, target)
+                        pending[waiting] = target
+                        waiting += 1
+                t = holding(tests, words, t + 1)
+            i += 1
+        if i == begun:
+            break
+        for j in range(waiting):
+            numbers[j] = number_of(states, pending[j])
+            if numbers[j] >= 0:
+                prefetch(distance, numbers[j])
+        for j in range(waiting):
+            if numbers[j] >= 0 and distance[numbers[j]] > d and fetch_min(distance, numbers[j], d) > d:
+                out[filled] = pending[j]
+                filled += 1
+    return i, filled, transitions
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -317,21 +286,16 @@ def mark(decoder, block, masks, values, marks):
     for i in range(len(block)):
         decode(decoder, block[i], words)
         met = True
-        for w in range(len(words)):
+        for w in range(len(masks)):
             met &= words[w] & masks[w] == values[w]
         marks[i] = met
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def label(states, distance, d, block):
-    """Set the distance of all states of a block."""
-    for i in range(len(block)):
-        distance[number_of(states, block[i])] = d
+def relax(tests, decoder, states, block, start, d, distance, out, through, filled):
+    """Push the predecessors whose distance falls by way of the states of distance `d`, and their new distance.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def relax(tests, decoder, states, block, start, d, through, distance, out, filled):
-    """Push the predecessors whose distance falls to `through` by way of the states of distance `d`.
+    Several threads may work on one array of distances.
 
     Returns
     -------
@@ -340,27 +304,34 @@ def relax(tests, decoder, states, block, start, d, through, distance, out, fille
     filled : int
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    for i in range(start, len(block)):
-        if filled + tests.most > len(out):
-            return i, filled
-        index = block[i]
-        if distance[number_of(states, index)] != d:
-            continue  # it has been reached on a cheaper way since it was pushed
-        decode(decoder, index, words)
-        t = 0
-        while t < len(tests.word):
-            if words[tests.word[t]] & tests.mask[t] != tests.value[t]:
-                t = tests.skip[t]
-                continue
-            for move in range(tests.first[t], tests.first[t + 1]):
-                target = index + tests.delta[move]
-                number = number_of(states, target)
-                if number >= 0 and through < distance[number]:
-                    distance[number] = through
-                    out[filled] = target
-                    filled += 1
-            t += 1
-    return len(block), filled
+    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    values = np.empty(len(pending), dtype=np.int64)
+    i = start
+    while i < len(block):
+        waiting, begun = 0, i
+        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+            index = block[i]
+            i += 1
+            if distance[number_of(states, index)] != d:
+                continue  # it has been reached on a cheaper way since it was pushed
+            decode(decoder, index, words)
+            t = holding(tests, words, 0)
+            while t < len(tests.word):
+                for move in range(tests.first[t], tests.first[t + 1]):
+                    target = after(tests, words, move, index)
+                    if target >= 0:
+                        ask_for(states, target)
+                        pending[waiting], values[waiting] = target, d + tests.cost[move]
+                        waiting += 1
+                t = holding(tests, words, t + 1)
+        if i == begun:
+            break
+        for j in range(waiting):
+            number = number_of(states, pending[j])
+            if number >= 0 and values[j] < distance[number] and values[j] < fetch_min(distance, number, values[j]):
+                out[filled], through[filled] = pending[j], values[j]
+                filled += 1
+    return i, filled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -372,11 +343,8 @@ def fill_transitions(tests, decoder, states, block, number, offsets, actions, ta
         index = block[i]
         decode(decoder, index, words)
         begin = row
-        t = 0
+        t = holding(tests, words, 0)
         while t < len(tests.word):
-            if words[tests.word[t]] & tests.mask[t] != tests.value[t]:
-                t = tests.skip[t]
-                continue
             for move in range(tests.first[t], tests.first[t + 1]):
                 action = tests.action[move]
                 at = row
@@ -384,7 +352,7 @@ def fill_transitions(tests, decoder, states, block, number, offsets, actions, ta
                     actions[at], targets[at] = actions[at - 1], targets[at - 1]
                     at -= 1
                 actions[at] = action
-                targets[at] = number_of(states, index + tests.delta[move])
+                targets[at] = number_of(states, after(tests, words, move, index))
                 row += 1
-            t += 1
+            t = holding(tests, words, t + 1)
         offsets[number + i + 1] = row

@@ -11,6 +11,7 @@ which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given p
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import os
 import re
@@ -205,6 +206,12 @@ class OnDemand:
             self._ask(missing, progress)
         return self._costs(np.array([self._known[key] for key in keys], dtype=np.float64))
 
+    def under(self, limits: Limits, reason: str | None) -> OnDemand:
+        """Give this, with what it knows and the states that it has met, under other limits and for another reason."""
+        other = copy.copy(self)
+        other._limits, other.reason = limits, reason
+        return other
+
     def known(self, states: ArrayLike) -> NDArray[np.float64]:
         """Give h* of states, shape (N,), as far as it is known without a search; NaN elsewhere."""
         return self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in self._rows(states)]))
@@ -240,6 +247,8 @@ class OnDemand:
         def search(key: bytes) -> dict[bytes, float]:
             if key in self._known:  # a plan that was found meanwhile leads through it
                 return {}
+            if self._limits.stop is not None and self._limits.stop.is_set():
+                raise LimitError("stopped")
             row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
             if holds(row, *self._goal)[0]:
                 return {key: 0.0}

@@ -14,26 +14,30 @@ from __future__ import annotations
 
 import heapq
 import os
+import threading
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from itertools import zip_longest
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import kernels
+from . import kernels, reached
 from .budget import Budget, MemoryLimitError, available_memory
-from .coding import Coding, build_tests
+from .coding import Coding, choose
 from .costtogo import Table, backward, compact, smallest_type
 from .fast_downward import LimitError
-from .kernels import States, Tests
-from .moves import exactly_one, split_operators
+from .kernels import Tests
+from .moves import split_operators
+from .reached import States
 from .statespace import StateSpace, explore
-from .successors import Ints, Packing, Transitions, Words
+from .successors import Ints, Packing, Transitions
 from .task import Fact, Task
+from .trie import build_tests
 
 BLOCK = 1 << 16
 """Indices in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
@@ -41,11 +45,15 @@ BLOCK = 1 << 16
 SMALL_BITMAP = 1 << 29
 """Bits of a bitmap that is not worth avoiding (64 MB)."""
 
-SPARSE = 1 << 11
+SPARSE = 1 << 10
 """Indices per state from which on a larger bitmap gives way to a hash table; tasks with more are rare."""
 
-PROBE = 2_000_000
-"""States that tell whether a task with very many indices is small after all."""
+
+T = TypeVar("T")
+
+Push = Callable[[Ints, int, Ints, int], tuple[int, int, int]]
+"""Push the next states from a block: its indices, where to begin, the output and how much of it is in use; given are
+how far it came, how much of the output is in use, and how many transitions there were."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +65,6 @@ class Searches:
     coding : Coding
     forward, backward : Tests
         The moves and their inverses.
-    costs : int64 array, shape (actions,)
     budget : Budget
     threads : int
     """
@@ -65,7 +72,6 @@ class Searches:
     coding: Coding
     forward: Tests
     backward: Tests
-    costs: Ints
     budget: Budget
     threads: int
 
@@ -75,68 +81,82 @@ class Searches:
         words = -(-self.coding.size // 512) * 8
         found, transitions = 1, 0
         frontier = [np.array([initial])]
-        open_bits = np.empty(0, dtype=np.uint64)
+        bits = np.empty(0, dtype=np.uint64)
         keys = nothing
         if not self._bitmap_fits(words, found):
-            keys = self._grown(nothing, frontier)
+            keys = self._grown(nothing, 0)
+            reached.insert_all(keys, frontier[0])
         while frontier:
-            if not len(open_bits) and self._bitmap_fits(words, found):
-                open_bits = np.full(words, (1 << 64) - 1, dtype=np.uint64)
+            if not len(bits) and self._bitmap_fits(words, found):
+                bits = np.zeros(words, dtype=np.uint64)
                 for block in frontier if not len(keys) else [keys[keys >= 0]]:
-                    kernels.clear_bits(open_bits, block)
+                    reached.set_bits(bits, block)
                 keys = nothing
-            if len(open_bits):
-                frontier, count = self._spread_layer(self.forward, frontier, open_bits, open_bits.nbytes, found)
+            if len(bits):
+                push = partial(kernels.spread, self.forward, self.coding.decoder, bits)
+                frontier, count = self._layer(push, frontier, bits.nbytes, found)
             else:
-                frontier, count, keys = self._spread_layer_hashed(frontier, keys, found)
+                frontier, count, keys = self._hashed_layer(frontier, keys, found)
             transitions += count
             found += sum(map(len, frontier))
             self.budget.check_states(found)
 
-        if len(open_bits):
-            np.invert(open_bits, out=open_bits)
-            self.budget.check_memory(open_bits.nbytes * 9 / 8)
-            states = States(open_bits, np.empty(words // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
-            kernels.fill_ranks(states.bits, states.ranks)
+        if len(bits):
+            self.budget.check_memory(bits.nbytes * 9 / 8)
+            states = States(bits, np.empty(words // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
+            reached.fill_ranks(states.bits, states.ranks)
         else:
             self.budget.check_memory(keys.nbytes * 2 + found * 16)
-            members = np.sort(keys[keys >= 0])
+            members = keys[keys >= 0]
+            members.sort()
             numbers = np.empty(len(keys), dtype=np.int64)
-            numbers[keys >= 0] = np.searchsorted(members, keys[keys >= 0])
-            states = States(open_bits, nothing, members, keys, numbers)
+            starts = range(0, len(members), BLOCK)
+            self._share(lambda at: reached.number_members(keys, members[at : at + BLOCK], at, numbers), starts)
+            states = States(bits, nothing, members, keys, numbers)
         return states, transitions
 
     def _bitmap_fits(self, words: int, found: int) -> bool:
-        """Whether the states are many enough for a bitmap, and the memory for two of them."""
+        """Whether the states are many enough for a bitmap, and the memory for one and its ranks."""
         bits = 64 * words
-        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 2.5 * bits / 8 <= self.budget.memory
+        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.memory
 
-    def _spread_layer(
-        self,
-        tests: Tests,
-        frontier: list[Ints],
-        open_bits: Words,
-        in_use: int,
-        found: int,
-        visit: Callable[[Ints], None] | None = None,
-    ) -> tuple[list[Ints], int]:
-        """Give the blocks of the next layer, and the transitions to it; empties the list of the present one.
+    def _share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
+        """Do a piece of work for each part, on all threads."""
+        listed = list(parts)
+        if self.threads == 1 or len(listed) < 2:
+            return [work(part) for part in listed]
+        with ThreadPoolExecutor(min(self.threads, len(listed))) as pool:
+            return list(pool.map(work, listed))
 
-        Every block of the present layer is handed to `visit`, by several threads.
+    def _ascending(self, frontier: list[Ints], in_use: int) -> deque[Ints]:
+        """Put a layer into blocks of ascending indices; empties the list.
+
+        In ascending order, each move's targets ascend as well: far fewer cache and page misses.
         """
-        size = max(BLOCK, 4 * tests.most)
-        waiting = deque(frontier)
-        if len(frontier) > 1:
-            # In ascending order, each move's targets ascend as well: far fewer cache and page misses.
-            self.budget.check_memory(in_use + 16 * size * len(frontier))
-            layer = np.concatenate(frontier)
-            layer.sort()
-            waiting = deque(np.split(layer, range(BLOCK, len(layer), BLOCK)))
-        in_use += 8 * size * len(frontier)
+        if len(frontier) == 1 and len(frontier[0]) <= BLOCK:
+            return deque([frontier.pop()])
+        self.budget.check_memory(in_use + 16 * sum(map(len, frontier)))
+        runs = [frontier[start :: self.threads] for start in range(min(self.threads, len(frontier)))]
         frontier.clear()
+
+        def blocks(run: list[Ints]) -> list[Ints]:
+            layer = np.concatenate(run)
+            run.clear()
+            layer.sort()
+            return np.split(layer, range(BLOCK, len(layer), BLOCK))
+
+        # Threads take blocks of different runs in turn: each run is read in its order.
+        mixed = zip_longest(*self._share(blocks, runs))
+        return deque(block for group in mixed for block in group if block is not None)
+
+    def _layer(self, push: Push, frontier: list[Ints], in_use: int, found: int) -> tuple[list[Ints], int]:
+        """Give the blocks of the next layer, and the transitions to it; empties the list of the present one."""
+        size = max(BLOCK, 4 * self.forward.most, 4 * self.backward.most)
+        in_use += 8 * sum(map(len, frontier))
+        waiting = self._ascending(frontier, in_use)
         pushed: list[Ints] = []
 
-        def work() -> int:
+        def work(_: int) -> int:
             out, filled, transitions = np.empty(size, dtype=np.int64), 0, 0
             while waiting:
                 try:
@@ -144,13 +164,9 @@ class Searches:
                 except IndexError:  # another thread took it
                     break
                 self.budget.check_time(found)
-                if visit is not None:
-                    visit(block)
                 stop = 0
                 while True:
-                    stop, filled, count = kernels.spread(
-                        tests, self.coding.decoder, block, stop, open_bits, out, filled
-                    )
+                    stop, filled, count = push(block, stop, out, filled)
                     transitions += count
                     if stop == len(block):
                         break
@@ -158,66 +174,73 @@ class Searches:
                     self.budget.check_memory(in_use + 8 * size * (len(pushed) + 2 * self.threads))
                     out, filled = np.empty(size, dtype=np.int64), 0
             if filled:
-                pushed.append(out[:filled])
+                pushed.append(out[:filled].copy() if filled < size // 2 else out[:filled])
             return transitions
 
-        threads = min(self.threads, len(waiting))
-        if threads == 1:
-            transitions = work()
-            return pushed, transitions
-        with ThreadPoolExecutor(threads) as pool:
-            counts = [pool.submit(work) for _ in range(threads)]
-            transitions = sum(count.result() for count in counts)
+        transitions = sum(self._share(work, range(min(self.threads, len(waiting)))))
         return pushed, transitions
 
-    def _spread_layer_hashed(self, frontier: list[Ints], keys: Ints, found: int) -> tuple[list[Ints], int, Ints]:
+    def _hashed_layer(self, frontier: list[Ints], keys: Ints, found: int) -> tuple[list[Ints], int, Ints]:
         """Do the same with a hash table, and give it too: it is replaced as it fills up."""
-        size = max(BLOCK, 4 * self.forward.most)
-        pushed: list[Ints] = []
         transitions = new = 0
-        for block in frontier:
-            stop = 0
-            while stop < len(block):
-                self.budget.check_time(found)
-                self.budget.check_states(found + new)
-                self.budget.check_memory(keys.nbytes + 8 * size * (len(frontier) + len(pushed) + 1))
-                room = len(keys) // 2 - found - new
-                if room < self.forward.most:
-                    keys = self._grown(keys, [keys[keys >= 0]])
-                    continue
-                out = np.empty(min(size, room), dtype=np.int64)
-                stop, filled, count = kernels.spread_hashed(
-                    self.forward, self.coding.decoder, block, stop, keys, room, out, 0
-                )
-                pushed.append(out[:filled].copy() if filled < len(out) // 2 else out[:filled])
-                transitions += count
-                new += filled
-        return [block for block in pushed if len(block)], transitions, keys
+        pushed: list[Ints] = []
+        waiting = self._ascending(frontier, keys.nbytes)
+        size = max(BLOCK, 4 * self.forward.most)
+        while waiting:
+            self.budget.check_states(found + new)
+            room = (len(keys) // 2 - found - new) // self.threads
+            if room < self.forward.most:
+                keys = self._grown(keys, found + new)
+                continue
 
-    def _grown(self, keys: Ints, present: list[Ints]) -> Ints:
-        """Make a hash table twice as large, at least large enough for one more state's successors."""
-        least = max(2 * len(keys), 8 * self.forward.most, 1 << 12)
-        size = 1 << (least - 1).bit_length()
-        self.budget.check_memory(2 * keys.nbytes + 8 * size)
+            def work(room: int, keys: Ints = keys, found: int = found + new) -> tuple[int, int]:
+                transitions = own = 0
+                while waiting and room - own >= self.forward.most:
+                    try:
+                        block = waiting.popleft()
+                    except IndexError:  # another thread took it
+                        break
+                    self.budget.check_time(found + own)
+                    self.budget.check_memory(keys.nbytes + 8 * size * (len(waiting) + len(pushed) + self.threads))
+                    out = np.empty(min(size, room - own), dtype=np.int64)
+                    stop, filled, count = kernels.spread_hashed(
+                        self.forward, self.coding.decoder, block, 0, keys, room - own, out, 0
+                    )
+                    if stop < len(block):
+                        waiting.appendleft(block[stop:])
+                    if filled:
+                        pushed.append(out[:filled].copy() if filled < len(out) // 2 else out[:filled])
+                    transitions += count
+                    own += filled
+                return transitions, own
+
+            for count, own in self._share(work, [room] * min(self.threads, len(waiting))):
+                transitions += count
+                new += own
+        return pushed, transitions, keys
+
+    def _grown(self, keys: Ints, held: int) -> Ints:
+        """Make a hash table at least twice as large, and large enough for one more state's successors."""
+        size = 1 << (max(2 * len(keys), 8 * self.threads * self.forward.most, 1 << 12) - 1).bit_length()
+        self.budget.check_memory(keys.nbytes + 8 * held + 8 * size)
         larger = np.full(size, -1, dtype=np.int64)
-        for indices in present:
-            kernels.insert_all(larger, indices)
+        reached.insert_all(larger, keys[keys >= 0])
         return larger
 
     def cost_to_go(self, states: States, total: int, goal: Sequence[Fact]) -> NDArray[np.unsignedinteger]:
         """Find the distance of all states from the goal; the type's largest value marks dead ends."""
         frontier = list(self._with(states, total, goal))
-        costs = np.unique(self.costs[self.backward.action])
-        if len(states.bits) and len(costs) <= 1 and costs.all():
+        costs = np.unique(self.backward.cost)
+        if len(costs) <= 1 and costs.all():
             return self._equal_costs(states, total, frontier, int(costs[0]) if len(costs) else 1)
-        return self._any_costs(states, total, frontier, costs)
+        return self._any_costs(states, total, frontier, int(costs.max()))
 
     def blocks(self, states: States) -> Iterator[Ints]:
         """List the indices of all states in ascending order, a block at a time."""
         start, end = 0, len(states.bits) or len(states.members)
         while start < end:
             out = np.empty(BLOCK, dtype=np.int64)
-            start, filled = kernels.list_members(states, start, out)
+            start, filled = reached.list_members(states, start, out)
             yield out[:filled]
 
     def _with(self, states: States, total: int, facts: Sequence[Fact]) -> Iterator[Ints]:
@@ -226,7 +249,7 @@ class Searches:
         candidates = self.coding.matching(facts, total)
         if candidates is not None:  # fewer than there are states
             numbers = np.empty(len(candidates), dtype=np.int64)
-            kernels.numbers_of(states, candidates, numbers)
+            reached.numbers_of(states, candidates, numbers)
             blocks = [candidates[numbers >= 0]]
         for block in blocks:
             self.budget.check_time(total)
@@ -236,16 +259,16 @@ class Searches:
                 yield block[marks]
 
     def _equal_costs(self, states: States, total: int, frontier: list[Ints], cost: int) -> NDArray[Any]:
-        """Search breadth first; a bitmap of the states that are still open does for a distance."""
+        """Search breadth first."""
         dtype: type[np.unsignedinteger] = np.uint8
-        in_use = 2 * states.bits.nbytes + states.ranks.nbytes + total
+        in_use = sum(array.nbytes for array in states) + total
         self.budget.check_memory(in_use)
         distance = np.full(total, np.iinfo(dtype).max, dtype=dtype)
-        open_bits = states.bits.copy()
         for block in frontier:
-            kernels.clear_bits(open_bits, block)
+            reached.label(states, distance, 0, block)
         d = 0
         while frontier:
+            d += cost
             if d >= np.iinfo(dtype).max:
                 narrow, dtype = np.iinfo(dtype).max, smallest_type(d)
                 in_use += distance.itemsize * total * 3
@@ -253,79 +276,65 @@ class Searches:
                 wider = distance.astype(dtype)
                 wider[distance == narrow] = np.iinfo(dtype).max
                 distance = wider
-            label = partial(kernels.label, states, distance, d)
-            frontier, _ = self._spread_layer(self.backward, frontier, open_bits, in_use, total, label)
-            d += cost
-        return distance
+            push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, distance, d)
+            frontier, _ = self._layer(push, frontier, in_use, total)
+        largest = d - cost  # the last layer was empty
+        return distance if largest >= np.iinfo(np.uint8).max else distance.astype(smallest_type(largest), copy=False)
 
-    def _any_costs(self, states: States, total: int, frontier: list[Ints], costs: Ints) -> NDArray[Any]:
+    def _any_costs(self, states: States, total: int, frontier: list[Ints], largest: int) -> NDArray[Any]:
         """Settle the states in the order of their distance (Dial 1969), costs of zero included."""
-        bound = int(costs.max(initial=0)) * total
-        work: type[np.integer] = np.uint32 if bound < np.iinfo(np.uint32).max else np.int64
+        work: type[np.unsignedinteger] = np.uint32 if largest * total < np.iinfo(np.uint32).max else np.uint64
         in_use = sum(array.nbytes for array in states) + total * (np.dtype(work).itemsize + 4)
         self.budget.check_memory(in_use)
         unreached = np.iinfo(work).max
         distance = np.full(total, unreached, dtype=work)
-        by_cost = [(int(cost), _with_cost(self.backward, self.costs, int(cost))) for cost in costs]
-        out = np.empty(max(BLOCK, 4 * self.backward.most), dtype=np.int64)
+        size = max(BLOCK, 4 * self.backward.most)
         for block in frontier:
-            kernels.label(states, distance, 0, block)
+            reached.label(states, distance, 0, block)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
         held = sum(map(len, frontier))  # indices that wait
         while order:
             d = order[0]
-            pieces = waiting.pop(d, None)
-            if pieces is None:
+            settling = waiting.pop(d, None)
+            if settling is None:
                 heapq.heappop(order)
                 continue
             self.budget.check_memory(in_use + 16 * held)
-            settling = np.concatenate(pieces)  # costs of zero put more pieces in its place
-            settling.sort()
-            for block in np.split(settling, range(BLOCK, len(settling), BLOCK)):
-                self.budget.check_time(total)
-                for cost, tests in by_cost:
+            blocks = self._ascending(settling, in_use + 8 * held)
+            held -= sum(map(len, blocks))
+
+            def settle(_: int, d: int = d, blocks: deque[Ints] = blocks) -> list[tuple[Ints, Ints]]:
+                out, through = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
+                pushed: list[tuple[Ints, Ints]] = []
+                while blocks:
+                    try:
+                        block = blocks.popleft()
+                    except IndexError:  # another thread took it
+                        break
+                    self.budget.check_time(total)
                     stop = 0
                     while stop < len(block):
                         stop, filled = kernels.relax(
-                            tests, self.coding.decoder, states, block, stop, d, d + cost, distance, out, 0
+                            self.backward, self.coding.decoder, states, block, stop, d, distance, out, through, 0
                         )
-                        if not filled:
-                            continue
-                        held += filled
-                        self.budget.check_memory(in_use + 16 * held)
-                        if d + cost not in waiting:
-                            waiting[d + cost] = []
-                            if cost:
-                                heapq.heappush(order, d + cost)
-                        waiting[d + cost].append(out[:filled].copy())
-            held -= len(settling)
-        reached = distance != unreached
-        dtype = smallest_type(int(distance[reached].max(initial=0)))
+                        pushed.append((out[:filled].copy(), through[:filled].copy()))
+                return pushed
+
+            parts = self._share(settle, range(min(self.threads, len(blocks))))
+            for targets, values in (pair for part in parts for pair in part):
+                held += len(targets)
+                for value in np.unique(values).tolist():
+                    if value not in waiting:
+                        waiting[value] = []
+                        if value != d:
+                            heapq.heappush(order, value)
+                    waiting[value].append(targets[values == value])
+        found = distance != unreached
+        dtype = smallest_type(int(distance[found].max(initial=0)))
         result = np.full(total, np.iinfo(dtype).max, dtype=dtype)
-        result[reached] = distance[reached]
+        result[found] = distance[found]
         return result
-
-
-def _with_cost(tests: Tests, costs: Ints, cost: int) -> Tests:
-    """Keep the moves of one cost, and the tests that they need."""
-    keep = costs[tests.action] == cost
-    before = np.concatenate([[0], np.cumsum(keep)])
-    first = before[tests.first]
-    # A test is needed if a move comes between it and the test to which it skips.
-    needed = first[tests.skip] > first[:-1]
-    needed[:1] = True
-    place = np.concatenate([[0], np.cumsum(needed)])
-    return Tests(
-        tests.word[needed],
-        tests.mask[needed],
-        tests.value[needed],
-        place[tests.skip[needed]],
-        np.append(first[:-1][needed], first[-1]),
-        tests.delta[keep],
-        tests.action[keep],
-        tests.most,
-    )
 
 
 @dataclass(frozen=True)
@@ -338,13 +347,13 @@ class Indexed:
     def numbers(self, values: NDArray[np.int64]) -> Ints:
         """Give the states with values of shape (n, variables), -1 where there is none."""
         out = np.empty(len(values), dtype=np.int64)
-        kernels.numbers_of(self.states, self.searches.coding.encode(values), out)
+        reached.numbers_of(self.states, self.searches.coding.encode(values), out)
         return out
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
         """Give the values, shape (n, variables), of states of shape (n,)."""
         index = np.empty(len(numbers), dtype=np.int64)
-        kernels.select(self.states, numbers, index)
+        reached.select(self.states, numbers, index)
         return self.searches.coding.decode(index)
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
@@ -381,7 +390,7 @@ def sweep(
     memory_limit_mb: float | None = None,
     deadline: float | None = None,
     threads: int | None = None,
-    if_likely: bool = False,
+    stop: threading.Event | None = None,
 ) -> Table:
     """Enumerate the reachable states of a task, and compute the exact cost-to-go of all.
 
@@ -397,8 +406,8 @@ def sweep(
         A time on `time.monotonic()`'s clock.
     threads : int, optional
         As many as there are processors unless given. The result does not depend on it.
-    if_likely : bool
-        Give up early, after `PROBE` states, on a task that is likely to have more than `max_states`.
+    stop : threading.Event, optional
+        The sweep is given up once it is set.
 
     Raises
     ------
@@ -408,23 +417,19 @@ def sweep(
     memory = available_memory()
     if memory_limit_mb is not None:
         memory = min(memory, memory_limit_mb * 1e6)
-    budget = Budget(max_states, memory, deadline)
+    budget = Budget(max_states, memory, deadline, stop)
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     moves = None if any(v.axiom_layer >= 0 for v in task.variables) else split_operators(task)
     coding = None
     if moves is not None:
-        groups, moves = exactly_one(task, moves)
-        coding = Coding.of(task, groups, moves)
+        coding, moves = choose(task, moves)
     if moves is None or coding is None:
         return _slow_sweep(task, budget)
-    if if_likely and max_states is not None and max_states > PROBE and coding.size // SPARSE > max_states:
-        budget = replace(budget, max_states=PROBE, remark=f", and likely more than {max_states}")
     searches = Searches(
         coding,
-        build_tests(moves, coding),
-        build_tests([move.inverse() for move in moves], coding),
-        np.array(task.costs, dtype=np.int64),
+        build_tests(moves, coding, task.costs),
+        build_tests([move.inverse() for move in moves], coding, task.costs),
         budget,
         threads,
     )

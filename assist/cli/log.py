@@ -147,13 +147,13 @@ def _evaluate(
     States that took too long have NaN unless `strict`, where they are an error.
     """
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
-    costs = cost_to_go(walked.task, values, max_states=max_states, jobs=jobs, limits=limits)
+    kept = Cache(walked.task, cache)
+    costs = cost_to_go(walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits)
     h = np.full(len(walked), np.nan)
     if not isinstance(costs, OnDemand):
         h[wanted] = costs.lookup(costs.numbers(values))
         return h
     click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
-    costs = OnDemand(walked.task, cache=Cache(walked.task, cache), jobs=jobs, limits=limits)
     with progress_bar("evaluating states", len(wanted)) as advance:
         numbers = costs.numbers(values)
         try:

@@ -1,0 +1,41 @@
+(define (problem five-items)
+  (:domain depot)
+  (:objects
+    bench pallet-1 pallet-2
+    box-a box-b box-c
+    kind-a kind-b kind-c
+    column-1 column-2
+    n0 n1 n2)
+  (:init
+    (hoist-free)
+    (working bench)
+    (on box-c pallet-2)
+    (on box-b box-c)
+    (on box-a box-b)
+    (clear bench)
+    (clear pallet-1)
+    (clear box-a)
+    (next n0 n1)
+    (next n1 n2)
+    (holds box-a kind-a)
+    (holds box-b kind-b)
+    (holds box-c kind-c)
+    (room column-1 n1)
+    (room column-1 n2)
+    (room column-2 n1)
+    (room column-2 n2)
+    (height column-1 n0)
+    (height column-2 n0)
+    (stock kind-a n2)
+    (tray kind-a n0)
+    (stock kind-b n2)
+    (tray kind-b n0)
+    (stock kind-c n1)
+    (tray kind-c n0))
+  (:goal (and
+    (cell column-1 n1 kind-a)
+    (cell column-1 n2 kind-b)
+    (cell column-2 n1 kind-c)
+    (on box-b box-a)
+    (on box-c box-b)
+    (on box-a pallet-2))))

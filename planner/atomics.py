@@ -1,0 +1,65 @@
+"""Machine instructions that compiled code needs and numba does not offer: atomic steps, and prefetching.
+
+Several threads may apply an atomic step to the same entry of an array: each sees what stood there before its own.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+
+@intrinsic
+def fetch_or(typing: Any, array: Any, place: Any, bits: Any) -> Any:  # noqa: ARG001
+    """`array[place] |= bits` as one atomic step; gives the word before."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        return builder.atomic_rmw("or", builder.gep(data, [arguments[1]]), arguments[2], "monotonic")
+
+    return types.uint64(array, types.int64, types.uint64), code
+
+
+@intrinsic
+def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
+    """`array[place] = min(array[place], value)` as one atomic step; gives the entry before."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        pointer = builder.gep(data, [arguments[1]])
+        value = context.cast(builder, arguments[2], signature.args[2], signature.args[0].dtype)
+        return builder.atomic_rmw("umin", pointer, value, "monotonic")
+
+    return array.dtype(array, types.int64, value), code
+
+
+@intrinsic
+def exchange_free(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
+    """Put a value where -1 stands, as one atomic step; gives the entry before."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        pointer, free = builder.gep(data, [arguments[1]]), ir.Constant(ir.IntType(64), -1)
+        return builder.extract_value(builder.cmpxchg(pointer, free, arguments[2], "monotonic", "monotonic"), 0)
+
+    return types.int64(array, types.int64, types.int64), code
+
+
+@intrinsic
+def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
+    """Ask for the memory of an entry, which is not waited for."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        pointer = builder.bitcast(builder.gep(data, [arguments[1]]), cgutils.voidptr_t)
+        number = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, number, number, number])
+        prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(prefetch, [pointer, number(0), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64), code

@@ -1,0 +1,191 @@
+"""The dense index: mutexes, invariants and clusters are theorems, and tables made with them equal plain search."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from conftest import DOMAINS
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_sweep import check, module, random_task
+
+from planner import Effect, Operator, Task, Variable, instance, load
+from planner.clusters import clusters
+from planner.coding import Coding
+from planner.invariants import PRIME, determined, invariants
+from planner.moves import split_operators
+from planner.mutexes import Mutexes
+from planner.statespace import explore
+
+Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
+"""Domain sizes, an initial state, and operators: what must hold, and what then holds."""
+
+
+def counters(rng: random.Random) -> Draft:
+    """Items of one kind that move between places; each place has a counter."""
+    places, total = rng.randint(2, 4), rng.randint(1, 4)
+    sizes, initial = [total + 1] * places, [total] + [0] * (places - 1)
+    operators = []
+    for a in range(places):
+        for b in range(places):
+            if a != b and rng.random() < 0.7:
+                for m in range(1, total + 1):
+                    operators += [({a: m, b: n}, {a: m - 1, b: n + 1}) for n in range(total)]
+    return sizes, initial, operators
+
+
+def stacks(rng: random.Random) -> Draft:
+    """Boxes on each other and on places: a variable for where each stands, one for whether each support is clear."""
+    boxes, places = rng.randint(1, 3), rng.randint(1, 2)
+    supports = boxes + places  # boxes come first
+    sizes, initial = [supports] * boxes + [2] * supports, [0] * boxes
+    below = boxes
+    for box in range(boxes):
+        initial[box], below = below, box
+    standing = set(initial)
+    initial += [int(support not in standing) for support in range(supports)]
+    operators = [
+        (
+            {box: a, boxes + box: 1, boxes + b: 1},
+            {box: b, boxes + a: 1, boxes + b: 0},
+        )
+        for box in range(boxes)
+        for a in range(supports)
+        for b in range(supports)
+        if len({a, b, box}) == 3
+    ]
+    return sizes, initial, operators
+
+
+def grid(rng: random.Random) -> Draft:
+    """Tokens that move over a row of cells; each cell says whether it is taken."""
+    cells, tokens = rng.randint(2, 5), rng.randint(1, 2)
+    tokens = min(tokens, cells - 1)
+    sizes = [cells] * tokens + [2] * cells
+    initial = [*range(tokens), *(int(cell < tokens) for cell in range(cells))]
+    operators = [
+        ({t: a, tokens + b: 0}, {t: b, tokens + a: 0, tokens + b: 1})
+        for t in range(tokens)
+        for a in range(cells)
+        for b in (a - 1, a + 1)
+        if 0 <= b < cells
+    ]
+    return sizes, initial, operators
+
+
+def composed(seed: int, *, costs: range) -> Task:
+    """A task of some parts, side by side and shuffled, that operators of every other kind disturb."""
+    rng = random.Random(seed)
+    sizes: list[int] = []
+    initial: list[int] = []
+    drafts: list[tuple[dict[int, int], dict[int, int]]] = []
+    for part in rng.sample([counters, stacks, grid], rng.randint(1, 2)):
+        own, start, operators = part(rng)
+        at = len(sizes)
+        sizes, initial = sizes + own, initial + start
+        drafts += [tuple({v + at: value for v, value in side.items()} for side in draft) for draft in operators]  # type: ignore[misc]
+    order = rng.sample(range(len(sizes)), len(sizes))
+    sizes, initial = ([values[v] for v in np.argsort(order)] for values in (sizes, initial))
+    operators_of: list[Operator] = []
+
+    def facts(most: int) -> dict[int, int]:
+        chosen = rng.sample(range(len(sizes)), rng.randint(0, min(most, len(sizes))))
+        return {v: rng.randrange(sizes[v]) for v in chosen}
+
+    for needs, gains in drafts:
+        condition = {order[v]: value for v, value in needs.items()}
+        if rng.random() < 0.05:
+            condition = {**facts(1), **condition}
+        effects = [Effect((), order[v], value) for v, value in gains.items()]
+        operators_of.append(Operator(len(operators_of), tuple(condition.items()), tuple(effects)))
+    for _ in range(rng.choice([0, 0, 1, 3])):  # conditional effects, unknown values before, dead ends
+        effects = [
+            Effect(tuple(facts(1).items()) if rng.random() < 0.5 else (), v, value) for v, value in facts(2).items()
+        ]
+        operators_of.append(Operator(len(operators_of), tuple(facts(3).items()), tuple(effects)))
+    return Task(
+        instance=instance("composed.pddl"),
+        sas="",
+        variables=tuple(
+            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(sizes)
+        ),
+        actions=tuple(f"(a{a:04})" for a in range(len(operators_of))),
+        costs=tuple(rng.choice(costs) for _ in operators_of),
+        operators=tuple(operators_of),
+        axioms=(),
+        initial=tuple(initial),
+        goal=tuple(facts(2).items()),
+    )
+
+
+def theorems(task: Task) -> Iterator[str]:
+    """Compare what is said of all reachable states with the states; name what was said."""
+    moves = split_operators(task)
+    assert moves is not None
+    mutexes = Mutexes.of(task, moves)
+    assert mutexes is not None
+    space = explore(task)
+    values = space.values(np.arange(len(space)))
+    facts = values + mutexes.first[:-1]
+    for row in facts:
+        assert mutexes.together[np.ix_(row, row)].all()
+    basis = invariants(task, mutexes.moves)
+    sums = basis[:, facts].sum(axis=2) % PRIME
+    assert (sums == sums[:, :1]).all()
+    left_out = determined(task, mutexes.moves)
+    for place, own in enumerate(left_out):
+        yield "determined"
+        assert (own.weights[facts].sum(axis=1) % PRIME == own.total).all()
+        weight = own.weights[mutexes.first[own.variable] : mutexes.first[own.variable + 1]]
+        assert len(set(weight.tolist())) == len(weight)
+        for later in left_out[place + 1 :]:
+            assert (
+                len(set(own.weights[mutexes.first[later.variable] : mutexes.first[later.variable + 1]].tolist())) == 1
+            )
+    free = [v for v in range(len(task.variables)) if v not in {own.variable for own in left_out}]
+    for cluster in clusters(mutexes, task.initial, free):
+        if len(cluster.variables) > 1:
+            yield "cluster"
+        allowed = set(map(tuple, cluster.values.tolist()))
+        assert set(map(tuple, values[:, list(cluster.variables)].tolist())) <= allowed
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 10**6))
+def test_all_that_is_said_of_reachable_states_is_true(seed: int) -> None:
+    list(theorems(composed(seed, costs=range(1, 2))))
+    list(theorems(random_task(random.Random(seed))))
+
+
+def test_the_tasks_have_what_is_looked_for() -> None:
+    said = [what for seed in range(30) for what in theorems(composed(seed, costs=range(1, 2)))]
+    assert said.count("determined") > 30
+    assert said.count("cluster") > 15
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+)
+@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
+def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Coding, "of", classmethod(lambda *_: None))  # only the dense coding is left
+        if hashed:
+            patch.setattr(module, "SMALL_BITMAP", 0)
+            patch.setattr(module, "SPARSE", 0)
+        table = check(composed(seed, costs=costs))
+        assert len(table.space.numbering.searches.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
+        check(random_task(random.Random(seed), costs=costs))
+
+
+def test_a_counted_task_has_a_dense_index() -> None:
+    """41 thousand states of a product of 4e9: the index leaves little out."""
+    task = load(DOMAINS / "depot" / "five-items.pddl")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("planner.coding.MANY", 1 << 20)
+        table = module.sweep(task)
+    assert len(table) == 41_472
+    assert table.space.numbering.searches.coding.size < 64 * len(table)
