@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -169,44 +165,6 @@ def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
     assert [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()] == json.loads(result.stdout)
     assert kitassist("solve", names[1], "--out", out, "--resume").returncode == 0
     assert len((out / "results.jsonl").read_text().splitlines()) == 2  # the other one is not lost
-
-
-def test_a_killed_batch_resumes_to_the_same_results(tmp_path: Path) -> None:
-    names = [*PAPERS, *sorted((DOMAINS / "delivery").glob("one-*.pddl"))]
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    assert kitassist("solve", *names, "--out", whole).returncode == 0
-    command = [str(Path(sys.executable).with_name("kitassist")), "solve", *map(str, names), "--out", str(killed)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
-    results = killed / "results.jsonl"
-    while process.poll() is None and not (results.exists() and results.read_text().count("\n") >= 2):
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert kitassist("solve", *names, "--out", killed, "--resume").returncode == 0
-    read_all = [[json.loads(line) for line in (d / "results.jsonl").read_text().splitlines()] for d in (whole, killed)]
-    assert stable(read_all[0]) == stable(read_all[1])
-    for file in whole.rglob("*.plan"):
-        assert (killed / file.relative_to(whole)).read_text() == file.read_text()
-    assert not [f for f in killed.rglob(".*") if f.is_file() and f.suffix == ".plan"]
-
-
-def test_interrupting_ends_cleanly(tmp_path: Path) -> None:
-    names = [str(KITTING / "tiny.pddl"), str(KITTING / "ladder-6x12.pddl")]
-    command = [str(Path(sys.executable).with_name("kitassist")), "solve", *names, "--max-states", "1000000000000"]
-    process = subprocess.Popen(
-        [*command, "--out", str(tmp_path / "out")],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
-    results = tmp_path / "out" / "results.jsonl"
-    while not (results.exists() and results.read_text().count("\n") >= 1):
-        assert process.poll() is None
-        time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert stdout == ""
-    assert stderr.splitlines() == ["interrupted; what was finished is kept, --resume continues"]
-    assert json.loads(results.read_text())["status"] == "solved"
 
 
 def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,251 @@
+"""Kill commands at random moments, and see what is left: processes, files, and what a resumed run makes of it.
+
+As a script it makes many kills and prints the figures that `docs/reliability.md` has:
+
+    .venv/bin/python tests/kills.py [KILLS] [SEED]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+DOMAINS = ROOT / "domains"
+TINY = DOMAINS / "kitting" / "tiny.pddl"
+COMMAND = str(Path(sys.executable).with_name("kitassist"))
+LONGEST_SURVIVAL = 3.0  # seconds
+
+STUDY = f"""
+title = "killed"
+seed = 3
+repeats = 3
+instances = ["{TINY}"]
+humans = [1, 2]
+pool = 3
+draws = 1
+trials = 2
+
+[populations.everybody]
+
+[[conditions]]
+name = "first"
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command that writes into a folder.
+
+    `arguments(folder, resume)` are its words; `finished(folder)` is what it has finished by now, which must never be
+    lost or made again; `outcome(folder)` is what a whole run leaves, which must not depend on any kill.
+    """
+
+    name: str
+    arguments: Callable[[Path, bool], list[str]]
+    finished: Callable[[Path], dict[str, object]]
+    outcome: Callable[[Path], dict[str, object]]
+
+
+def lines_of(file: Path) -> list[dict]:
+    """The whole lines of a file; one that is not JSON is an error."""
+    return [json.loads(line) for line in file.read_text().split("\n")[:-1]] if file.exists() else []
+
+
+def solve(*instances: Path, options: tuple[str, ...] = ("--jobs", "2", "--verify", "1")) -> Case:
+    def stable(record: dict) -> dict:
+        return {key: value for key, value in record.items() if key not in ("seconds", "peak_memory_mb")}
+
+    def outcome(folder: Path) -> dict[str, object]:
+        files = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+        return {**files, "results.jsonl": [stable(record) for record in lines_of(folder / "results.jsonl")]}
+
+    return Case(
+        "solve",
+        lambda folder, resume: ["solve", *map(str, instances), *options, "--out", str(folder), *["--resume"] * resume],
+        lambda folder: {record["instance"]: record for record in lines_of(folder / "results.jsonl")},
+        outcome,
+    )
+
+
+def study(protocol: Path) -> Case:
+    protocol.write_text(STUDY)
+    arguments = ["study", "--protocol", str(protocol), "--jobs", "2", "--out"]
+
+    def finished(folder: Path) -> dict[str, object]:
+        lines_of(folder / "episodes.jsonl")
+        cells = {}
+        for record in lines_of(folder / "profile.jsonl"):
+            seconds = record.pop("seconds")
+            cells[json.dumps(record)] = seconds
+        return cells
+
+    return Case(
+        "study",
+        lambda folder, resume: [*arguments, str(folder), *["--resume"] * resume],
+        finished,
+        lambda folder: {
+            name: (folder / name).read_bytes() for name in ("episodes.jsonl", "study.json", "summary.json")
+        },
+    )
+
+
+def fit(log: Path) -> Case:
+    """On demand, so that Fast Downward runs for every state; what it said is kept in the cache."""
+    people = ["simulate", str(TINY), "--humans", "2", "--pool", "2", "--episodes", "2", "--seed", "1"]
+    subprocess.run([COMMAND, *people, "--trace", str(log)], check=True, capture_output=True)
+    arguments = ["fit", str(TINY), str(log), "--max-states", "1", "--jobs", "2"]
+
+    def outcome(folder: Path) -> dict[str, object]:
+        return {name: (folder / name).read_bytes() for name in ("people.jsonl", "population.json")}
+
+    return Case(
+        "fit",
+        lambda folder, _: [
+            *arguments, "--cache", str(folder / "cache"), "--out", str(folder / "people.jsonl"),
+            "--population", str(folder / "population.json"),
+        ],
+        lambda folder: outcome(folder) if (folder / "population.json").exists() else {},
+        outcome,
+    )  # fmt: skip
+
+
+@dataclass
+class Figures:
+    """What was seen."""
+
+    kills: Counter[str] = field(default_factory=Counter)
+    codes: Counter[str] = field(default_factory=Counter)
+    too_late: int = 0
+    survival: float = 0.0
+    restarts: int = 0
+
+
+def started(arguments: list[str]) -> subprocess.Popen[str]:
+    """Start a command as from a terminal, also where this process ignores Ctrl-C as a script's background job does."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(
+            [COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def alive(session: int) -> list[str]:
+    """The processes of a session that still run."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            words = status.read_text().rpartition(") ")[2].split()
+            if int(words[3]) == session and words[0] not in "ZX":
+                found.append(status.with_name("cmdline").read_text().replace("\0", " "))
+        except OSError:
+            continue
+    return found
+
+
+def survival(session: int) -> float:
+    """Seconds until the last process of a session has ended."""
+    start = time.monotonic()
+    while left := alive(session):
+        assert time.monotonic() - start < LONGEST_SURVIVAL, left
+        time.sleep(0.01)
+    return time.monotonic() - start
+
+
+def whole_run(case: Case, folder: Path, *, resume: bool) -> float:
+    start = time.monotonic()
+    done = subprocess.run([COMMAND, *case.arguments(folder, resume)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return time.monotonic() - start
+
+
+def kill(case: Case, folder: Path, moment: float, number: signal.Signals, *, group: bool, figures: Figures) -> None:
+    """Start or resume a command, kill it after `moment` seconds, and check what the kill leaves."""
+    before = case.finished(folder) if folder.exists() else {}
+    process = started(case.arguments(folder, folder.exists()))
+    try:
+        stdout, stderr = process.communicate(timeout=moment)
+    except subprocess.TimeoutExpired:
+        (os.killpg if group else os.kill)(process.pid, number)
+        # What a killed parent leaves may hold the pipes open: first see that it does not.
+        process.wait(timeout=30)
+        figures.survival = max(figures.survival, survival(process.pid))
+        stdout, stderr = process.communicate(timeout=30)
+    else:
+        figures.too_late += 1
+    figures.kills[f"{case.name} {number.name} {'group' if group else 'parent'}"] += 1
+    figures.codes[f"{number.name} {process.returncode}"] += 1
+    if number != signal.SIGKILL and process.returncode not in (-number, 0):  # not while the interpreter was starting
+        assert process.returncode == 128 + number, (process.returncode, stderr)
+        assert stdout == ""
+        assert stderr.startswith("interrupted"), stderr
+        assert stderr.count("\n") == 1, stderr
+    if folder.exists():
+        after = case.finished(folder)
+        assert before.items() <= after.items(), "something finished was lost, or made again"
+        if number != signal.SIGKILL:
+            assert not list(folder.rglob(".unfinished-*"))
+
+
+def kill_and_resume(
+    case: Case, folder: Path, kills: list[tuple[float, signal.Signals, bool]], figures: Figures
+) -> None:
+    """Kill a command at each of these moments, shares of the duration of a whole run, and let it end at last."""
+    reference = folder / f"{case.name}-reference"
+    duration = whole_run(case, reference, resume=False)
+    again = folder / f"{case.name}-killed"
+    for share, number, group in kills:
+        kill(case, again, share * duration, number, group=group, figures=figures)
+    before = case.finished(again) if again.exists() else {}
+    whole_run(case, again, resume=again.exists())
+    figures.restarts += 1
+    kept = case.finished(again)
+    assert all(kept[name] == value for name, value in before.items()), "something finished was made again"
+    assert case.outcome(again) == case.outcome(reference)
+    assert not list(again.rglob(".unfinished-*"))
+
+
+def small_batch() -> Case:
+    names = ["kitting/tiny", "kitting/unsolvable", "gripper/balls-01"]
+    return solve(*(DOMAINS / f"{name}.pddl" for name in names))
+
+
+def main(count: int = 100, seed: int = 0) -> None:
+    """Make so many kills and print what was seen."""
+    rng = np.random.default_rng(seed)
+    figures = Figures()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cases = [small_batch(), study(folder / "study.toml"), fit(folder / "log.jsonl")]
+        made = 0
+        while made < count:
+            case = cases[int(rng.integers(len(cases)))]
+            chain = [
+                (float(rng.uniform(0.05, 1.0)), signal.Signals(int(rng.choice([2, 9, 15]))), bool(rng.random() < 0.5))
+                for _ in range(min(5, count - made))
+            ]
+            kill_and_resume(case, Path(tempfile.mkdtemp(dir=folder)), chain, figures)
+            made += len(chain)
+            print(f"{made} kills: longest survival {figures.survival:.2f} s", file=sys.stderr, flush=True)
+    print(f"{sum(figures.kills.values())} kills, {figures.too_late} of them after the end; {figures.restarts} restarts")
+    for name, number in sorted(figures.kills.items()):
+        print(f"  {name}: {number}")
+    print("exit codes: " + ", ".join(f"{name}: {number}" for name, number in sorted(figures.codes.items())))
+    print(f"the last process ended at most {figures.survival:.2f} s after the killed one")
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

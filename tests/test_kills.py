@@ -1,0 +1,91 @@
+"""A few of the kills of `kills.py`, which makes a hundred."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from kills import DOMAINS, Figures, kill_and_resume, small_batch, survival
+
+from planner.processes import guarded_group
+
+
+def test_killed_batches_leave_nothing_and_lose_nothing(tmp_path: Path) -> None:
+    kills = [(0.5, signal.SIGKILL, False), (0.7, signal.SIGTERM, True), (0.6, signal.SIGINT, False)]
+    kill_and_resume(small_batch(), tmp_path, kills, figures := Figures())
+    assert figures.kills.total() == 3
+
+
+CHILD = """
+import os, subprocess, sys, threading
+from planner.processes import guarded_group
+
+def start():
+    subprocess.Popen(["sleep", "60"], process_group=guarded_group())
+
+thread = threading.Thread(target=start)  # whose end is none of its business
+thread.start()
+thread.join()
+print("started", flush=True)
+{end}
+"""
+
+
+@pytest.mark.parametrize("end", ["os.kill(os.getpid(), 9)", "os._exit(3)", "os.abort()", "sys.exit()"])
+def test_a_process_goes_with_the_one_that_started_it(end: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", CHILD.format(end=end)], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert process.stdout is not None
+    with process.stdout:
+        assert process.stdout.readline() == "started\n"
+    process.wait(timeout=60)
+    survival(process.pid)
+
+
+def test_nothing_can_be_started_in_the_group_of_one_that_is_gone() -> None:
+    code = "from planner.processes import guarded_group; print(guarded_group())"
+    group = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            break
+    with pytest.raises(PermissionError):
+        subprocess.run(["true"], process_group=group, check=True)
+    code = f"from planner.processes import join; join({group}); print('here')"
+    late = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (late.returncode, late.stdout) == (1, "")
+    assert guarded_group() == guarded_group() != group
+
+
+def test_fast_downward_goes_with_its_parent() -> None:
+    """A search that takes much longer than the test."""
+    code = f"""
+import threading, time
+from planner import load
+from planner.fast_downward import optimal_plan
+task = load({str(DOMAINS / "kitting" / "ladder-6x12.pddl")!r})
+threading.Thread(target=optimal_plan, args=(task.sas,), kwargs=dict(search="astar(blind())")).start()
+print("started", flush=True)
+time.sleep(60)
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    with process.stdout:
+        assert process.stdout.readline() == "started\n"
+    while not any("downward" in command for command in _running(process.pid)):
+        assert process.poll() is None
+    process.kill()
+    process.wait(timeout=60)
+    survival(process.pid)
+
+
+def _running(session: int) -> list[str]:
+    from kills import alive
+
+    return alive(session)
