@@ -1,0 +1,134 @@
+"""Signals, and consoles that do not take what is printed."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from assist.cli import main
+from assist.cli.console import one_line_errors
+from assist.cli.interrupts import SIGNALS, Interrupted, interruptible
+
+WAITING = """
+import sys, threading, time
+from assist.cli import main
+from assist.cli.console import one_line_errors
+from assist.cli.interrupts import interruptible
+
+def wait(what):
+    print(what, flush=True)
+    time.sleep(20)
+
+with interruptible(), one_line_errors("interrupted; all is kept"):
+    {wait}
+print("ended by itself")
+"""
+ASLEEP = "wait('started')"
+STUCK = """try: wait('started')
+    finally: wait('stuck')"""
+
+
+@contextmanager
+def waiting(wait: str, *, ignored: tuple[signal.Signals, ...] = ()) -> Iterator[subprocess.Popen[str]]:
+    """A process in a command that waits; what the tests are started with is not handed on."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
+    try:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
+        process = subprocess.Popen(
+            [sys.executable, "-c", WAITING.format(wait=wait)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_signals_end_a_command(number: signal.Signals) -> None:
+    with waiting(ASLEEP) as process:
+        process.send_signal(number)
+        assert process.communicate(timeout=60) == ("", "interrupted; all is kept\n")
+    assert process.returncode == 128 + number
+
+
+def test_ctrl_c_stays_ignored_where_it_was_and_sigterm_is_heard() -> None:
+    with waiting(ASLEEP, ignored=(signal.SIGINT,)) as process:
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.1)
+        assert process.poll() is None
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60) == ("", "interrupted; all is kept\n")
+    assert process.returncode == 143
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_no_command_takes_long_to_end(again: bool) -> None:
+    with waiting(STUCK) as process:
+        start = time.monotonic()
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "stuck\n"
+        if again:
+            process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60) == ("", "interrupted\n")
+        assert time.monotonic() - start < 15  # of forty
+    assert process.returncode == 143
+
+
+def test_handlers_are_given_back() -> None:
+    before = [signal.getsignal(number) for number in SIGNALS]
+    with pytest.raises(SystemExit) as ended, interruptible():
+        signal.raise_signal(signal.SIGTERM)
+    assert ended.value.code == 143
+    assert [signal.getsignal(number) for number in SIGNALS] == before
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [
+        (OSError("refused,\n  after 30 s"), 1, "refused, after 30 s"),
+        (OSError(), 1, "OSError"),
+        (OSError(28, "No space left on device"), 1, "No space left on device"),
+        (FileNotFoundError(2, "No such file or directory", "x.pddl"), 1, "x.pddl: No such file or directory"),
+        (BrokenPipeError(32, "Broken pipe", "pipe"), 1, "pipe: Broken pipe"),
+        (MemoryError(), 1, "out of memory"),
+        (Interrupted(signal.SIGHUP), 129, "interrupted"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int, words: str) -> None:
+    result = ended_in(error)
+    assert (result.exit_code, result.stderr, result.stdout) == (code, f"{words}\n", "")
+
+
+def test_nobody_reads_the_output() -> None:
+    result = ended_in(BrokenPipeError(32, "Broken pipe"))
+    assert (result.exit_code, result.stderr, result.stdout) == (1, "", "")
+
+
+def ended_in(error: BaseException) -> Result:
+    @click.command()
+    def command() -> None:
+        with one_line_errors():
+            raise error
+
+    return CliRunner().invoke(command)
+
+
+def test_the_version_is_said() -> None:
+    assert CliRunner().invoke(main, ["--version"]).stdout.startswith("kitassist, version ")
