@@ -131,4 +131,4 @@ def ended_in(error: BaseException) -> Result:
 
 
 def test_the_version_is_said() -> None:
-    assert CliRunner().invoke(main, ["--version"]).stdout.startswith("kitassist, version ")
+    assert CliRunner().invoke(main, ["--version"], prog_name="kitassist").stdout.startswith("kitassist, version ")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,15 +84,16 @@ def run_study(
         progress(sum(study.episodes(cell) for cell in kept))
     failed: list[tuple[Cell, Exception]] = []
     todo = [cell for cell in order if cell not in kept]
-    for cell, outcome in outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler):
-        if isinstance(outcome, Outcome):
-            kept[cell] = outcome.lines
-            append(out / EPISODES, outcome.lines)
-            append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
-        else:
-            failed.append((cell, outcome))
-        if progress is not None:
-            progress(study.episodes(cell))
+    with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
+        for cell, outcome in coming:
+            if isinstance(outcome, Outcome):
+                kept[cell] = outcome.lines
+                append(out / EPISODES, outcome.lines)
+                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
+            else:
+                failed.append((cell, outcome))
+            if progress is not None:
+                progress(study.episodes(cell))
     _write(out / EPISODES, [kept[cell] for cell in order if cell in kept])
     spent = {_cell(record): record for record in read_records(out / PROFILE)}
     write_records(out / PROFILE, [spent[cell] for cell in order if cell in spent])
