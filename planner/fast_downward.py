@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import importlib.resources
+import importlib.util
 import math
 import os
 import re
@@ -148,10 +148,9 @@ def optimal_plan(
         sas = with_initial_state(sas, state)
     if search is None:
         search = ASTAR_WITH_AXIOMS if has_axioms(sas) else ASTAR
-    binary = importlib.resources.files("up_fast_downward") / "downward" / "builds" / "release" / "bin" / "downward"
-    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, importlib.resources.as_file(binary) as program:
+    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         plan = Path(folder) / "plan"
-        command = [str(program), "--internal-plan-file", str(plan), "--search", search]
+        command = [str(_binary()), "--internal-plan-file", str(plan), "--search", search]
         code, output = _run(command, folder, sas, limits)
         if code == 0 and plan.is_file():
             # An action without arguments is written with a space before the bracket.
@@ -161,6 +160,14 @@ def optimal_plan(
         return None
     _check_limits("A*", code, limits)
     raise FastDownwardError(f"Fast Downward's search failed (exit {code}): {_last_line(output)}")
+
+
+def _binary() -> Path:
+    """Find the search program, without importing the package that holds it: that imports much."""
+    package = importlib.util.find_spec("up_fast_downward")
+    if package is None or not package.submodule_search_locations:
+        raise FastDownwardError("the package up-fast-downward is not installed")
+    return Path(package.submodule_search_locations[0], "downward", "builds", "release", "bin", "downward")
 
 
 def with_initial_state(sas: str, state: Sequence[int]) -> str:
