@@ -14,7 +14,7 @@ from conftest import ROOT
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+BLOCK = re.compile(r"^```([\w{}-]*)\n(.*?)^```", re.M | re.S)
 
 
 def blocks(page: Path, language: str) -> str:
@@ -82,7 +82,7 @@ def test_python_blocks(page: Path, place: Path) -> None:
 def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
     for page in PAGES:
         for language, text in BLOCK.findall(page.read_text()):
-            assert language in {"console", "pycon", "sh", "pddl", "text", "json"}, (
+            assert language in {"console", "pycon", "sh", "pddl", "text", "json", "{toctree}", "{eval-rst}"}, (
                 f"{name(page)}: ```{language}\n{text}"
             )
 

@@ -34,7 +34,7 @@ class Certificate:
     upper : float
         What no policy's exceeds.
     gap_percent : float
-        100 (upper - value) / |value|.
+        100 (upper - value) / abs(value).
     slack_percent : float
         By how many of these percentage points the bound could be lower, at most, if the solver of single people's
         problems had gone on to the end.

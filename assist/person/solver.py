@@ -164,7 +164,7 @@ def solve(
     ----------
     pomdp : AssistPOMDP
     gap : float
-        Stop when (upper - lower) / |lower| at the initial state and the prior is at most this.
+        Stop when (upper - lower) / abs(lower) at the initial state and the prior is at most this.
     time_limit : float, optional
         Stop the search after so many seconds. The first bounds are worked out in any case. Compiling, which takes
         place once after an installation, does not count.
