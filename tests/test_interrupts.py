@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import click
 import pytest
@@ -87,6 +88,26 @@ def test_no_command_takes_long_to_end(again: bool) -> None:
             process.send_signal(signal.SIGTERM)
         assert process.communicate(timeout=60) == ("", "interrupted\n")
         assert time.monotonic() - start < 15  # of forty
+    assert process.returncode == 143
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        "import slow",
+        """try: wait('started')
+    except KeyboardInterrupt: raise ImportError("half-loaded")""",
+    ],
+)
+def test_an_interrupt_is_no_other_error(wait: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from modules that are being loaded, or from compilers, which turn whatever comes into errors of their own."""
+    (tmp_path / "slow.py").write_text(
+        "import time\ntry:\n  print('started', flush=True)\n  time.sleep(20)\nexcept BaseException: pass"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with waiting(wait) as process:
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60) == ("", "interrupted\n")
     assert process.returncode == 143
 
 

@@ -33,19 +33,21 @@ def interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    patience: threading.Timer | None = None
+    come: int | None = None
+    patience: list[threading.Timer] = []
 
     def end(number: int) -> NoReturn:
         os.write(2, b"interrupted\n")
         os._exit(128 + number)
 
-    def interrupt(number: int, _: FrameType | None) -> NoReturn:
-        nonlocal patience
-        if patience is not None:
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        nonlocal come
+        if come is not None or _importing(frame):
             end(number)
-        patience = threading.Timer(PATIENCE, end, (number,))
-        patience.daemon = True
-        patience.start()
+        come = number
+        patience.append(threading.Timer(PATIENCE, end, (number,)))
+        patience[0].daemon = True
+        patience[0].start()
         raise Interrupted(number)
 
     heard = {number: signal.getsignal(number) for number in SIGNALS}
@@ -54,11 +56,23 @@ def interruptible() -> Iterator[None]:
         for number in heard:
             signal.signal(number, interrupt)
         yield
-    except Interrupted as interrupted:  # before or after the command itself
+    except (KeyboardInterrupt, Exception) as error:
+        if come is None:
+            raise
+        # Before or after the command itself; or what was interrupted has made another error of it.
         os.write(2, b"interrupted\n")
-        raise SystemExit(interrupted.exit_code) from None
+        raise SystemExit(128 + come) from error
     finally:
         for number, handler in heard.items():
             signal.signal(number, handler)
-        if patience is not None:
-            patience.cancel()
+        for timer in patience:
+            timer.cancel()
+
+
+def _importing(frame: FrameType | None) -> bool:
+    """Whether a module is being loaded: some print an exception that comes then, and go on half-loaded."""
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            return True
+        frame = frame.f_back
+    return False
