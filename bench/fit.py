@@ -33,7 +33,8 @@ from assist.learning.population import fit_population
 from assist.learning.recording import replay
 from assist.people.belief import Grid as BeliefGrid
 from assist.people.choices import Choices
-from assist.people.human import NOTHING, HumanModel, choice, influence, trust
+from assist.people.decision import NOTHING, choice, influence, trust
+from assist.people.human import HumanModel
 from assist.person.pomdp import AssistPOMDP
 from assist.plots.people import calibration_figure, expertise_figure
 from assist.plots.style import BLUE, ORANGE, save

@@ -21,7 +21,8 @@ import click
 import numpy as np
 
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population, perceived_cost_to_go
+from assist.people.decision import perceived_cost_to_go
+from assist.people.human import Human, HumanModel, Population
 from assist.person.pomdp import AssistPOMDP, Suggestions
 from assist.person.solver import solve
 from planner import Instance, load, sweep

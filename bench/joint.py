@@ -23,7 +23,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from assist.people.human import Floats
+from assist.people.decision import Floats
 from assist.person.pomdp import AssistPOMDP
 from assist.team.pool import Pool
 from assist.team.state import NOBODY

@@ -33,7 +33,8 @@ from rich.table import Table
 from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population, perceived_value
+from assist.people.decision import perceived_value
+from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, qmdp
 from assist.simulation.dynamics import Minds, People, act

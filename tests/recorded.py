@@ -11,7 +11,7 @@ from assist.learning.log import Entry, Log
 from assist.learning.observations import Observations, observe
 from assist.learning.recording import replay
 from assist.people.choices import Choices
-from assist.people.human import choice, influence, perceived_cost, perceived_value, trust
+from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from planner import Table
 
 RIGHT, WRONG, BACK = "(place hammer slot-1 box-a)", "(place hammer slot-2 box-a)", "(return box-a)"

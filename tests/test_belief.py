@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from assist.people.belief import Grid, ImpossibleObservationError, update
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
+from assist.people.human import Human, HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from planner import Table

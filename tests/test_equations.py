@@ -1,4 +1,4 @@
-"""Equations 4 to 6 and the filter: every second place, made for speed, against `people.human` and `people.belief`."""
+"""Equations 4 to 6 and the filter: every second place, made for speed, against `decision` and `belief`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from assist.learning.likelihood import Data, on_grid
 from assist.people import compiled
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import (
+from assist.people.decision import (
     NOTHING,
-    HumanModel,
     choice,
     influence,
     lapse,
@@ -25,6 +24,7 @@ from assist.people.human import (
     perceived_value,
     trust,
 )
+from assist.people.human import HumanModel
 from assist.person import hsvi
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
@@ -56,7 +56,7 @@ def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigm
 
 
 def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
-    """The chance of each slot, shape (B, T, A), by the equations of `people.human`."""
+    """The chance of each slot, shape (B, T, A), by the equations of `people.decision`."""
     model, applicable = problem.model, problem.model.choices.applicable[x]
     p = np.array([choice(model.q[x], applicable, beta) for beta in BETA])
     heard = [[influence(row, int(problem.suggested[x, r]), theta) for theta in THETA] for row in p]
@@ -64,7 +64,7 @@ def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
 
 
 def moves(problem: AssistPOMDP, x: int, r: int) -> Floats:
-    """Where theta goes, shape (T, T), by the equations of `people.human`."""
+    """Where theta goes, shape (T, T), by the equations of `people.decision`."""
     model, choices = problem.model, problem.model.choices
     value, slot = perceived_value(choices, model.q), problem.suggested[x, r]
     after = THETA

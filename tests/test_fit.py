@@ -28,16 +28,8 @@ from assist.learning.observations import Observations
 from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import (
-    HumanModel,
-    Mixture,
-    Population,
-    choice,
-    influence,
-    perceived_cost,
-    perceived_value,
-    trust,
-)
+from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
+from assist.people.human import HumanModel, Mixture, Population
 from assist.person.pomdp import AssistPOMDP
 from planner import Cache, LimitError, Table, Task, load, ondemand, sweep
 
@@ -83,7 +75,7 @@ def test_the_likelihood_by_hand(tiny: Table) -> None:
 
 
 def test_the_likelihood_is_that_of_the_model(paper_choices: Choices, team: list[Observations]) -> None:
-    """Step by step with `assist.people.human`, for people of many actions."""
+    """Step by step with `assist.people.decision`, for people of many actions."""
     c = paper_choices
     v = perceived_value(c, perceived_cost(c, c.h))
     for o in team[:2]:

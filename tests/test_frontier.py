@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population, choice, influence, lapse, trust
+from assist.people.decision import choice, influence, lapse, trust
+from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.region import Region
 from assist.person.solver import solve
@@ -39,7 +40,7 @@ def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:
 
 
 def values(problem: AssistPOMDP, *, policy: str) -> Floats:
-    """What somebody gets, shape (n, B, T), by plain value iteration over the equations of `people.human`.
+    """What somebody gets, shape (n, B, T), by plain value iteration over the equations of `people.decision`.
 
     `policy` is "best", the best that can be done where beta and theta are seen, or "worst optimal": in every state some
     optimal suggestion, each time the one that turns out worst, and nothing in dead ends.

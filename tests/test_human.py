@@ -12,10 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from assist.people.choices import WAIT, Choices
-from assist.people.human import (
+from assist.people.decision import (
     NOTHING,
-    HumanModel,
-    Population,
     choice,
     influence,
     lapse,
@@ -24,6 +22,7 @@ from assist.people.human import (
     perceived_value,
     trust,
 )
+from assist.people.human import HumanModel, Population
 from planner import Table, load, sweep
 
 ALL = np.ones(3, dtype=bool)

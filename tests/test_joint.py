@@ -14,7 +14,8 @@ from joint import JointBounds, joint_bounds
 from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import Floats, HumanModel, Population
+from assist.people.decision import Floats
+from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve

@@ -10,7 +10,8 @@ from hypothesis.extra import numpy as arrays
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, choice, influence, lapse, perceived_cost_to_go, trust
+from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
+from assist.people.human import Human, HumanModel
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import QMDP, qmdp
 from planner import Table

@@ -14,17 +14,9 @@ from test_mdp import GRID, make
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import (
-    Human,
-    HumanModel,
-    Population,
-    choice,
-    influence,
-    lapse,
-    perceived_cost_to_go,
-    perceived_value,
-    trust,
-)  # fmt: skip  # isort: skip
+from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, perceived_value, trust
+
+from assist.people.human import (Human, HumanModel, Population)  # fmt: skip  # isort: skip
 from assist.person import hsvi, upper_hull
 from assist.person.pomdp import AssistPOMDP, Policy
 from assist.person.qmdp import evaluate, qmdp
@@ -489,7 +481,7 @@ def test_gap_is_checked(tiny_choices: Choices, gap: float) -> None:
 def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarray:
     """Let a policy help people who are as the robot's model says, one drawn from the prior for each episode.
 
-    What they do comes from the equations of `assist.people.human`, not from the arrays that the solver reads.
+    What they do comes from the equations of `assist.people.decision`, not from the arrays that the solver reads.
     """
     pomdp, grid = policy.pomdp, policy.pomdp.grid
     model, choices = pomdp.model, pomdp.model.choices

@@ -20,7 +20,8 @@ from matplotlib.text import Text
 from scipy import stats
 
 from assist.people.choices import Choices
-from assist.people.human import Human, HumanModel, Population, perceived_cost
+from assist.people.decision import perceived_cost
+from assist.people.human import Human, HumanModel, Population
 from assist.person import qmdp as mdp
 from assist.person.pomdp import AssistPOMDP
 from assist.simulation.simulate import simulate

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.people.choices import Choices
-from assist.people.human import HumanModel, Population, choice, influence, lapse, perceived_value, trust
+from assist.people.decision import choice, influence, lapse, perceived_value, trust
+from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, evaluate
 from assist.simulation.dynamics import Minds, People, act

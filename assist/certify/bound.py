@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.solver import solve
 from ..team.arguments import Seed, entropy, positive, whole
 from ..team.pool import MEMORY_LIMIT_MB, Pool

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..simulation.simulate import simulate
 from ..team.pool import Pool
 from ..team.state import TeamPolicy

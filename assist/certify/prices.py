@@ -16,7 +16,7 @@ import numpy as np
 
 from planner import LimitError
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.qmdp import QMDP, qmdp
 from ..simulation.simulate import simulate
 from ..team.arguments import positive

@@ -125,7 +125,8 @@ def person_problem(
     With `part` a task that is too large is cut down to the states that matter.
     """
     from ..people.choices import Choices
-    from ..people.human import HumanModel, perceived_cost, perceived_cost_to_go
+    from ..people.decision import perceived_cost, perceived_cost_to_go
+    from ..people.human import HumanModel
     from ..person.pomdp import AssistPOMDP
     from ..person.region import Region
 

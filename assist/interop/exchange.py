@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from planner.errors import MissingExtraError
 from planner.storage import atomic
 
-from ..people.human import NOTHING, Floats
+from ..people.decision import NOTHING, Floats
 from ..person.alpha_vectors import VectorPolicy
 from ..person.pomdp import AssistPOMDP
 

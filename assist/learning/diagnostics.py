@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from .estimates import Fit
 
 TERMS = ("repetition", "large_mistakes", "learning")

@@ -1,6 +1,6 @@
 """Expertise, influence and trust of a person, from what they did.
 
-Maximum likelihood under the model of `human`, with h* for the person's cost-to-go: beta, and where there were
+Maximum likelihood under the model of `people.decision`, with h* for the person's cost-to-go: beta, and where there were
 suggestions the theta that each episode began with and the rate eta of the trust update. Intervals are those of the
 profile likelihood: all values that a likelihood-ratio test at the level does not reject, the other parameters at
 their best (Wilks 1938). Nothing ends at infinity: who never errs gets `largest_beta` as an estimate and as the end
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri
 
-from ..people.human import NOTHING, Floats, choice, influence, lapse
+from ..people.decision import NOTHING, Floats, choice, influence, lapse
 from .likelihood import Data, Method, alone, at_point, on_grid, thetas, with_trust
 from .observations import Observations
 

@@ -1,4 +1,4 @@
-"""How likely a person's actions are under the model of `assist.people.human`, for any beta, theta and eta; compiled.
+"""How likely a person's actions are under the model of `assist.people.decision`, for any beta, theta and eta; compiled.
 
 The person's cost-to-go is taken for h*. Theta begins anew in each episode.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.compiled import answer, moved
-from ..people.human import Floats
+from ..people.decision import Floats
 from .observations import Ints, Observations
 
 LARGE = 1e9

@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import brentq, minimize_scalar
 from scipy.special import chdtri
 
-from ..people.human import NOTHING, Floats
+from ..people.decision import NOTHING, Floats
 from .estimates import Fit
 from .observations import Ints, Observations
 

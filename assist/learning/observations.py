@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import NOTHING, Floats
+from ..people.decision import NOTHING, Floats
 from .recording import Recording
 
 Ints = NDArray[np.int64]

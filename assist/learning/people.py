@@ -15,7 +15,8 @@ import numpy as np
 
 from planner import CostToGo, LimitError
 
-from ..people.human import Floats, Mixture
+from ..people.decision import Floats
+from ..people.human import Mixture
 from .diagnostics import check
 from .estimates import maximum_likelihood
 from .likelihood import Method

@@ -23,7 +23,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri, ndtr
 
-from ..people.human import NOTHING, Floats, Mixture, Population, Range
+from ..people.decision import NOTHING, Floats
+from ..people.human import Mixture, Population, Range
 from .estimates import largest_beta
 from .likelihood import Method, log_likelihood
 from .observations import Observations

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ..people.human import NOTHING
+from ..people.decision import NOTHING
 from .diagnostics import Check
 from .estimates import Estimate, Fit
 from .misconception import Misconception

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
-from ..people.human import NOTHING
+from ..people.decision import NOTHING
 from .actions import STAND_STILL, Matcher, UnmatchedError, Words, words_of
 from .log import Entry, Fault, Log, Names, in_order
 

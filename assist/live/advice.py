@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..people.belief import Grid, Spread
-from ..people.human import Floats
+from ..people.decision import Floats
 
 
 @dataclass(frozen=True)

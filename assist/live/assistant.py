@@ -27,7 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo
 
 from ..people.belief import Spread
-from ..people.human import Floats, Mixture, Population
+from ..people.decision import Floats
+from ..people.human import Mixture, Population
 from ..person.pomdp import Policy
 from ..simulation.dynamics import update
 from ..team.policies import POLICIES, named

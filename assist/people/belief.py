@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .human import Floats, Mixture, Population
+from .decision import Floats
+from .human import Mixture, Population
 
 
 class ImpossibleObservationError(ValueError):

@@ -1,7 +1,7 @@
-"""The equations of `human`, compiled: for code that takes one person, one choice, one pair (beta, theta) at a time.
+"""The equations of `decision`, compiled: for code that takes one person, one choice, one pair (beta, theta) at a time.
 
 What simulates, fits and searches calls these. Where a loop was made faster by arranging an equation in another way
-(`person.qmdp`, `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `human`.
+(`person.qmdp`, `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
 
 numba keeps compiled code for as long as the file of the function that was compiled is unchanged, and so keeps these
 functions within callers of other files. Who changes an equation here removes the `__pycache__` folders of `assist`.
@@ -12,7 +12,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from .human import Floats
+from .decision import Floats
 
 
 @numba.njit(cache=True)

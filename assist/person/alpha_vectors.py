@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from .pomdp import AssistPOMDP
 from .qmdp import Arrays
 

@@ -11,7 +11,7 @@ decision processes", 2000) lets one belief at a time carry weight: that is the s
 some more pivots follow, which is cheap, since a basis has few beliefs and the costs of all slacks are zero, and
 makes the bound much tighter between beliefs. Whatever pivots and rounding do, the weights are checked in
 the end: any that keep the two conditions give a bound. So the bound that the search works with is not exactly convex;
-`envelope` answers with one that is.
+`upper_hull` answers with one that is.
 
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.compiled import answer
-from ..people.human import Floats
+from ..people.decision import Floats
 from .qmdp import ROUNDING
 
 DEPTH = 500  # of a trial

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from ..people import belief as beliefs
 from ..people.belief import Grid
-from ..people.human import NOTHING, Floats, HumanModel, Mixture, Population, choice, perceived_value, trust
+from ..people.decision import NOTHING, Floats, choice, perceived_value, trust
+from ..people.human import HumanModel, Mixture, Population
 
 Suggestions = Literal["optimal", "all"]
 

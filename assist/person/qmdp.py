@@ -26,7 +26,7 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from .pomdp import AssistPOMDP
 
 ROUNDING = 1e-12

@@ -27,7 +27,8 @@ from planner import CostToGo, Table, Transitions, optimal_choices
 
 from ..people.belief import Grid
 from ..people.choices import Choices
-from ..people.human import Floats, HumanModel, Mixture, Population, choice
+from ..people.decision import Floats, choice
+from ..people.human import HumanModel, Mixture, Population
 from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock

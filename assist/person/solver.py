@@ -5,9 +5,9 @@ implementation", 2005) in a form made for this problem: x is observed, so that e
 over beliefs of B * T numbers.
 
 - Below, each state has alpha vectors: what some plan gets for each (beta, theta). They begin with policies that
-  look only at x (`mdp.evaluate`), and each backup adds the vector of a robot action followed by vectors that are
+  look only at x (`qmdp.evaluate`), and each backup adds the vector of a robot action followed by vectors that are
   there already. So the bound is the value of a policy that can be carried out.
-- Above, each state has a hull: the values of the problem with beta and theta seen (`mdp.qmdp`), lowered at single
+- Above, each state has a hull: the values of the problem with beta and theta seen (`qmdp.qmdp`), lowered at single
   beliefs by backups.
 
 A trial walks from the initial state and the prior through the most promising robot action to the child that
@@ -16,7 +16,7 @@ way home. What is off the way of later trials would stay as it was first found: 
 beliefs above, all of these and all vectors below are backed up again, in the order in which the task ends (as
 point-based value iteration does: Pineau, Gordon and Thrun, 2003).
 
-Both bounds hold in floating point too: whatever is stored is moved outwards by `mdp.ROUNDING`. They are bounds of
+Both bounds hold in floating point too: whatever is stored is moved outwards by `qmdp.ROUNDING`. They are bounds of
 the problem on its grid of beta and theta, and to someone who acts in steps as `AssistPOMDP` has them.
 """
 
@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP

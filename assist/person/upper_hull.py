@@ -1,6 +1,6 @@
 """The upper bound of a solution at given beliefs: the least that its points prove.
 
-`search` says how points with known bounds bound the value at another belief b, and gives up the linear program
+`hsvi` says how points with known bounds bound the value at another belief b, and gives up the linear program
 
     minimise  sum_i w_i d_i   where  sum_i w_i b_i <= b,  w >= 0
 
@@ -19,7 +19,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from .qmdp import ROUNDING
 
 PIVOTS = (

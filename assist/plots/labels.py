@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..people.human import Floats
+from ..people.decision import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

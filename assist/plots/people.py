@@ -10,7 +10,7 @@ import numpy as np
 
 from ..learning.diagnostics import calibrate
 from ..learning.estimates import Fit
-from ..people.human import NOTHING
+from ..people.decision import NOTHING
 from .style import BLUE, GREEN, GREY, ORANGE, require, save
 
 if TYPE_CHECKING:

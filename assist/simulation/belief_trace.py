@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..people.belief import Spread
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel

@@ -1,6 +1,6 @@
 """One step of many people, compiled: they choose, their tasks and trust move on, and so does the belief in them.
 
-The same equations as in `assist.people.human` and `assist.people.belief`, one person at a time instead of one array
+The same equations as in `assist.people.decision` and `assist.people.belief`, one person at a time instead of one array
 at a time, so that nothing is computed that is not needed: without a suggestion trust stays as it is, and what a person
 does tells of beta only.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.compiled import heed, moved, weigh
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.qmdp import Arrays
 
 

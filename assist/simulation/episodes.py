@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import NOTHING, Floats, perceived_cost, perceived_value
+from ..people.decision import NOTHING, Floats, perceived_cost, perceived_value
 from ..person.qmdp import Arrays
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import evaluate
 from .state import NOBODY, TeamAction, TeamState

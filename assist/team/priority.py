@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import qmdp
 from .state import NOBODY, TeamAction, TeamState

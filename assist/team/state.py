@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from ..person.pomdp import Policy
 from .travel import Travel
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..people.choices import Choices
-from ..people.human import NOTHING, Floats
+from ..people.decision import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP
 
 AWAY, HERE = 0, 1

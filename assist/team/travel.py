@@ -10,7 +10,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from ..people.human import Floats
+from ..people.decision import Floats
 from .arguments import whole
 
 
