@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, kitassist
+from click.testing import CliRunner, Result
+from conftest import KITTING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify.bound import upper_bound
+from assist.certify.bound import TeamBound, upper_bound
+from assist.cli import main
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
@@ -26,6 +29,15 @@ from assist.team.subproblem import AWAY, HERE, Visits
 @pytest.fixture(scope="module")
 def pool(tiny_choices: Choices) -> Pool:
     return Pool.sample(tiny_choices, 3, seed=3, setting=Setting(gamma=0.95, c_suggest=0.1, c_move=0.2))
+
+
+@pytest.fixture(scope="module")
+def together(pool: Pool) -> TeamBound:
+    return upper_bound(pool, gap=1e-3)
+
+
+def kitassist(*arguments: object) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def root(visits: Visits) -> float:
@@ -46,7 +58,7 @@ def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
     never = evaluate(alone, np.zeros(len(alone.robot_actions), dtype=np.int64), tolerance=1e-9)
     value = float((never[alone.model.choices.initial] * alone.prior).sum())
     assert root(Visits.of(alone, 1000.0)) == pytest.approx(value, abs=1e-6)
-    assert root(Visits.of(alone, 0.0, 3, np.full(200, 1000.0))) == pytest.approx(value, abs=1e-2)
+    assert root(Visits.of(alone, 0.0, 3, np.full(100, 1000.0))) == pytest.approx(value, abs=1e-2)
 
 
 @settings(max_examples=15, deadline=None)
@@ -92,8 +104,8 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
     assert solution.lower - 4 * error <= run.discounted_return.mean() <= solution.upper + 4 * error
 
 
-def test_no_policy_exceeds_the_bound(pool: Pool) -> None:
-    found = upper_bound(pool, gap=1e-3)
+def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
+    found = together
     assert found.upper <= sum(root(Visits.of(p.pomdp, 0.2)) for p in pool.policies)  # what each gets alone
     assert found.upper <= found.upper_seen
     assert (found.price >= 0).all()
@@ -104,37 +116,41 @@ def test_no_policy_exceeds_the_bound(pool: Pool) -> None:
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
         expected = 100 * (certificate.upper - certificate.value) / abs(certificate.value)
         assert certificate.gap_percent == pytest.approx(expected)
-    assert found.certify(pool.policy("priority"), episodes=4000).gap_percent < 3
+    # With this luck it is 1.57, of which 1.3 is what one robot can do less than one for each of three people.
+    assert found.certify("priority", episodes=4000).gap_percent < 1.7
+    assert found.slack <= 1.001e-3 * abs(found.upper)  # as far as people's problems were to be solved
     assert values["none"] < values["attention"]
 
 
-@pytest.mark.parametrize("time", [1.0, 2.0])
-def test_the_bound_holds_where_the_way_takes_time(pool: Pool, time: float) -> None:
+@pytest.mark.parametrize(("time", "gap"), [(1.0, 1.63), (2.0, 2.03)])
+def test_the_bound_holds_where_the_way_takes_time(pool: Pool, together: TeamBound, time: float, gap: float) -> None:
     slow = replace(pool, setting=replace(pool.setting, travel_time=time))
     found = upper_bound(slow, gap=1e-3)
-    assert found.upper < upper_bound(pool, gap=1e-3).upper  # what it takes is not left out
+    assert found.upper < together.upper  # what it takes is not left out
     for name in ("attention", "priority"):
         certificate = found.certify(slow.policy(name), name, episodes=4000)
         assert certificate.value <= certificate.upper + 4 * certificate.value_stderr
-    assert certificate.gap_percent < 4
+    assert certificate.gap_percent == pytest.approx(gap, abs=0.1)  # the luck is the same; machines round differently
 
 
-def test_a_robot_for_everybody_gets_more_than_one_robot_and_no_more_than_the_bound(pool: Pool) -> None:
-    found = upper_bound(pool)
+def test_a_robot_for_everybody_gets_more_than_one_robot_and_no_more_than_the_bound(
+    pool: Pool, together: TeamBound
+) -> None:
+    found = together
     shared = found.certify(pool.policy("priority"), episodes=4000)
     mean, error = found.relaxed(episodes=4000)
     assert 0 < error < 0.1
     assert shared.value + 3 * shared.value_stderr < mean <= found.upper + 3 * error
+    assert found.upper - found.slack <= mean + 4 * error  # QMDP's policies lose nothing to speak of there
     alone = upper_bound(pool, (0,))
     mean, error = alone.relaxed(episodes=4000)  # nothing is relaxed where there is nobody else
     best = alone.certify(pool.policy("priority"), episodes=4000)
     assert mean == pytest.approx(best.value, abs=4 * (error + best.value_stderr))
 
 
-def test_prices_make_the_bound_tighter(pool: Pool) -> None:
+def test_prices_make_the_bound_tighter(pool: Pool, together: TeamBound) -> None:
     """Three people, one robot: that it cannot be everywhere is worth something."""
     apart = sum(upper_bound(pool, (person,)).upper for person in range(3))
-    together = upper_bound(pool, gap=1e-3)
     assert together.price.max() > 0.05
     assert together.upper < apart - 0.01
 
@@ -147,7 +163,7 @@ def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:
     assert max(total for what, _, total in told if what == "bounding people's problems") == 1
     certificate = found.certify(pool.policy("priority"), episodes=200)
     assert certificate.humans == 40
-    assert 0 < certificate.gap_percent < 5
+    assert certificate.gap_percent == pytest.approx(2.48, abs=0.1)  # with this luck; +- 0.6 with other
 
 
 def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choices) -> None:
@@ -167,7 +183,7 @@ def test_bound_on_the_command_line() -> None:
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
         "--episodes", "500", "--policy", "attention", "--policy", "none", "--json",
     )  # fmt: skip
-    assert result.returncode == 0, result.stderr
+    assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
     assert (document["humans"], document["policy"]) == (2, "attention")
     assert [p["policy"] for p in document["policies"]] == ["attention", "none"]
@@ -177,10 +193,8 @@ def test_bound_on_the_command_line() -> None:
     )
 
 
-def test_teams_options_that_cannot_be(tmp_path: object) -> None:
-    from pathlib import Path
-
-    folder = Path(str(tmp_path))
+def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
+    folder = tmp_path
     (folder / "far.json").write_text("[[0, 1], [1, 0]]")
     (folder / "no.json").write_text('{"a": 1}')
     tiny = str(KITTING / "tiny.pddl")
@@ -191,7 +205,7 @@ def test_teams_options_that_cannot_be(tmp_path: object) -> None:
         (["--gamma", "1"], "gamma 1"),
     ):
         result = kitassist("bound", tiny, "--humans", "3", *options)
-        assert result.returncode == 2
+        assert result.exit_code == 2
         assert complaint in result.stderr
         assert result.stdout == ""
 

@@ -16,7 +16,7 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import Arrays, evaluate
+from assist.person.qmdp import Arrays, evaluate, qmdp
 from assist.simulation.dynamics import Minds, People, act
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.illustration import typical
@@ -97,6 +97,20 @@ def test_attention_follows_algorithm_1(pool: Pool) -> None:
             helped += 1
             assert action.person.tolist() == [int(np.argmax(scores))]
     assert helped > 5
+
+
+def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
+    """Where help is worth nothing the best is to say nothing, however much better than never helping again it is."""
+    x = [pool.choices(0).initial] * 2
+    far_below = tuple(np.full_like(policy.value_mdp, -1e6) for policy in pool.policies)
+    dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
+                                        for p in pool.policies))  # fmt: skip
+    team = state(dear, x, travel=Travel.of(2, c_move=0.0))
+    switching = AttentionSwitching(far_below)
+    robot, score = switching.scores(team)
+    assert robot.tolist() == [[0, 0]]
+    assert np.isneginf(score).all()
+    assert switching(team).person.tolist() == [NOBODY]
 
 
 def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
