@@ -20,10 +20,11 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
 
 from assist.cli import main
+from assist.learning import misconception
 from assist.learning.diagnostics import calibrate, check
 from assist.learning.estimates import maximum_likelihood
 from assist.learning.likelihood import Method, log_likelihood
-from assist.learning.misconception import MarginalLikelihood, fit_misconception
+from assist.learning.misconception import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations
 from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
@@ -271,6 +272,41 @@ def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -
     draws = beta * sigma * rng.standard_normal((200_000, len(z)))
     chance = np.mean([np.exp(model._terms(beta, np.append(row, 0.0))[0]) for row in draws[:20_000]])
     assert value == pytest.approx(np.log(chance), abs=0.03)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=10, deadline=None)
+def test_the_curvature_may_be_a_band(seed: int) -> None:
+    """It is the same function of beta and sigma, and the same most likely costs, in another order."""
+    rng = np.random.default_rng(seed)
+    (found,) = maximum_likelihood(observed(TINY, people_at_work(TINY_CHOICES, [0.3], rng, suggest=0.3, episodes=3)))
+    whole, band = MarginalLikelihood(found), MarginalLikelihood(found, whole=0)
+    assert whole.band is None
+    assert band.band is not None
+    assert set(band.states) == set(whole.states)
+    for beta, sigma in ((0.3, 0.5), (1.0, 2.0), (2.0, 0.0)):
+        value, z = whole.marginal(beta, sigma)
+        other, costs = band.marginal(beta, sigma)
+        assert other == pytest.approx(value, abs=1e-8)
+        np.testing.assert_allclose(costs[np.argsort(band.states)], z, atol=1e-6)
+
+
+def test_a_band_is_narrow_where_people_pass_from_state_to_state(paper: Table, paper_choices: Choices) -> None:
+    (o,) = observed(paper, people_at_work(paper_choices, [0.4], np.random.default_rng(1), episodes=12))
+    whole, band = Uncertain.of(o), Uncertain.of(o, whole=0)
+    assert band.band is not None
+    assert band.band < len(band.states) / 2
+    assert band.megabytes < whole.megabytes / 2
+
+
+def test_misconceptions_that_take_too_much_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before any is taken, in one line."""
+    monkeypatch.setattr(misconception, "MEMORY_LIMIT_MB", 1e-4)
+    monkeypatch.setattr(misconception.MarginalLikelihood, "__init__", lambda *_: pytest.fail("it was taken"))
+    file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), "--misconception"])
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert result.stderr.splitlines()[-1].startswith("out of memory: person 'ann': misconceptions about 8 states take")
 
 
 def test_calibration_counts_every_choice(team: list[Observations]) -> None:

@@ -8,21 +8,35 @@ remains, the marginal likelihood (Tierney and Kadane 1986).
 Beta and sigma are told apart by repetition alone. Who passes each state once gives the same actions for a large
 beta with misconceptions as for a smaller one without. Theta and its changes are taken as given, with h* in the
 trust update; lapses are only where a person walks into a dead end that they could avoid.
+
+The curvature is a matrix of as many rows as there are uncertain states, and nonzero only where two of them could be
+chosen in one step. States are put into an order in which these are near each other (reverse Cuthill-McKee), so that it
+is a narrow band along the diagonal: the memory is known before it is taken.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 from scipy.optimize import brentq, minimize_scalar
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.special import chdtri
 
 from ..people.decision import NOTHING, Floats
 from .estimates import Fit
 from .observations import Ints, Observations
+
+WHOLE = 1000
+"""Up to so many states the curvature is a whole matrix: as fast as a band, or faster."""
+
+MEMORY_LIMIT_MB = 500
+"""What the curvature may take for one person."""
 
 LARGEST_SIGMA = 5.0
 """Where the search for sigma ends, in units of the smallest mistake that the person could make."""
@@ -118,6 +132,7 @@ def fit_misconception(fitted: Fit) -> Misconception:
     beta = best_beta(float(sigma))[0]
     _, z = model.marginal(beta, float(sigma))
     perceived = model.h + (z / beta if sigma > 0 else 0.0)
+    order = np.argsort(model.states)
     interval = (0.0 if sigma == 0 else end(-1), top if sigma >= top else end(1))
     return Misconception(
         float(sigma),
@@ -126,34 +141,108 @@ def fit_misconception(fitted: Fit) -> Misconception:
         beta,
         float(best),
         float(values[0]),
-        model.states,
-        model.h,
-        perceived,
-        model.seen,
+        model.states[order],
+        model.h[order],
+        perceived[order],
+        model.seen[order],
     )
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """What a person's choices depend on whose cost they may be mistaken about.
+
+    Attributes
+    ----------
+    kept : bool array, shape (N,)
+        Which choices say something.
+    possible : bool array, shape (N, A)
+        Which alternatives they have, but for needless ways into dead ends.
+    index : int array, shape (N, A)
+        The place of each alternative in the next three; M for goals, about which nobody is mistaken.
+    states : int array, shape (M,)
+    cost_to_go : float array, shape (M,)
+        h* of them.
+    seen : int array, shape (M,)
+        In how many of the choices each could have been chosen.
+    band : int or None
+        How far apart the alternatives of one choice are, at most; None where a whole matrix is no larger or no slower.
+    """
+
+    kept: NDArray[np.bool_]
+    possible: NDArray[np.bool_]
+    index: Ints
+    states: Ints
+    cost_to_go: Floats
+    seen: Ints
+    band: int | None
+
+    @classmethod
+    def of(cls, o: Observations, whole: int = WHOLE) -> Uncertain:
+        """Find them; up to `whole` states are kept in ascending order."""
+        # A needless way into a dead end is a lapse, and a choice that is none says nothing.
+        kept = np.isfinite(o.regret) & np.isfinite(o.cost_to_go) & (o.applicable.sum(axis=1) > 1)
+        possible = o.applicable & np.isfinite(o.excess)
+        uncertain = possible & ~o.goal & kept[:, None]
+        states, first, inverse, seen = np.unique(
+            o.targets[uncertain], return_index=True, return_inverse=True, return_counts=True
+        )
+        index = np.full(o.targets.shape, len(states))  # goal states share a last place, which stays 0
+        index[uncertain] = inverse
+        h, band = o.ahead[uncertain][first], None
+        if len(states) > whole:
+            order = _near_each_other(index, len(states))
+            states, h, seen = states[order], h[order], seen[order]
+            index = np.append(np.argsort(order), len(order))[index]
+            low = np.where(uncertain, index, len(order)).min(axis=1)
+            band = int((np.where(uncertain, index, -1).max(axis=1) - low)[uncertain.any(axis=1)].max())
+        return cls(kept, possible[kept], index[kept], states, h, seen, band)
+
+    @property
+    def megabytes(self) -> float:
+        """The memory that the curvature and its factor take."""
+        return 2 * 8e-6 * len(self.states) * (len(self.states) if self.band is None else self.band + 1)
+
+
+def _near_each_other(index: Ints, size: int) -> Ints:
+    """Order so many states such that those between which somebody could choose are near each other."""
+    ascending = np.sort(index, axis=1)  # a chain through each choice's alternatives joins them well enough
+    one, other = ascending[:, :-1].ravel(), ascending[:, 1:].ravel()
+    joined = (one != other) & (other < size)
+    pairs = coo_array((np.ones(joined.sum()), (one[joined], other[joined])), shape=(size, size)).tocsr()
+    return np.asarray(reverse_cuthill_mckee((pairs + pairs.T).tocsr(), symmetric_mode=True), dtype=np.int64)
+
+
+def require_memory(observations: Sequence[Observations]) -> None:
+    """Refuse people whose misconceptions would take too much memory, before any is taken.
+
+    Raises
+    ------
+    MemoryError
+    """
+    for o in observations:
+        uncertain = Uncertain.of(o)
+        if uncertain.megabytes > MEMORY_LIMIT_MB:
+            raise MemoryError(
+                f"person '{o.person}': misconceptions about {len(uncertain.states):,} states take about "
+                f"{uncertain.megabytes:,.0f} MB, and {MEMORY_LIMIT_MB:,} are allowed; fit fewer of their episodes at a "
+                "time, or no misconceptions"
+            )
 
 
 class MarginalLikelihood:
     """Choices among alternatives whose costs are uncertain, each state's by one number z = beta sigma eps."""
 
-    def __init__(self, fitted: Fit) -> None:
+    def __init__(self, fitted: Fit, whole: int = WHOLE) -> None:
         o: Observations = fitted.observations
-        rows = np.arange(len(o))
-        # A needless way into a dead end is a lapse, and a choice that is none says nothing.
-        kept = np.isfinite(o.regret) & np.isfinite(o.cost_to_go) & (o.applicable.sum(axis=1) > 1)
-        possible = o.applicable & np.isfinite(o.excess)
-        uncertain = possible & ~o.goal & kept[:, None]
-        self.states, first, inverse, self.seen = np.unique(
-            o.targets[uncertain], return_index=True, return_inverse=True, return_counts=True
-        )
-        self.h = o.ahead[uncertain][first]
-        index = np.full(o.targets.shape, len(self.states))  # goal states share a last place, which stays 0
-        index[uncertain] = inverse
+        uncertain = Uncertain.of(o, whole)
+        self.states, self.h, self.seen = uncertain.states, uncertain.cost_to_go, uncertain.seen
+        self.index, self.possible, self.band = uncertain.index, uncertain.possible, uncertain.band
         theta = np.clip(fitted.thetas(), fitted.method.lapse, 1 - fitted.method.lapse)
         offset = np.zeros(o.excess.shape)
-        told = o.suggested != NOTHING
-        offset[rows[told], o.suggested[told]] = np.log(theta[told] / (1 - theta[told]))
-        self.index, self.possible = index[kept], possible[kept]
+        told = np.flatnonzero(o.suggested != NOTHING)
+        offset[told, o.suggested[told]] = np.log(theta[told] / (1 - theta[told]))
+        kept = uncertain.kept
         self.excess, self.offset, self.chosen = o.excess[kept], offset[kept], o.chosen[kept]
         self.z = np.zeros(len(self.states) + 1)
 
@@ -182,8 +271,7 @@ class MarginalLikelihood:
             gradient: Floats = np.bincount(self.index.ravel(), p.ravel(), m + 1).astype(float)
             gradient -= np.bincount(self.index[np.arange(len(p)), self.chosen], minlength=m + 1)
             gradient = (gradient - z / variance)[:m]
-            factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
-            step = cho_solve(factor, gradient)
+            step = self._solved(p, variance, gradient)[0]
             size = 1.0
             while True:  # the function is concave, so that a short enough step improves it
                 moved = z.copy()
@@ -197,9 +285,19 @@ class MarginalLikelihood:
             if gain < 1e-7:
                 break
         self.z = z
-        factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
-        determinant = 2 * float(np.log(np.diag(factor[0])).sum()) + m * float(np.log(variance))
+        determinant = self._solved(p, variance, z[:m])[1] + m * float(np.log(variance))
         return value - determinant / 2, z[:m]
+
+    def _solved(self, p: Floats, variance: float, b: Floats) -> tuple[Floats, float]:
+        """Solve (curvature + 1 / variance) x = b; give x, shape (M,), and the logarithm of the determinant."""
+        m = len(self.states)
+        if self.band is None:
+            factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
+            return cho_solve(factor, b), 2 * float(np.log(np.diag(factor[0])).sum())
+        rows = _band(p, self.index, m, self.band)
+        rows[0] += 1 / variance
+        lower = cholesky_banded(rows, overwrite_ab=True, lower=True, check_finite=False)
+        return cho_solve_banded((lower, True), b, check_finite=False), 2 * float(np.log(lower[0]).sum())
 
 
 @numba.njit(cache=True, nogil=True)
@@ -213,3 +311,19 @@ def _curvature(p: Floats, index: Ints, m: int) -> Floats:
                 for b in range(p.shape[1]):
                     result[index[i, a], index[i, b]] -= p[i, a] * p[i, b]
     return result[:m, :m]
+
+
+@numba.njit(cache=True, nogil=True)
+def _band(p: Floats, index: Ints, m: int, band: int) -> Floats:
+    """The same, the diagonal and what is below it: entry (i, j) in row i - j and column j of shape (band + 1, M)."""
+    result = np.zeros((band + 1, m))
+    for i in range(p.shape[0]):
+        for a in range(p.shape[1]):
+            row = index[i, a]
+            if p[i, a] > 0.0 and row < m:
+                result[0, row] += p[i, a]
+                for b in range(p.shape[1]):
+                    column = index[i, b]
+                    if column <= row:
+                        result[row - column, column] -= p[i, a] * p[i, b]
+    return result

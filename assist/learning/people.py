@@ -21,7 +21,7 @@ from .diagnostics import check
 from .estimates import maximum_likelihood
 from .likelihood import Method
 from .log import Fault, Log, in_order
-from .misconception import fit_misconception
+from .misconception import fit_misconception, require_memory
 from .observations import Ints, observe
 from .population import PopulationFit, fit_population
 from .record import Record, nothing_known
@@ -146,6 +146,8 @@ def fit(
         Nothing in the log can be used; with `strict`, something cannot.
     ValueError
         A name in `drop` or `rename` that stands for nothing.
+    MemoryError
+        Somebody's misconceptions would take too much memory.
 
     Warns
     -----
@@ -221,7 +223,10 @@ def learn(
     rng = np.random.default_rng(seed)
     records = []
     tell = None if misconceptions else progress
-    for fitted in maximum_likelihood(observe(recording, h, goal), method, jobs=jobs, progress=tell):
+    observations = observe(recording, h, goal)
+    if misconceptions:
+        require_memory(observations)
+    for fitted in maximum_likelihood(observations, method, jobs=jobs, progress=tell):
         misconception = fit_misconception(fitted) if misconceptions else None
         person = fitted.observations.person
         records.append(Record(fitted, check(fitted, rng), misconception, left_out.get(person, 0)))
