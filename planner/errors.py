@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 
 class MissingExtraError(ImportError):
-    """A package that only an extra of this project installs."""
+    """A package that only an extra of this project installs; the message says how.
+
+    Parameters
+    ----------
+    what : str
+        What cannot be done without it.
+    package, extra : str
+        What is missing, and the extra that has it.
+    """
+
+    def __init__(self, what: str, package: str, extra: str) -> None:
+        checkout = Path(__file__).parent.parent
+        if (checkout / "pyproject.toml").is_file():
+            source = f"-c '{checkout / 'constraints.txt'}' -e '{checkout}[{extra}]'"
+        else:
+            source = f"'kitassist[{extra}]'"
+        super().__init__(f"{what} {package}: {sys.executable} -m pip install {source}")
 
 
 class ResultsExistError(ValueError):

@@ -106,7 +106,7 @@ def _on_cluster(
         from distributed import Client, KilledWorker
         from distributed import as_completed as as_completed_on_cluster
     except ImportError:
-        raise MissingExtraError("a cluster needs Dask: pip install 'kitassist[cluster]'") from None
+        raise MissingExtraError("a cluster needs", "Dask", "cluster") from None
 
     with Client(scheduler) as client:
         futures = {client.submit(work, item, *arguments, pure=False): item for item in items}

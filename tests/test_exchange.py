@@ -348,7 +348,7 @@ def test_pomdp_pys_planner_runs(tiny_choices: Choices) -> None:
 
 def test_without_pomdp_py_the_extra_is_named(tiny_choices: Choices, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pomdp_py", None)  # as if it were not installed
-    with pytest.raises(MissingExtraError, match=r"kitassist\[pomdp-py\]"):
+    with pytest.raises(MissingExtraError, match=r"pomdp-py: .* -m pip install .*\[pomdp-py\]"):
         to_pomdp_py(make(tiny_choices), np.random.default_rng(0))
 
 

@@ -477,7 +477,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
         The problem breaks off at a frontier.
     """
     if importlib.util.find_spec("pomdp_py") is None:
-        raise MissingExtraError("this conversion needs pomdp-py: pip install 'kitassist[pomdp-py]'")
+        raise MissingExtraError("this conversion needs", "pomdp-py", "pomdp-py")
     import pomdp_py
     from pomdp_py.utils.templates import SimpleAction, SimpleObservation, SimpleState
 

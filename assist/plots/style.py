@@ -87,7 +87,7 @@ def require() -> None:
         matplotlib is not installed.
     """
     if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("pictures need matplotlib: pip install 'kitassist[plots]'")
+        raise MissingExtraError("pictures need", "matplotlib", "plots")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:

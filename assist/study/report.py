@@ -59,7 +59,7 @@ def require() -> None:
     style.require()
     for package in ("pandas", "markdown"):
         if importlib.util.find_spec(package) is None:
-            raise MissingExtraError(f"reports need {package}: pip install 'kitassist[study]'")
+            raise MissingExtraError("reports need", package, "study")
 
 
 @dataclass(frozen=True)

@@ -229,7 +229,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     try:
         import pandas as pd
     except ImportError:
-        raise MissingExtraError("data frames need pandas: pip install 'kitassist[study]'") from None
+        raise MissingExtraError("data frames need", "pandas", "study") from None
     folder = Path(folder)
     if not (folder / EPISODES).is_file() or not (folder / ABOUT).is_file():
         raise StudyError(f"{folder}: no results of a study; expected {EPISODES} and {ABOUT}")
