@@ -1,9 +1,9 @@
 from .costtogo import CostToGo as CostToGo
-from .costtogo import MismatchError as MismatchError
 from .costtogo import Table as Table
 from .costtogo import astar as astar
 from .costtogo import optimal_choices as optimal_choices
 from .costtogo import verify as verify
+from .errors import MismatchError as MismatchError
 from .fast_downward import FastDownwardError as FastDownwardError
 from .fast_downward import LimitError as LimitError
 from .fast_downward import Limits as Limits

@@ -13,6 +13,9 @@ from pathlib import Path
 from .fast_downward import LimitError
 from .fast_downward import MemoryLimitError as MemoryLimitError
 
+MAX_STATES = 50_000_000
+"""States that are enumerated, unless another number is given."""
+
 
 @dataclass(frozen=True)
 class Budget:

@@ -17,16 +17,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import fast_downward
+from .errors import MismatchError
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .statespace import StateSpace
 from .successors import Ints, Transitions
 from .task import Task
 
 UNREACHED = np.iinfo(np.int64).max
-
-
-class MismatchError(AssertionError):
-    """A cost-to-go that differs from Fast Downward's."""
 
 
 class CostToGo(Protocol):

@@ -30,6 +30,10 @@ class ResultsExistError(ValueError):
     """An output folder that holds results already."""
 
 
+class MismatchError(AssertionError):
+    """A cost-to-go that differs from Fast Downward's."""
+
+
 class DamagedFileError(ValueError):
     """A file of results that was cut off, changed, or made by something else.
 

@@ -17,15 +17,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .budget import MemoryLimitError
+from .budget import MAX_STATES, MemoryLimitError
 from .costtogo import Table
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
 from .sweep import sweep
 from .task import Task
-
-MAX_STATES = 50_000_000
-"""States that are enumerated, unless another number is given."""
 
 HEAD_START = 0.5
 """Seconds before the first state is asked for while a sweep is under way."""

@@ -14,25 +14,25 @@ import platform
 import resource
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from . import fast_downward
+from .budget import MAX_STATES
 from .checking import Checker, InvalidPlanError
-from .costtogo import MismatchError, Table, astar, verify
+from .errors import MismatchError
 from .fast_downward import FastDownwardError, LimitError, Limits
-from .methods import MAX_STATES, cost_to_go
-from .ondemand import OnDemand
 from .pddl import Instance, PDDLError
 from .replay import replay
 from .source import Source
 from .storage import atomic
-from .successors import Packing
-from .task import Task, ground
+from .task import Effect, Operator, Task, Variable, ground
+
+if TYPE_CHECKING:
+    from .costtogo import Table
 
 Record = dict[str, Any]
 
@@ -141,8 +141,11 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     try:
         with phases.phase("read"):
             source = Source.of(instance)
-        with Checker(source, phases.limits()) as checker, _memory_limit(options.memory_limit):
-            record = _solve(source, checker, options, place, phases)
+        with Checker(source, phases.limits()) as checker:
+            task = _grounded(source, checker, phases)
+            # Only now: loading libraries maps far more memory than is ever used.
+            with _memory_limit(options.memory_limit):
+                record = _solve(task, checker, options, place, phases)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
     except LimitError as error:
@@ -165,11 +168,27 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     return record
 
 
-def _solve(source: Source, checker: Checker, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
-    instance = source.instance
+def _grounded(source: Source, checker: Checker, phases: _Phases) -> Task:
+    """Ground an instance; while other programs are at it, load what is needed afterwards."""
+    with phases.phase("translate"), ThreadPoolExecutor(1) as thread:
+        grounding = thread.submit(ground, source, checker, phases.limits())
+        from .sweep import sweep
+
+        # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
+        switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
+        sweep(Task(source.instance, "", switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
+        return grounding.result()
+
+
+def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
+    import numpy as np
+
+    from .costtogo import astar, verify
+    from .methods import cost_to_go
+    from .ondemand import OnDemand
+
+    instance = task.instance
     record = empty_record(instance, "solved", None)
-    with phases.phase("translate"):
-        task = ground(source, checker, phases.limits())
     notes = [task.note] if task.note else []
     table: Table | None = None
     if not task.decided_by_translator:
@@ -243,6 +262,10 @@ def saved_files(place: Path) -> tuple[Path, Path]:
 
 def save_table(file: Path, table: Table) -> None:
     """Save a cost-to-go table as `.npz`, at once or not at all; `docs/commands.md` describes the arrays."""
+    import numpy as np
+
+    from .successors import Packing
+
     task = table.task
     packing = Packing.of(task)
     states = np.empty((len(table), packing.words), dtype=np.uint64)
