@@ -168,7 +168,7 @@ def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
 
 
 def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.solving
+    import planner.methods
 
     def broken(*arguments: object, **options: object) -> Table:
         table = original(*arguments, **options)  # type: ignore[arg-type]
@@ -176,8 +176,8 @@ def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
         distance[table.initial] += 1
         return Table(table.space, distance)  # type: ignore[attr-defined]
 
-    original = planner.solving.cost_to_go
-    monkeypatch.setattr(planner.solving, "cost_to_go", broken)
+    original = planner.methods.cost_to_go
+    monkeypatch.setattr(planner.methods, "cost_to_go", broken)
     record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions())
     assert record["status"] == "invalid"
     assert "Fast Downward's A* says 6" in record["error"]["message"]
