@@ -130,6 +130,13 @@ def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
         assert (again.pomdp.frontier is None) == (problem.frontier is None)
 
 
+def test_a_solution_is_saved_under_the_name_that_is_given(tmp_path: Path, tiny: Table) -> None:
+    solution = solve(whole(tiny), gap=0.1, time_limit=1)
+    solution.save(tmp_path / "policy")
+    assert [file.name for file in tmp_path.iterdir()] == ["policy"]
+    assert Solution.load(tmp_path / "policy").lower == solution.lower
+
+
 def test_another_file_is_no_solution(tmp_path: Path) -> None:
     text, other = tmp_path / "text.npz", tmp_path / "other.npz"
     text.write_text("nothing of the kind")

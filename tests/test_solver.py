@@ -20,8 +20,8 @@ from assist.people.human import (Human, HumanModel, Population)  # fmt: skip  # 
 from assist.person import hsvi, upper_hull
 from assist.person.pomdp import AssistPOMDP, Policy
 from assist.person.qmdp import evaluate, qmdp
-from assist.person.solver import Solution, _Search, relative_gap, solve
-from planner import Instance, Table
+from assist.person.solver import Solution, _Search, is_compiled, relative_gap, solve
+from planner import Instance, LimitError, Table
 
 
 def by_hand(
@@ -431,7 +431,7 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
     work.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
     start, prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
     for _ in range(4):
-        assert work.make_room(None)
+        assert work.make_room(np.inf)
         work.trials(start, prior, 0.0)
 
     def found() -> Solution:
@@ -441,7 +441,7 @@ def test_backing_everything_up_again_tightens_both_bounds() -> None:
     before = found()
     work.renewed, done = 0, 0
     while work.renewed < len(work.order):
-        assert work.make_room(None)
+        assert work.make_room(np.inf)
         done += work.renew(0.0)
     after = found()
     assert done >= len(before.point)
@@ -469,7 +469,16 @@ def test_limits_stop_the_search() -> None:
         assert solution.value_always < solution.lower < solution.upper < solution.value_qmdp
         assert solution.backups > 0
     assert stopped["time"].seconds < 5
-    assert solve(pomdp, memory_limit_mb=1).backups == 0  # less than the first bounds take
+    assert is_compiled()
+    with pytest.raises(LimitError, match=r"first bounds on a problem of 128 states.*about \d+ MB.*1 MB are allowed"):
+        solve(pomdp, memory_limit_mb=1)
+
+
+@pytest.mark.parametrize("name", ["gap", "time_limit", "memory_limit_mb"])
+def test_limits_are_numbers(tiny_choices: Choices, name: str) -> None:
+    pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices))
+    with pytest.raises(ValueError, match=f"{name} nan: expected 0 or more"):
+        solve(pomdp, **{name: float("nan")})
 
 
 @pytest.mark.parametrize("gap", [-1e-3, float("nan")])

@@ -53,6 +53,7 @@ def policy(
     **person: Any,
 ) -> None:
     """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
+    from ..person.solver import is_compiled
     from ..person.solver import solve as solve_person
 
     if out is not None and out.suffix != ".npz":
@@ -60,7 +61,8 @@ def policy(
     part = Part(max_states, region_states, memory_limit, time_limit)
     with one_line_errors():
         problem = person_problem(instance, part=part, **person)
-        with status_line("first bounds") as show:
+        first = "first bounds" if is_compiled() else "compiling, once after an installation, and first bounds"
+        with status_line(first) as show:
             solution = solve_person(
                 problem.pomdp,
                 gap=gap,

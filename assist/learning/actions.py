@@ -12,8 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-STAND_STILL = "(wait)"
-"""What the only choice in a state without applicable actions is called."""
+from ..people.choices import STAND_STILL
 
 Words = tuple[str, ...]
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..people.choices import STAND_STILL
 from ..people.decision import NOTHING
-from .actions import STAND_STILL, Matcher, UnmatchedError, Words, words_of
+from .actions import Matcher, UnmatchedError, Words, words_of
 from .log import Entry, Fault, Log, Names, in_order
 
 

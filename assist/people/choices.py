@@ -17,6 +17,9 @@ from planner import Table, Transitions
 WAIT = -1
 """The action number of standing still, the only choice in a state without applicable actions."""
 
+STAND_STILL = "(wait)"
+"""What it is called."""
+
 
 @dataclass(frozen=True)
 class Choices:
@@ -122,4 +125,4 @@ class Choices:
     def name(self, state: int, slot: int) -> str:
         """Give the ground action in a slot of a state, in PDDL."""
         action = int(self.actions[state, slot])
-        return "(wait)" if action == WAIT else self.names[action]
+        return STAND_STILL if action == WAIT else self.names[action]

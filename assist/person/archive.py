@@ -26,8 +26,8 @@ class ArchiveError(ValueError):
 
 def save(file: Path, value: Any, **more: Any) -> None:
     """Save a dataclass, and further arrays, at once or not at all."""
-    with storage.atomic(file) as path:
-        np.savez_compressed(path, **_pack(value, ""), **more)
+    with storage.atomic(file) as path, path.open("wb") as stream:  # given a name, numpy would add an ending to it
+        np.savez_compressed(stream, **_pack(value, ""), **more)
 
 
 def load(file: Path, cls: type[T]) -> T:

@@ -31,6 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import LimitError
+
 from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
@@ -38,6 +40,7 @@ from .pomdp import AssistPOMDP
 from .qmdp import QMDP, ROUNDING, Arrays, evaluate, qmdp, sweep_order
 
 BACKUPS = 1000  # between two looks at the clock
+MEMORY_LIMIT_MB = 4000.0  # unless another is given
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 
@@ -149,12 +152,26 @@ def relative_gap(lower: float, upper: float) -> float:
     return 0.0 if upper <= lower else (upper - lower) / abs(lower)
 
 
+def first_bounds_bytes(pomdp: AssistPOMDP) -> int:
+    """Give about how many bytes `solve` takes before its search begins."""
+    (states, robots), slots, hidden = pomdp.suggested.shape, pomdp.model.choices.targets.shape[1], pomdp.prior.size
+    # QMDP's values and a copy of them; the corners; vectors and witnesses of four policies; what one policy is worth.
+    return 8 * hidden * (states * (2 * robots + 12) + hsvi.DEPTH * (8 + robots * slots))
+
+
+def is_compiled() -> bool:
+    """Whether the search has been compiled before in this environment, so that `solve` need not wait for that."""
+    function, source = hsvi.trials, Path(hsvi.__file__)
+    kept = Path(function.stats.cache_path).glob(f"{source.stem}.{function.py_func.__name__}-*.nbi")
+    return any(index.stat().st_mtime >= source.stat().st_mtime for index in kept)
+
+
 def solve(
     pomdp: AssistPOMDP,
     *,
     gap: float = 1e-3,
     time_limit: float | None = None,
-    memory_limit_mb: float | None = None,
+    memory_limit_mb: float = MEMORY_LIMIT_MB,
     best: QMDP | None = None,
     progress: Callable[[float, float, float], None] | None = None,
 ) -> Solution:
@@ -168,15 +185,28 @@ def solve(
     time_limit : float, optional
         Stop the search after so many seconds. The first bounds are worked out in any case. Compiling, which takes
         place once after an installation, does not count.
-    memory_limit_mb : float, optional
-        Stop before vectors and beliefs take more. The first bounds are worked out in any case.
+    memory_limit_mb : float
+        Stop before vectors and beliefs take more.
     best : QMDP, optional
         The QMDP policy, if it is known already.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
+
+    Raises
+    ------
+    LimitError
+        The first bounds alone would take more memory than is allowed; nothing has been worked out.
     """
-    if not gap >= 0:
-        raise ValueError(f"gap {gap:g}: expected 0 or more")
+    for name, number in (("gap", gap), ("time_limit", time_limit), ("memory_limit_mb", memory_limit_mb)):
+        if number is not None and not number >= 0:
+            raise ValueError(f"{name} {number:g}: expected 0 or more")
+    needed = first_bounds_bytes(pomdp) / 1e6
+    if needed > memory_limit_mb:
+        raise LimitError(
+            f"the first bounds on a problem of {len(pomdp.robot_actions):,} states, {pomdp.prior.size} hidden pairs "
+            f"and up to {pomdp.suggested.shape[1]} robot actions take about {needed:,.0f} MB of memory, and "
+            f"{memory_limit_mb:,.0f} MB are allowed; expected a smaller region of states, a coarser grid or more memory"
+        )
     start = time.perf_counter()
     x0 = pomdp.model.choices.initial
     prior = pomdp.prior.reshape(-1)
@@ -275,9 +305,9 @@ class _Search:
         upper = hsvi.upper(x, belief, self.hull, hsvi.new_room(len(belief)))
         return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
 
-    def make_room(self, memory_limit_mb: float | None) -> bool:
+    def make_room(self, memory_limit_mb: float) -> bool:
         """Double what is nearly full, if the limit allows it."""
-        limit = np.inf if memory_limit_mb is None else memory_limit_mb * 1e6
+        limit = memory_limit_mb * 1e6
         if self.memory() > limit:
             return False
         needed = max(hsvi.DEPTH, int(self.plans.live.max()))
