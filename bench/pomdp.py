@@ -3,7 +3,7 @@
     python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--out DIR]
 
 A case is a kitting instance, gamma, c_suggest, sigma and the seed of the person's misconception, which the robot knows.
-Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.interop.exchange` writes:
+Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.interop.pomdpx` writes:
 
 - `kitassist`: `assist.person.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is
   also run cold, with nothing compiled yet;
@@ -41,7 +41,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from assist.interop.exchange import write_pomdpx
+from assist.interop import write_pomdpx
 from assist.person.qmdp import evaluate, qmdp
 
 HERE = Path(__file__).resolve().parent

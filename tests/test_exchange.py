@@ -16,16 +16,8 @@ from scipy.sparse import csr_array
 from test_mdp import make
 from test_vectors import lockers, problems
 
-from assist.interop.exchange import (
-    FORBIDDEN,
-    Observed,
-    PolicyFileError,
-    action_names,
-    read_policy,
-    to_pomdp_py,
-    write_pomdp,
-    write_pomdpx,
-)
+from assist.interop import PolicyFileError, read_policy, to_pomdp_py, write_pomdp, write_pomdpx
+from assist.interop.observed import FORBIDDEN, Observed, action_names
 from assist.people.choices import Choices
 from assist.person.pomdp import AssistPOMDP, Frontier
 from assist.person.qmdp import evaluate, qmdp

@@ -23,7 +23,9 @@ from .person import person_options, person_problem
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
 def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
     """Write the problem of assisting one person, for other solvers."""
-    from ..interop import exchange
+    from ..interop.observed import action_names
+    from ..interop.pomdp import write_pomdp
+    from ..interop.pomdpx import write_pomdpx
 
     if out.suffix != f".{form}":  # solvers choose the parser by it
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
@@ -31,7 +33,7 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
         problem = person_problem(instance, **person)
         found, pomdp = problem.instance, problem.pomdp
         try:
-            {"pomdpx": exchange.write_pomdpx, "pomdp": exchange.write_pomdp}[form](pomdp, out)
+            {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out)
         except ValueError as error:
             fail(f"{found}: {error}", EXIT_FAILED)
         record = {
@@ -41,7 +43,7 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
             "out": str(out),
             "states": len(pomdp.model.choices),
             "hidden": pomdp.prior.size,
-            "robot_actions": len(exchange.action_names(pomdp)),
+            "robot_actions": len(action_names(pomdp)),
             "bytes": out.stat().st_size,
         }
     if as_json:

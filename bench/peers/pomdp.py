@@ -75,7 +75,7 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
 
     import pomdp_py
 
-    from assist.interop.exchange import to_pomdp_py
+    from assist.interop import to_pomdp_py
     from assist.person.qmdp import evaluate
 
     pomdp = case.problem()

@@ -1,0 +1,139 @@
+"""One person's problem as other programs' formats see it.
+
+All formats hold the same problem, exactly:
+
+- **Same target.** The other programs see the next state, not the person's action. Where two actions of a state lead to
+  the same state they would learn less than the robot, so that such a target is written several times: as itself and
+  as *copies* that differ in name only. Most tasks need none.
+- **Same robot actions everywhere.** The formats give every state the same actions. One that a state does not have does
+  there what "nothing" does and costs `FORBIDDEN` more, so that no best policy takes it and no value changes.
+- **The end.** Goals stay where they are for ever, at no cost, and theta stays too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import NOTHING, Floats
+from ..person.pomdp import AssistPOMDP
+
+FORBIDDEN = 1.0
+"""What a robot action that a state does not have costs there, in cost units."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the formats observe: every state x, and copies of those that two actions of a state lead to.
+
+    Attributes
+    ----------
+    pomdp : AssistPOMDP
+    state : int array, shape (X,)
+        The state of each observed value. The first n are the states themselves.
+    targets : int array, shape (n, A)
+        The observed value after the action in each slot.
+    """
+
+    pomdp: AssistPOMDP
+    state: NDArray[np.int64]
+    targets: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, pomdp: AssistPOMDP) -> Observed:
+        """Find the copies that a problem needs.
+
+        Raises
+        ------
+        ValueError
+            The problem breaks off at a frontier.
+        """
+        if pomdp.frontier is not None:
+            raise ValueError("the problem breaks off at a frontier; expected one of all states of the task")
+        choices = pomdp.model.choices
+        targets = choices.targets.copy()
+        state = list(range(len(choices)))
+        copies: dict[tuple[int, int], int] = {}
+        for x in np.flatnonzero(~choices.goal):
+            row = choices.targets[x, : choices.applicable[x].sum()]
+            for slot, y in enumerate(row):
+                rank = int((row[:slot] == y).sum())
+                if rank and not choices.goal[y]:  # what led to a goal does not matter any more
+                    if (y, rank) not in copies:
+                        copies[y, rank] = len(state)
+                        state.append(int(y))
+                    targets[x, slot] = copies[y, rank]
+        return cls(pomdp, np.array(state, dtype=np.int64), targets)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Give a name to each observed value: `s7`, and `s7_2` for the second copy of it."""
+        seen: dict[int, int] = {}
+        names = []
+        for x in self.state.tolist():
+            seen[x] = seen.get(x, 0) + 1
+            names.append(f"s{x}" if seen[x] == 1 else f"s{x}_{seen[x]}")
+        return tuple(names)
+
+    def step(self, x: int, r: int) -> list[tuple[int, Floats]]:
+        """Give where robot action r leads from state x: pairs of an observed value and its chance, shape (B, T).
+
+        Chances of 0 are left out; where a chance does not depend on theta its shape is (B, 1).
+        """
+        pomdp, choices = self.pomdp, self.pomdp.model.choices
+        r = r if r < pomdp.robot_actions[x] else 0
+        place = int(pomdp.afterstate[x, r])
+        if choices.goal[place]:
+            return [(place, np.ones((len(pomdp.grid.beta), 1)))]
+        slots = np.arange(int(choices.applicable[place].sum()))
+        chance = pomdp.likelihood(np.full(len(slots), x), np.full(len(slots), r), slots)
+        if chance.shape[2] > 1 and pomdp.suggested[x, r] == NOTHING:
+            chance = chance[:, :, :1]
+        after: dict[int, Floats] = {}
+        for y, p in zip(self.targets[place, slots].tolist(), chance, strict=True):
+            after[y] = after[y] + p if y in after else p
+        return [(y, p) for y, p in after.items() if (p > 0).any()]
+
+    def reward(self, x: int, r: int) -> Floats:
+        """Give the expected reward of robot action r in state x, shape (B, T), (B, 1) or (1, 1)."""
+        pomdp, choices = self.pomdp, self.pomdp.model.choices
+        if choices.goal[x]:
+            return np.zeros((1, 1))
+        forbidden = r >= pomdp.robot_actions[x]
+        r = 0 if forbidden else r
+        place = int(pomdp.afterstate[x, r])
+        charge = np.full((1, 1), float(pomdp.robot_costs[x, r]) + FORBIDDEN * forbidden)
+        if choices.goal[place]:
+            return -charge
+        slots = np.arange(int(choices.applicable[place].sum()))
+        costs = choices.costs[place, slots]
+        if (costs == costs[0]).all():
+            return -charge - costs[0]
+        chance = pomdp.likelihood(np.full(len(slots), x), np.full(len(slots), r), slots)
+        if pomdp.suggested[x, r] == NOTHING:
+            chance = chance[:, :, :1]
+        return np.asarray(-charge - np.tensordot(costs, chance, axes=1))
+
+    def moves(self, x: int, r: int) -> Floats | None:
+        """Give where robot action r in state x moves theta, shape (T, T); None where it stays."""
+        pomdp = self.pomdp
+        if r >= pomdp.robot_actions[x] or pomdp.suggested[x, r] == NOTHING:
+            return None
+        thetas = np.arange(len(pomdp.grid.theta))
+        matrix = np.zeros((len(thetas), len(thetas)))
+        matrix[thetas, pomdp.low[x, r]] = 1 - pomdp.weight[x, r]
+        matrix[thetas, pomdp.low[x, r] + 1] += pomdp.weight[x, r]
+        return None if (matrix == np.eye(len(thetas))).all() else matrix
+
+
+def action_names(pomdp: AssistPOMDP) -> list[str]:
+    """Name the robot actions: `nothing`, then `robot1`, `robot2`, ... as each state numbers them."""
+    return ["nothing", *(f"robot{r}" for r in range(1, int(pomdp.robot_actions.max(initial=1))))]
+
+
+def numbers(array: Floats) -> str:
+    """Write numbers with the shortest digits that read back as the same."""
+    return " ".join("0" if v == 0 else "1" if v == 1 else repr(v) for v in array.ravel().tolist())

@@ -1,0 +1,72 @@
+"""The flat format of Cassandra's pomdp-solve, in which every state (x, beta, theta) has a number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from planner.storage import atomic
+
+from ..person.pomdp import AssistPOMDP
+from .observed import Observed, action_names, numbers
+
+FLAT_STATES = 20_000
+"""The largest number of flat states, (x, beta, theta), that is written one by one."""
+
+
+def write_pomdp(pomdp: AssistPOMDP, path: Path | str) -> None:
+    """Write a small problem in Cassandra's flat format, one state per (x, beta, theta).
+
+    State `(x * B + beta) * T + theta`, with x an observed value (see `Observed`), which is also what is observed
+    after each step. Values of robot actions and rewards are as in `write_pomdpx`.
+
+    Raises
+    ------
+    ValueError
+        The problem has more than `FLAT_STATES` flat states, or breaks off at a frontier.
+    """
+    observed = Observed.of(pomdp)
+    betas, thetas = pomdp.grid.shape
+    size = len(observed.state) * betas * thetas
+    if size > FLAT_STATES:
+        raise ValueError(
+            f"{len(observed.state):,} states of the task times {betas * thetas} hidden ones are {size:,} flat states; "
+            f"expected at most {FLAT_STATES:,}: write POMDPX"
+        )
+    with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
+        _flat(observed, stream)
+
+
+def _flat(observed: Observed, stream: TextIO) -> None:
+    pomdp = observed.pomdp
+    betas, thetas = pomdp.grid.shape
+    cells, robots = betas * thetas, action_names(pomdp)
+    size = len(observed.state) * cells
+    stream.write(f"# state (x * {betas} + beta) * {thetas} + theta; what is observed is x\n")
+    stream.write(f"discount: {pomdp.gamma!r}\nvalues: reward\nstates: {size}\n")
+    stream.write(f"actions: {' '.join(robots)}\nobservations: {len(observed.state)}\n")
+    start = np.zeros((len(observed.state), cells))
+    start[pomdp.model.choices.initial] = pomdp.prior.ravel()
+    stream.write(f"start: {numbers(start)}\n")
+    for x in range(len(observed.state)):
+        stream.writelines(f"O: * : {x * cells + i} : {x} 1\n" for i in range(cells))
+    stay = np.eye(thetas)
+    for value, x in enumerate(observed.state.tolist()):
+        if pomdp.model.choices.goal[x]:
+            stream.writelines(f"T: * : {value * cells + i} : {value * cells + i} 1\n" for i in range(cells))
+            continue
+        for r, robot in enumerate(robots):
+            matrix = observed.moves(x, r)
+            moves = stay if matrix is None else matrix
+            for y, chance in observed.step(x, r):
+                # P(y | beta, theta) P(theta' | theta), shape (B, T, T')
+                joint = np.broadcast_to(chance, (betas, thetas))[:, :, None] * moves
+                for b, t, after in zip(*(i.tolist() for i in np.nonzero(joint)), strict=True):
+                    start_state, end = value * cells + b * thetas + t, y * cells + b * thetas + after
+                    stream.write(f"T: {robot} : {start_state} : {end} {float(joint[b, t, after])!r}\n")
+            reward = np.broadcast_to(observed.reward(x, r), (betas, thetas))
+            stream.writelines(
+                f"R: {robot} : {value * cells + i} : * : * {v!r}\n" for i, v in enumerate(reward.ravel().tolist())
+            )

@@ -1,0 +1,119 @@
+"""POMDPX, the format of APPL's solvers (SARSOP): the task's state is observed, (beta, theta) is hidden."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from planner.storage import atomic
+
+from ..people.decision import Floats
+from ..person.pomdp import AssistPOMDP
+from .observed import Observed, action_names, numbers
+
+
+def write_pomdpx(pomdp: AssistPOMDP, path: Path | str) -> None:
+    """Write a problem in POMDPX 1.0, with mixed observability.
+
+    The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given a step's beginning, beta,
+    theta and x after it are independent of each other, which is what keeps the file small. The prior is written
+    as that of beta and that of theta, or of theta given beta where they are not independent.
+
+    Raises
+    ------
+    ValueError
+        The problem breaks off at a frontier.
+    """
+    observed = Observed.of(pomdp)
+    with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
+        _pomdpx(observed, stream)
+
+
+def _pomdpx(observed: Observed, stream: TextIO) -> None:
+    pomdp = observed.pomdp
+    betas, thetas = pomdp.grid.shape
+    robots = action_names(pomdp)
+    hidden = {"beta": betas, "theta": thetas}
+    stream.write('<?xml version="1.0" encoding="ISO-8859-1"?>\n<pomdpx version="1.0" id="kitassist">\n')
+    stream.write("<Description>Assistance of one person: x is the task's state, beta their expertise, theta the ")
+    stream.write("influence of the robot.\n")
+    stream.write(f"beta {numbers(pomdp.grid.beta)}\ntheta {numbers(pomdp.grid.theta)}</Description>\n")
+    stream.write(f"<Discount>{pomdp.gamma!r}</Discount>\n<Variable>\n")
+    stream.write(f'<StateVar vnamePrev="x_0" vnameCurr="x_1" fullyObs="true"><ValueEnum>{" ".join(observed.names)}')
+    stream.write("</ValueEnum></StateVar>\n")
+    for name, size in hidden.items():
+        values = " ".join(f"{name[0]}{i}" for i in range(size))
+        stream.write(f'<StateVar vnamePrev="{name}_0" vnameCurr="{name}_1" fullyObs="false"><ValueEnum>{values}')
+        stream.write("</ValueEnum></StateVar>\n")
+    stream.write(f'<ActionVar vname="robot"><ValueEnum>{" ".join(robots)}</ValueEnum></ActionVar>\n')
+    stream.write('<RewardVar vname="reward"/>\n</Variable>\n')
+
+    initial = np.zeros(len(observed.names))
+    initial[pomdp.model.choices.initial] = 1
+    beta = pomdp.prior.sum(axis=1)
+    theta = pomdp.prior.sum(axis=0)
+    stream.write("<InitialStateBelief>\n")
+    stream.writelines(_function("x_0", "null", [("-", initial)]))
+    stream.writelines(_function("beta_0", "null", [("-", beta)]))
+    if np.allclose(np.outer(beta, theta), pomdp.prior, rtol=0, atol=1e-15):
+        stream.writelines(_function("theta_0", "null", [("-", theta)]))
+    else:
+        given = np.divide(pomdp.prior, beta[:, None], out=np.tile(theta, (betas, 1)), where=beta[:, None] > 0)
+        stream.writelines(_function("theta_0", "beta_0", [("- -", given)]))
+    stream.write("</InitialStateBelief>\n<StateTransitionFunction>\n")
+    stream.writelines(_function("x_1", "robot x_0 beta_0 theta_0", _transitions(observed, robots)))
+    stream.writelines(_function("beta_1", "beta_0", [("- -", "identity")]))
+    stream.writelines(_function("theta_1", "robot x_0 theta_0", _theta_moves(observed, robots)))
+    stream.write("</StateTransitionFunction>\n<RewardFunction>\n")
+    stream.writelines(_function("reward", "robot x_0 beta_0 theta_0", _rewards(observed, robots), "Func", "ValueTable"))
+    stream.write("</RewardFunction>\n</pomdpx>\n")
+
+
+Entries = Iterator[tuple[str, Floats | str]]
+
+
+def _function(
+    variable: str, parents: str, entries: Any, tag: str = "CondProb", table: str = "ProbTable"
+) -> Iterator[str]:
+    yield f'<{tag}><Var>{variable}</Var><Parent>{parents}</Parent><Parameter type="TBL">\n'
+    for instance, values in entries:
+        text = values if isinstance(values, str) else numbers(values)
+        yield f"<Entry><Instance>{instance}</Instance><{table}>{text}</{table}></Entry>\n"
+    yield f"</Parameter></{tag}>\n"
+
+
+def _over(array: Floats) -> str:
+    """Say over which of beta and theta an array, shape (B or 1, T or 1), runs."""
+    return " ".join("-" if size > 1 else "*" for size in array.shape)
+
+
+def _transitions(observed: Observed, robots: list[str]) -> Entries:
+    for value, x in enumerate(observed.state.tolist()):
+        here = observed.names[value]
+        if observed.pomdp.model.choices.goal[x]:
+            yield f"* {here} * * {here}", "1"
+            continue
+        for r, robot in enumerate(robots):
+            for y, chance in observed.step(x, r):
+                yield f"{robot} {here} {_over(chance)} {observed.names[y]}", chance
+
+
+def _theta_moves(observed: Observed, robots: list[str]) -> Entries:
+    yield "nothing * - -", "identity"
+    for r, robot in enumerate(robots[1:], start=1):
+        for value, x in enumerate(observed.state.tolist()):
+            matrix = observed.moves(x, r)
+            yield f"{robot} {observed.names[value]} - -", "identity" if matrix is None else matrix
+
+
+def _rewards(observed: Observed, robots: list[str]) -> Entries:
+    for value, x in enumerate(observed.state.tolist()):
+        if observed.pomdp.model.choices.goal[x]:
+            yield f"* {observed.names[value]} * *", "0"
+            continue
+        for r, robot in enumerate(robots):
+            reward = observed.reward(x, r)
+            yield f"{robot} {observed.names[value]} {_over(reward)}", reward
