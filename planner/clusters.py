@@ -41,6 +41,11 @@ class Cluster:
     def __len__(self) -> int:
         return len(self.values)
 
+    def joined(self, variable: int, values: Ints) -> Cluster:
+        """Give the cluster with one more variable, of which it tells the values, shape (n,); none where negative."""
+        table = np.column_stack([self.values, values])[values >= 0]
+        return Cluster((*self.variables, variable), table)
+
 
 class Projections:
     """The moves of a task as arrays from which projections are cut."""

@@ -109,14 +109,15 @@ class Coding:
         """
         sizes = [len(variable.facts) for variable in task.variables]
         left_out = determined(task, mutexes.moves)
-        implied = [d.variable for d in left_out]
+        implied = {d.variable for d in left_out}
         merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied])
+        left_out, merged = _joined(left_out, merged, mutexes.first)
         uses = Counter(v for move in mutexes.moves for v in move.facts)
         merged.sort(key=lambda c: (sum(uses[v] for v in c.variables), c.variables))
         size = math.prod(map(len, merged))
         if size >= 1 << 62:
             return None
-        own = (*merged, *clusters(mutexes, task.initial, implied, alone=True))
+        own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True))
         packing = Packing.of(task)
         field = {
             number: (packing.words + place // FIELDS, 64 // FIELDS * (place % FIELDS))
@@ -154,9 +155,13 @@ class Coding:
                     target[:, place] = value
             found = self._places(number, target)
             changes = np.where(holds & (found >= 0), found - np.arange(len(cluster)), NOWHERE)
-            if not (changes > NOWHERE).any():
+            possible = changes[holds]
+            if not (possible > NOWHERE).any():
                 return None
-            lookups.append((number, changes))
+            if (possible == possible[0]).all():
+                constant += int(self.stride[number] * possible[0])
+            else:
+                lookups.append((number, changes))
         return Change(constant, tuple(lookups))
 
     def _step(self, cluster: Cluster, place: int) -> int:
@@ -224,6 +229,30 @@ def choose(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
     if mutexes is None or denser is None or (coding is not None and denser.size >= coding.size):
         return coding, possible
     return denser, mutexes.moves
+
+
+def _joined(
+    left_out: Sequence[Determined], merged: Sequence[Cluster], first: Ints
+) -> tuple[list[Determined], list[Cluster]]:
+    """Let variables that a single cluster determines join it; give those that are left, and the clusters."""
+    whole = list(merged)
+    left = []
+    for own in left_out:
+        weights = np.split(own.weights, first[1:-1])
+        others = [v for v, w in enumerate(weights) if v != own.variable and (w != w[0]).any()]
+        having = {n for n, cluster in enumerate(whole) for v in others if v in cluster.variables}
+        if len(having) != 1 or not set(others) <= set(whole[min(having)].variables):
+            left.append(own)
+            continue
+        number = min(having)
+        cluster = whole[number]
+        inside = {*cluster.variables, own.variable}
+        rest = own.total - sum(int(w[0]) for v, w in enumerate(weights) if v not in inside)
+        sums = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
+        told = np.full(PRIME, -1, dtype=np.int64)
+        told[weights[own.variable]] = np.arange(len(weights[own.variable]))
+        whole[number] = cluster.joined(own.variable, told[(rest - sums) % PRIME])
+    return left, whole
 
 
 def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:

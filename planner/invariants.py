@@ -107,7 +107,17 @@ def _relative(space: Ints, first: Ints, variable: int) -> Ints:
 
 
 def _telling(space: Ints, first: Ints, variable: int, rng: np.random.Generator) -> Ints | None:
-    """Combine invariants so that all values of a variable have different weights; None if none was found."""
+    """Find an invariant in which all values of a variable have different weights; None if none was found.
+
+    Of single invariants that do, the one with the fewest variables is taken; otherwise combinations are tried.
+    """
+    own = np.sort(space[:, first[variable] : first[variable + 1]], axis=1)
+    telling = space[(np.diff(own, axis=1) > 0).all(axis=1)]
+    if len(telling):
+        uneven = np.diff(telling, axis=1) != 0
+        uneven[:, first[1:-1] - 1] = False  # between variables
+        involved = np.add.reduceat(np.pad(uneven, ((0, 0), (0, 1))), first[:-1], axis=1) > 0
+        return telling[involved.sum(axis=1).argmin()]
     for _ in range(TRIES):
         weights = rng.integers(PRIME, size=len(space)) @ space % PRIME
         own = weights[first[variable] : first[variable + 1]]

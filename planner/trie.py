@@ -17,7 +17,7 @@ from .moves import Move
 from .successors import Ints
 from .task import Fact
 
-FEW = 6
+FEW = 3
 """Values of a variable that are tested one after the other; more are a switch."""
 
 
