@@ -4,8 +4,8 @@
     bench pallet-1 pallet-2
     box-a box-b box-c box-d
     kind-a kind-b kind-c kind-d
-    column-1 column-2 column-3
-    n0 n1 n2 n3)
+    column-1 column-2
+    n0 n1 n2 n3 n4 n5 n6)
   (:init
     (hoist-free)
     (working bench)
@@ -19,6 +19,9 @@
     (next n0 n1)
     (next n1 n2)
     (next n2 n3)
+    (next n3 n4)
+    (next n4 n5)
+    (next n5 n6)
     (holds box-a kind-a)
     (holds box-b kind-b)
     (holds box-c kind-c)
@@ -29,19 +32,15 @@
     (room column-2 n1)
     (room column-2 n2)
     (room column-2 n3)
-    (room column-3 n1)
-    (room column-3 n2)
-    (room column-3 n3)
     (height column-1 n0)
     (height column-2 n0)
-    (height column-3 n0)
-    (stock kind-a n3)
+    (stock kind-a n6)
     (tray kind-a n0)
-    (stock kind-b n3)
+    (stock kind-b n5)
     (tray kind-b n0)
-    (stock kind-c n3)
+    (stock kind-c n5)
     (tray kind-c n0)
-    (stock kind-d n3)
+    (stock kind-d n5)
     (tray kind-d n0))
   (:goal (and
     (cell column-1 n1 kind-a)
@@ -49,9 +48,6 @@
     (cell column-1 n3 kind-c)
     (cell column-2 n1 kind-d)
     (cell column-2 n2 kind-a)
-    (cell column-2 n3 kind-b)
-    (cell column-3 n1 kind-c)
-    (cell column-3 n2 kind-d)
     (on box-b box-a)
     (on box-c box-b)
     (on box-d box-c)
