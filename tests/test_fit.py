@@ -7,22 +7,24 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from math import exp, log
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from conftest import KITTING, kitassist
+from click.testing import CliRunner, Result
+from conftest import KITTING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
+from scipy.stats import kstest
 
 from assist.cli import main
 from assist.learning import misconception
 from assist.learning.diagnostics import calibrate, check
-from assist.learning.estimates import maximum_likelihood
+from assist.learning.estimates import Fit, maximum_likelihood
 from assist.learning.likelihood import Method, log_likelihood
 from assist.learning.misconception import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations
@@ -180,7 +182,8 @@ def test_dead_ends_do_no_harm(sealed: Table) -> None:
     assert np.isinf(o.cost_to_go).any()
     (found,) = maximum_likelihood([o])
     assert np.isfinite(found.log_likelihood)
-    assert check(found, rng).p is not None or o.suboptimal < 1
+    assert o.suboptimal > 1
+    assert check(found, rng).p is not None
     assert np.isfinite(fit_misconception(found).log_likelihood)
 
 
@@ -200,7 +203,7 @@ def test_people_are_found_again(paper: Table, paper_choices: Choices) -> None:
     assert sum(f.theta.interval[0] <= 0.6 <= f.theta.interval[1] for f in told if f.theta) >= 0.88 * len(told)
 
     found_population = fit_population([f.observations for f in found], Method(eta=0.2))
-    assert found_population.beta.mean == pytest.approx(beta.mean(), rel=0.25)
+    assert found_population.beta.recorded[0] == pytest.approx(beta.mean(), rel=0.1)
     assert found_population.theta is not None
     assert found_population.theta.mean == pytest.approx(0.6, abs=0.06)
     population = found_population.population()
@@ -258,7 +261,7 @@ def test_misconceptions_are_told_from_carelessness(paper: Table, paper_choices: 
     assert check(first, rng).striking == "repetition"
     p = check(second, rng).p
     assert p is not None
-    assert p > 0.01
+    assert p > 0.05
 
 
 def test_the_marginal_likelihood_of_one_choice_against_quadrature(tiny: Table) -> None:
@@ -314,19 +317,26 @@ def test_calibration_counts_every_choice(team: list[Observations]) -> None:
     assert c.count.sum() == sum(o.applicable.sum() for o in team)
     assert (c.observed * c.count).sum() == pytest.approx(sum(map(len, team)))
     assert ((c.low <= c.observed + 1e-12) & (c.observed <= c.high + 1e-12)).all()
-    assert np.abs(c.predicted - c.observed).max() < 0.25
 
 
-def test_the_check_is_fair(paper: Table, paper_choices: Choices) -> None:
-    """People for whom the model holds rarely look odd."""
+def test_people_for_whom_the_model_holds_are_predicted(paper: Table, paper_choices: Choices) -> None:
+    """Frequencies differ from predictions as chance has it, and check p is evenly distributed: neither is of others."""
     rng = np.random.default_rng(3)
-    found = maximum_likelihood(
-        observed(paper, people_at_work(paper_choices, np.linspace(0.3, 1.2, 40).tolist(), rng, episodes=2))
-    )
-    p = np.array([c.p for c in (check(f, rng, 199) for f in found) if c.p is not None])
-    assert len(p) >= 35
-    assert (p < 0.05).sum() <= 6
-    assert 0.3 < p.mean() < 0.7
+    betas = np.linspace(0.3, 1.2, 40).tolist()
+    found = maximum_likelihood(observed(paper, people_at_work(paper_choices, betas, rng, episodes=2)))
+
+    def off(fits: list[Fit]) -> float:
+        """The largest difference in ten bins, in standard errors."""
+        c = calibrate(fits)
+        return float(np.abs((c.observed - c.predicted) / np.sqrt(c.predicted * (1 - c.predicted) / c.count)).max())
+
+    assert off(found) < 2.8  # exceeded by chance in 5 of 100
+    for factor in (0.5, 2.0):
+        others = [replace(f, beta=replace(f.beta, value=factor * f.beta.value)) for f in found]
+        assert off(others) > 4.0
+    p = [check(f, rng, 199).p for f in found]
+    assert None not in p
+    assert kstest(p, "uniform").pvalue > 0.05
 
 
 def test_the_online_belief_is_the_offline_likelihood(tiny: Table, tiny_choices: Choices) -> None:
@@ -365,14 +375,19 @@ def test_the_online_belief_with_suggestions(tiny: Table, tiny_choices: Choices) 
 
 def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) -> None:
     trace = tmp_path / "trace.jsonl"
-    team = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
-    kitassist(*team, "--trace", trace, check=True)
+    tiny = KITTING / "tiny.pddl"
+
+    def run(*arguments: object) -> Result:
+        return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+    team = ("simulate", tiny, "--humans", 3, "--episodes", 10, "--pool", 4, "--policy", "reactive")
+    assert run(*team, "--trace", trace).exit_code == 0
     files = {name: tmp_path / name for name in ("people.jsonl", "population.json", "figures")}
-    result = kitassist(
-        "fit", KITTING / "tiny.pddl", trace, "--out", files["people.jsonl"], "--population", files["population.json"],
+    result = run(
+        "fit", tiny, trace, "--out", files["people.jsonl"], "--population", files["population.json"],
         "--figures", files["figures"], "--misconception",
     )  # fmt: skip
-    assert (result.returncode, result.stderr) == (0, "")
+    assert (result.exit_code, "trace.jsonl" in result.stderr) == (0, False)
     records = [json.loads(line) for line in files["people.jsonl"].read_text().splitlines()]
     assert [r["person"] for r in records] == [f"human-{k}" for k in range(1, 5)]
     rows = [json.loads(line) for line in trace.read_text().splitlines()]
@@ -387,12 +402,12 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
         "calibration.png", "episodes.png", "errors.png", "expertise.png",
     ]  # fmt: skip
     assert "population of 4: beta is" in result.stdout
-    again = kitassist(*team, "--population", files["population.json"], "--json")
-    assert again.returncode == 0
+    again = run(*team, "--population", files["population.json"], "--json")
+    assert again.exit_code == 0
     assert json.loads(again.stdout)["population"]["parts"]
-    other = CliRunner().invoke(main, [*map(str, team), "--population", str(trace)])
+    other = run(*team, "--population", trace)
     assert other.exit_code == 2
-    assert "expected a population" in other.stderr or "Extra data" in other.stderr
+    assert f"{trace}" in other.stderr
 
 
 def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
@@ -411,8 +426,8 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert known >= 20
-    result = kitassist(*command)
-    assert result.returncode == 0
+    result = CliRunner().invoke(main, [str(argument) for argument in command])
+    assert result.exit_code == 0
     assert "on demand" in result.stderr
     (record,) = json.loads(result.stdout)
     assert (record["actions"], record["suboptimal_actions"]) == (6, 2)
