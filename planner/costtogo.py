@@ -308,6 +308,10 @@ def astar(
     task : Task
     state : sequence of int, shape (variables,), optional
         A reachable state; the initial one unless given.
+    search : str, optional
+        A search configuration of Fast Downward that is optimal; one that is, and fits the task, unless given.
+    limits : Limits
+        Of the search.
 
     Returns
     -------

@@ -57,9 +57,16 @@ class MemoryLimitError(LimitError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What one call may use: seconds of wall-clock time and MB of memory, `None` for no limit.
+    """What one call may use; `None` for no limit.
 
-    It ends as well once `stop` is set.
+    Attributes
+    ----------
+    seconds : float or None
+        Of wall-clock time.
+    memory_mb : float or None
+        Megabytes.
+    stop : threading.Event or None
+        It ends as well once this is set.
     """
 
     seconds: float | None = None

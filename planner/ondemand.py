@@ -69,6 +69,12 @@ class Cache:
 
     The file's name is a digest of the grounded task and Fast Downward's version, so that a change of either begins
     a new one.
+
+    Parameters
+    ----------
+    task : Task
+    folder : Path, optional
+        Where the file is; `cache_folder()` unless given.
     """
 
     def __init__(self, task: Task, folder: Path | None = None) -> None:

@@ -47,7 +47,12 @@ class InstanceError(ValueError):
 
 @dataclass(frozen=True, order=True)
 class Instance:
-    """The two files of a planning instance."""
+    """The two files of a planning instance.
+
+    Attributes
+    ----------
+    problem, domain : Path
+    """
 
     problem: Path
     domain: Path
@@ -57,7 +62,14 @@ class Instance:
 
 
 def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
-    """Name an instance by its problem file; the domain is `domain.pddl` beside it unless given."""
+    """Name an instance by its problem file; the domain is `domain.pddl` beside it unless given.
+
+    Parameters
+    ----------
+    problem : path
+    domain : path, optional
+        `domain.pddl` beside the problem unless given.
+    """
     problem = Path(problem)
     return Instance(problem, Path(domain) if domain is not None else problem.parent / DOMAIN_FILE)
 
@@ -67,6 +79,13 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
 
     A folder stands for every `*.pddl` file in it and below that is no domain, in sorted order. No
     instance is listed twice.
+
+    Parameters
+    ----------
+    names : iterable of path
+        Problem files, folders and globs.
+    domain : path, optional
+        Of all of them; `domain.pddl` beside each unless given.
 
     Raises
     ------

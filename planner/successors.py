@@ -108,7 +108,14 @@ def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
 
 
 class Successors:
-    """The transition function of a task on arrays of packed states."""
+    """The transition function of a task on arrays of packed states.
+
+    Parameters
+    ----------
+    task : Task
+    packing : Packing
+        How its states are packed.
+    """
 
     def __init__(self, task: Task, packing: Packing) -> None:
         self.packing = packing

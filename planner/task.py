@@ -33,6 +33,12 @@ class Variable:
     """A finite-domain variable; `facts[v]` says in PDDL what its value `v` means.
 
     A derived variable has an axiom layer of 0 or more, a primary one -1.
+
+    Attributes
+    ----------
+    name : str
+    facts : tuple of str
+    axiom_layer : int
     """
 
     name: str
@@ -42,7 +48,13 @@ class Variable:
 
 @dataclass(frozen=True)
 class Effect:
-    """`variable := value` where all conditions hold in the state before."""
+    """`variable := value` where all conditions hold in the state before.
+
+    Attributes
+    ----------
+    conditions : tuple of Fact
+    variable, value : int
+    """
 
     conditions: tuple[Fact, ...]
     variable: int
@@ -51,7 +63,15 @@ class Effect:
 
 @dataclass(frozen=True)
 class Operator:
-    """One way in which a ground action can be applied (disjunctions give an action several)."""
+    """One way in which a ground action can be applied (disjunctions give an action several).
+
+    Attributes
+    ----------
+    action : int
+        Its number in the task.
+    preconditions : tuple of Fact
+    effects : tuple of Effect
+    """
 
     action: int
     preconditions: tuple[Fact, ...]

@@ -105,6 +105,7 @@ class TeamBound:
 
         Parameters
         ----------
+        pool : Pool
         time_limit : float, optional
             Begin no more episodes after so many seconds; about a thousand are simulated in any case.
         """
@@ -221,12 +222,16 @@ def certify(
 
     Parameters
     ----------
+    pool : Pool
     policies : mapping
         Each by the name that it gets in its certificate.
     episodes : int
         Of each policy.
+    seed : int or Generator
     time_limit : float, optional
         Seconds for all of it: `FOR_BOUND` of them for the bound, and an equal share of what is left for each policy.
+    progress : callable, optional
+        As in `upper_bound`.
     **options
         As in `upper_bound`.
     """

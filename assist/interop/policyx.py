@@ -23,6 +23,11 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     beta * T + theta. It writes six significant digits. The vectors of a state's copies are vectors of the state; an
     action that a state does not have reads as nothing. Goals get no vectors, whose values are 0.
 
+    Parameters
+    ----------
+    path : path
+    pomdp : AssistPOMDP
+
     Raises
     ------
     PolicyFileError

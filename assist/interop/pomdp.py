@@ -22,6 +22,11 @@ def write_pomdp(pomdp: AssistPOMDP, path: Path | str) -> None:
     State `(x * B + beta) * T + theta`, with x an observed value (see `Observed`), which is also what is observed
     after each step. Values of robot actions and rewards are as in `write_pomdpx`.
 
+    Parameters
+    ----------
+    pomdp : AssistPOMDP
+    path : path
+
     Raises
     ------
     ValueError

@@ -54,6 +54,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
 
     Parameters
     ----------
+    pomdp : AssistPOMDP
     rng : numpy.random.Generator
         Of the transition model's samples; the library's planners draw from `random` besides.
 

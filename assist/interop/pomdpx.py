@@ -22,6 +22,11 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str) -> None:
     theta and x after it are independent of each other, which is what keeps the file small. The prior is written
     as that of beta and that of theta, or of theta given beta where they are not independent.
 
+    Parameters
+    ----------
+    pomdp : AssistPOMDP
+    path : path
+
     Raises
     ------
     ValueError

@@ -48,7 +48,14 @@ class Calibration:
 
 
 def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
-    """Compare predicted probabilities with observed frequencies, over all people and all choices they had."""
+    """Compare predicted probabilities with observed frequencies, over all people and all choices they had.
+
+    Parameters
+    ----------
+    fits : list of Fit
+    bins : int
+        Of predicted probabilities.
+    """
     p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
     hit = np.concatenate(
         [

@@ -69,6 +69,8 @@ class Fit:
         At the estimates, lapses included.
     known_eta : float or None
         The rate that was given.
+    method : Method
+        How it was learned.
     """
 
     observations: Observations

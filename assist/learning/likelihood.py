@@ -68,6 +68,8 @@ def log_likelihood(
     observations : Observations
     beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
         Theta is that at the beginning of each episode.
+    method : Method, optional
+        What is taken for granted.
     """
     axes = [np.ascontiguousarray(np.atleast_1d(axis), dtype=np.float64) for axis in (beta, theta, eta)]
     return on_grid(Data.of(observations, method or Method()), *axes)

@@ -163,6 +163,11 @@ class PopulationFit:
 def mixture(record: dict[str, Any]) -> Mixture:
     """Read the population of a `PopulationFit.as_dict` back.
 
+    Parameters
+    ----------
+    record : dict
+        As `fit --population` writes it.
+
     Raises
     ------
     ValueError

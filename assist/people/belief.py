@@ -109,7 +109,12 @@ ENDS = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Spread:
-    """Where a distribution over ascending values lies: its mean, and the ends of its middle nine tenths."""
+    """Where a distribution over ascending values lies: its mean, and the ends of its middle nine tenths.
+
+    Attributes
+    ----------
+    mean, low, high : float
+    """
 
     mean: float
     low: float

@@ -28,6 +28,14 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
     and state; with `noise="action"` once per person and choice, h(x, a) = h*(succ(x, a)) + sigma * eps(x, a),
     so that one state looks different from where one comes. The goal is recognised (h = 0) and dead ends stay
     infinite.
+
+    Parameters
+    ----------
+    choices : Choices
+    sigma : float
+        Standard deviation, in cost units.
+    rng : numpy.random.Generator
+    noise : "state" or "action"
     """
     if noise not in ("state", "action"):
         raise ValueError(f"noise '{noise}': expected 'state' or 'action'")
@@ -39,12 +47,25 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:
-    """Give Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots; `h` as a `Human` has it."""
+    """Give Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots; `h` as a `Human` has it.
+
+    Parameters
+    ----------
+    choices : Choices
+    h : float array, shape (n,) or (n, A)
+    """
     return np.where(choices.applicable, choices.costs + (h if h.ndim == 2 else h[choices.targets]), np.inf)
 
 
 def perceived_value(choices: Choices, q: Floats) -> Floats:
-    """Give V(x) = -min_a Q(x, a), shape (n,), with V(goal) = 0."""
+    """Give V(x) = -min_a Q(x, a), shape (n,), with V(goal) = 0.
+
+    Parameters
+    ----------
+    choices : Choices
+    q : float array, shape (n, A)
+        Perceived costs.
+    """
     return np.where(choices.goal, 0.0, -q.min(axis=-1))
 
 
@@ -103,7 +124,14 @@ def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
 
 
 def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
-    """Mix a choice, shape (..., A), with a uniform one, which has the weight `rate`."""
+    """Mix a choice, shape (..., A), with a uniform one, which has the weight `rate`.
+
+    Parameters
+    ----------
+    p : float array, shape (..., A)
+    applicable : bool array, shape (..., A)
+    rate : float
+    """
     count = applicable.sum(axis=-1, keepdims=True)
     return np.where(applicable, (1.0 - rate) * p + rate / np.maximum(count, 1), 0.0)
 

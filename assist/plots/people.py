@@ -53,7 +53,12 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def calibration_figure(fits: list[Fit]) -> Figure:
-    """Draw how often choices of each predicted probability were made."""
+    """Draw how often choices of each predicted probability were made.
+
+    Parameters
+    ----------
+    fits : list of Fit
+    """
     figure, axis = _figure(6, 5.4)
     c = calibrate(fits)
     axis.plot([0, 1], [0, 1], color=GREY, linestyle="--", linewidth=1.2, label="as predicted")
@@ -70,7 +75,12 @@ def calibration_figure(fits: list[Fit]) -> Figure:
 
 
 def expertise_figure(fits: list[Fit]) -> Figure:
-    """Draw beta with its interval for each person, and theta where it is known."""
+    """Draw beta with its interval for each person, and theta where it is known.
+
+    Parameters
+    ----------
+    fits : list of Fit
+    """
     from matplotlib.figure import Figure
 
     shown = sorted(fits, key=lambda f: (f.beta.value, f.beta.interval[0]))
@@ -105,7 +115,12 @@ def expertise_figure(fits: list[Fit]) -> Figure:
 
 
 def errors_figure(fits: list[Fit]) -> Figure:
-    """Draw beta against the share of suboptimal actions."""
+    """Draw beta against the share of suboptimal actions.
+
+    Parameters
+    ----------
+    fits : list of Fit
+    """
     figure, axis = _figure(6.4, 4.6)
     for is_open, marker, label in ((False, "o", "estimate"), (True, "^", "not bounded above")):
         own = [f for f in fits if f.beta.open_above == is_open]
@@ -126,7 +141,12 @@ def errors_figure(fits: list[Fit]) -> Figure:
 
 
 def episodes_figure(fits: list[Fit]) -> Figure:
-    """Draw the cost-to-go along each person's episodes, and the suggestions."""
+    """Draw the cost-to-go along each person's episodes, and the suggestions.
+
+    Parameters
+    ----------
+    fits : list of Fit
+    """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 

@@ -58,6 +58,8 @@ def beliefs_of_episode(
 
     Parameters
     ----------
+    pool, policy, humans, seed, name, travel, presence, world
+        As in `simulate`.
     episode : int
         Its number. The parameters are those of `simulate`, and with the same ones it is the same episode.
 

@@ -151,6 +151,8 @@ class Summary:
 
     Attributes
     ----------
+    policy : str
+    episodes : int
     actions, interventions, moves, discounted_return : tuple of float
         Mean and standard error: human actions per person, and suggestions, changes of place and
         return per episode.

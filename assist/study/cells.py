@@ -28,7 +28,13 @@ TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a
 
 
 def pool_of(study: Study, cell: Cell) -> Pool:
-    """Draw a cell's pool, and solve the POMDP of each person."""
+    """Draw a cell's pool, and solve the POMDP of each person.
+
+    Parameters
+    ----------
+    study : Study
+    cell : Cell
+    """
     populations = dict(study.populations)
     population = populations[cell.population]
     return Pool.sample(
@@ -39,7 +45,14 @@ def pool_of(study: Study, cell: Cell) -> Pool:
 
 
 def policy_of(study: Study, name: str, pool: Pool) -> TeamPolicy:
-    """Make a team policy: one of the package's, or the study's own."""
+    """Make a team policy: one of the package's, or the study's own.
+
+    Parameters
+    ----------
+    study : Study
+    name : str
+    pool : Pool
+    """
     own = dict(study.own_policies)
     return _own(*own[name]) if name in own else pool.policy(name)
 
@@ -61,7 +74,13 @@ class Outcome:
 
 
 def carry_out(cell: Cell, study: Study) -> Outcome:
-    """Simulate all teams of a cell under all policies of its condition."""
+    """Simulate all teams of a cell under all policies of its condition.
+
+    Parameters
+    ----------
+    cell : Cell
+    study : Study
+    """
     seconds: dict[str, float] = {}
     start = time.perf_counter()
 
@@ -136,6 +155,10 @@ def _own(file: Path, name: str) -> OwnPolicy:
 
 def check(study: Study) -> None:
     """Read all tasks and own policies and try all settings, so that what is wrong is said before the work begins.
+
+    Parameters
+    ----------
+    study : Study
 
     Raises
     ------

@@ -101,6 +101,13 @@ def write_report(study: Study, folder: Path, *, jobs: int = 1) -> Record:
     """Write `summary.json`, the pictures, `report.md` and `report.html` beside a study's results; give the summary.
 
     With several `jobs` pictures are drawn in as many processes.
+
+    Parameters
+    ----------
+    study : Study
+    folder : Path
+        Of its results.
+    jobs : int
     """
     report = Report.of(study, folder)
     _draw_all(report.pictures, folder / FIGURES, jobs)

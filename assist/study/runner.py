@@ -217,6 +217,10 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and two more:
     `human_actions_per_person`, and `cut_off`: whether somebody had not finished at the step limit.
 
+    Parameters
+    ----------
+    folder : path
+
     Raises
     ------
     StudyError
@@ -246,7 +250,12 @@ def load_study(folder: str | Path) -> pd.DataFrame:
 
 
 def profile(folder: Path) -> dict[str, float]:
-    """Give how many seconds of the workers each part of a study took, the longest first."""
+    """Give how many seconds of the workers each part of a study took, the longest first.
+
+    Parameters
+    ----------
+    folder : Path
+    """
     spent: dict[str, float] = {}
     for record in read_records(folder / PROFILE):
         for what, seconds in record["seconds"].items():

@@ -40,7 +40,9 @@ class Setting:
     suggestions : "optimal" or "all"
         Which actions the robot may suggest: those that a cheapest way begins with, or any.
     execute : bool
-        Whether the robot can also execute an action itself, at the cost `c_execute`.
+        Whether the robot can also execute an action itself.
+    c_execute : float
+        What that costs, in cost units.
     max_steps : int
         An episode is cut off after this many steps.
     """
