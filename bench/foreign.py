@@ -3,10 +3,10 @@
     python bench/foreign.py [NAME...] [--sparse] [--out FILE]
 
 Encodings that this file writes (`counters`, `stacks`, `grid`, `transport`), `domains/depot`, and instances of the
-public benchmark collection, where the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs in a process of its
-own, after a first small instance, with `domains/kitting/ladder-4x8.pddl` before all others: `ratio` is how many times
-fewer states a second of processor time are swept than there. MB are what the process took beyond what it had before,
-at its peak. `--sparse` forbids bitmaps, so that everything goes through the hash table.
+public benchmark collection, where the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs in a
+process of its own, after a first small instance, with `domains/kitting/ladder-4x8.pddl` before all others: `ratio` is
+how many times fewer states a second of processor time are swept than there. MB are what the process took beyond what
+it had before, at its peak. `--sparse` forbids bitmaps, so that everything goes through the hash table.
 
     python bench/foreign.py --write FOLDER
 
