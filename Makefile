@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench docs clean
+.PHONY: demo test lint bench bench-smallest study docs clean
 
 demo: $(VENV)/.demo
 	@mkdir -p demo
@@ -24,7 +24,13 @@ lint: $(VENV)/.test
 	$(BIN)/mypy
 
 bench: $(VENV)/.test
-	@for script in bench/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	$(BIN)/python bench/run.py
+
+bench-smallest: $(VENV)/.test
+	$(BIN)/python bench/run.py --smallest
+
+study: $(VENV)/.test
+	$(BIN)/python bench/study.py --check
 
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs site

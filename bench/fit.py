@@ -358,17 +358,19 @@ def information(instances: tuple[str, ...], count: int, episodes: int, suggest: 
 
 
 @main.command()
+@click.option("--instance", default="kitting/paper", show_default=True)
 @click.option("--people", "count", type=int, default=10, show_default=True)
-def misconceptions(count: int) -> None:
+@click.option("--episodes", "numbers", type=int, multiple=True, default=(3, 10, 30), show_default=True)
+def misconceptions(instance: str, count: int, numbers: tuple[int, ...]) -> None:
     """Estimate sigma and h of people whose misconceptions are known."""
-    table = sweep(load(KITTING / "paper.pddl"))
-    shown = Grid(title=f"kitting/paper: {count} people each, beta 2, medians")
+    table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
+    shown = Grid(title=f"{instance}: {count} people each, beta 2, medians")
     for name in (
         "episodes", "sigma", "plain beta", "beta", "sigma found", "sigma covered", "corr. of h", "check p < 0.05",
         "seconds each",
     ):  # fmt: skip
         shown.add_column(name, justify="right")
-    for episodes in (3, 10, 30):
+    for episodes in numbers:
         for sigma in (0.0, 0.5, 1.0):
             rng = np.random.default_rng(1)
             noise = sigma * rng.standard_normal((count, len(table)))
@@ -398,12 +400,13 @@ def misconceptions(count: int) -> None:
 
 
 @main.command()
+@click.option("--instance", default="kitting/paper", show_default=True)
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/fit"), show_default=True
 )
-def identify(out: Path) -> None:
+def identify(instance: str, out: Path) -> None:
     """Draw what recorded actions can and cannot tell apart, and the online belief beside the estimate."""
-    table = sweep(load(KITTING / "paper.pddl"))
+    table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
     out.mkdir(parents=True, exist_ok=True)
     draw_identify(table, out / "fit_identify.png")
     draw_online(table, out / "fit_online.png")
@@ -566,15 +569,16 @@ def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> li
 
 
 @main.command("time")
+@click.option("--instance", default="kitting/ladder-2x8", show_default=True)
 @click.option("--people", "count", type=int, default=32, show_default=True)
 @click.option("--actions", type=int, default=40, show_default=True)
 @click.option("--huge", is_flag=True, help="Also a task of 1.2e9 states, killed on the way and begun again.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("build/bench/fit"), show_default=True)
-def timing(count: int, actions: int, huge: bool, out: Path) -> None:
+def timing(instance: str, count: int, actions: int, huge: bool, out: Path) -> None:
     """Time `kitassist fit` from the PDDL files to the report."""
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
-    middle = KITTING / "ladder-2x8.pddl"
+    middle = ROOT / "domains" / f"{instance}.pddl"
     table = sweep(load(middle))
     people = People(uniform(rng, 0.1, 3.0, count, "log-uniform"), rng.uniform(0.3, 0.95, count))
     rows = record(table, people, episodes=6, rng=rng, suggest=0.3, most=actions)

@@ -1,6 +1,6 @@
 """How the time per state grows with the number of states: sweeps of the kitting and gripper ladders.
 
-    python bench/growth.py [--out DIR] [--repeat N]
+    python bench/growth.py [--out DIR] [--repeat N] [--steps N]
 
 What is timed is the sweep alone, from the grounded task to h* of all states, and beside it reading and grounding the
 PDDL files, which does not depend on the number of states. Written are `growth.json`, `growth.png` and `growth.svg`.
@@ -33,13 +33,14 @@ COLOURS = {"kitting": "#0072B2", "gripper": "#D55E00", "blocks": "#009E73"}
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/growth"), show_default=True
 )
 @click.option("--repeat", type=click.IntRange(min=1), default=7, show_default=True, help="The median counts.")
-def main(out: Path, repeat: int) -> None:
+@click.option("--steps", type=click.IntRange(min=1), help="Of each ladder; all unless given.")
+def main(out: Path, repeat: int, steps: int | None) -> None:
     """Measure the time per state of the sweep."""
     sweep(load(DOMAINS / "kitting" / "tiny.pddl"))  # compiles
     rows = []
     grid = Grid("instance", "states", "load s", "sweep s", "microseconds per state", title="Time per state")
     for domain, names in LADDERS.items():
-        for name in names:
+        for name in names[:steps]:
             loads, sweeps, states = [], [], 0
             for _ in range(repeat):
                 start = time.perf_counter()

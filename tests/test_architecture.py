@@ -26,7 +26,7 @@ ROOMS = {
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
-    "assist.study": "statistics study cells protocol runner summary wording claims pictures report",
+    "assist.study": "statistics study cells toml protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries
         solve simulate policy bound export log fit study""",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
@@ -22,7 +23,6 @@ from scipy import stats
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Human, HumanModel, Population
-from assist.person import qmdp as mdp
 from assist.person.pomdp import AssistPOMDP
 from assist.simulation.simulate import simulate
 from assist.study import protocol, statistics
@@ -207,6 +207,7 @@ def test_people_who_are_never_helped_have_the_same_values_from_equations_as_from
     h = np.where(tiny_choices.goal, 0.0, tiny_choices.h + np.random.default_rng(0).normal(0, 1, len(tiny_choices)))
     pomdp = AssistPOMDP.of(HumanModel.own(tiny_choices, Human(1.0, 0.7, 1.0, h)))
     never = np.zeros(len(tiny_choices), dtype=np.int64)
+    mdp = importlib.import_module("assist.person.qmdp")  # and not the function of that name
     solved = mdp.evaluate(pomdp, never, tolerance=1e-9)
     monkeypatch.setattr(mdp, "DIRECT", 0)
     swept = mdp.evaluate(pomdp, never, tolerance=1e-9)
@@ -229,14 +230,25 @@ def test_the_papers_protocol_is_the_papers() -> None:
 
 
 def test_the_papers_tasks_are_found_in_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    installed = tmp_path / "assist" / "protocols"
+    installed = tmp_path / "assist" / "study" / "protocols"
     shutil.copytree(protocol.PROTOCOLS, installed)
     monkeypatch.setattr(protocol, "PROTOCOLS", installed)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(StudyError, match="the project's folder `domains` is needed: run this in a checkout"):
         read("paper")
     (tmp_path / "domains").symlink_to(DOMAINS)
+    monkeypatch.chdir(tmp_path / "assist")
     assert len(read("paper").instances) == 2
+
+
+def test_a_study_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    file = write(tmp_path)
+    plain = read(file)
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert read(file) == plain
+    file.write_bytes(b'title = "\xe4"\n')
+    with pytest.raises(StudyError, match=r"small.toml: byte 9 is not UTF-8; expected a text file"):
+        read(file)
 
 
 def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None:
@@ -272,11 +284,24 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),
         ("c_suggest = 0.2\n", 'c_suggest = "low"\n', 'setting.c_suggest: "low"; expected a number'),
         ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; expected one of c_execute"),
-        ("c_suggest = 0.2\n", 'knowledge = "all"\n', "setting.knowledge: 'all'; expected own or exact"),
+        ("c_suggest = 0.2\n", 'knowledge = "all"\n', 'setting.knowledge: "all"; expected "own" or "exact"'),
         ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2]: c_move -2: expected 0 or more"),
         ("beta = [0.1, 0.5]", "beta = [0.5, 0.1]", "populations.novices: beta range (0.5, 0.1)"),
         ("beta = [0.1, 0.5]", "beta = 0.5", "populations.novices.beta: 0.5; expected two numbers"),
-        ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices: "),
+        ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices.file: "),
+        ("beta = [0.1, 0.5]", 'beta = [0.1, "x"]', 'populations.novices.beta: [0.1, "x"]; expected two numbers'),
+        ("beta = [0.1, 0.5]", "betta = [0.1, 0.5]", "populations.novices.betta: unknown; expected one of beta, file"),
+        ("beta = [0.1, 0.5]", 'noise = "both"', "populations.novices: noise 'both': expected 'state' or 'action'"),
+        ("humans = [1, 2]", "humans = []", "humans: []; expected a list of whole numbers of 1 or more"),
+        ("humans = [1, 2]", "humans = [1, 0.5]", "humans: [1, 0.5]; expected a list of whole numbers of 1 or more"),
+        ("[setting]", "setting = 3\n[other]", "setting: 3; expected a table"),
+        (
+            "settings = [{ c_suggest = 0.6 }, { c_suggest = 0.2, c_move = 2.0 }]",
+            "settings = [3]",
+            "settings: [3]; expected",
+        ),
+        ('name = "novices"', "name = 3", "conditions[3].name: 3; expected a text"),
+        ('name = "novices"', 'name = "novices"\nrepeat = 2', "conditions[3].repeat: unknown; expected one of humans"),
         ('policies = ["attention"]', 'policies = ["atention"]', "'atention'; expected one of none, reactive"),
         ('policies = ["attention"]', 'policies = ["mine.py:mine"]', "mine.py: no such file"),
         ('populations = ["novices"]', 'populations = ["experts"]', "'experts'; expected one of everybody, novices"),

@@ -1,0 +1,156 @@
+"""Typed tables of TOML: what is missing, unknown or of the wrong kind is named with its place, and what would be right.
+
+The types are msgspec's `Struct`, the descriptions those of their fields.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+
+import msgspec
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+from .study import StudyError
+
+T = TypeVar("T")
+
+Text = Annotated[str, Meta(min_length=1, description="a text")]
+Whole = Annotated[int, Meta(ge=1, description="a whole number of 1 or more")]
+Seed = Annotated[int, Meta(ge=0, description="a whole number of 0 or more")]
+Number = Annotated[float, Meta(description="a number")]
+Truth = Annotated[bool, Meta(description="true or false")]
+Texts = Annotated[tuple[Text, ...], Meta(min_length=1, description="a list of texts")]
+Wholes = Annotated[tuple[Whole, ...], Meta(min_length=1, description="a list of whole numbers of 1 or more")]
+Pair = Annotated[tuple[float, float], Meta(description="two numbers, [low, high]")]
+AnyTable = Annotated[dict[str, Any], Meta(description="a table")]
+Tables = Annotated[list[dict[str, Any]], Meta(min_length=1, description="one table or more")]
+
+KINDS = {float: Number, int: Annotated[int, Meta(description="a whole number")], bool: Truth, str: Text}
+FAULT = re.compile(r"(?P<what>.*?)(?: - at `\$(?P<path>.*)`)?", re.DOTALL)
+NAMED = re.compile(r"Object (?P<fault>contains unknown|missing required) field `(?P<key>.*)`")
+
+
+def load(file: Path) -> dict[str, Any]:
+    """Read a TOML file; a byte order mark, as some editors write it, is left out.
+
+    Raises
+    ------
+    StudyError
+    """
+    try:
+        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise StudyError(f"{file}: no such file") from None
+    except UnicodeDecodeError as error:
+        raise StudyError(f"{file}: byte {error.start} is not UTF-8; expected a text file in that encoding") from None
+    except tomllib.TOMLDecodeError as error:
+        raise StudyError(f"{file}: {error}") from None
+
+
+def fault(file: Path, place: str, message: str) -> StudyError:
+    """Say what is wrong where."""
+    return StudyError(f"{file}: {place}: {message}")
+
+
+def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
+    """Give a table as a type.
+
+    Parameters
+    ----------
+    content : dict
+        What the file says.
+    kind : type
+        A `Struct` whose fields are described.
+    file : Path
+    place : str
+        Where in it the table stands.
+
+    Raises
+    ------
+    StudyError
+    """
+    try:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
+        raise StudyError(f"{file}: {_said(str(error), content, kind, place)}") from None
+
+
+def partial_of(data: type) -> type[Struct]:
+    """Give the type of tables that have some fields of a data class; others are `UNSET`."""
+    hints = get_type_hints(data)
+    fields: list[tuple[str, Any, Any]] = [
+        (name, _described(kind) | UnsetType, UNSET) for name, kind in hints.items()
+    ]  # fmt: skip
+    return msgspec.defstruct(f"Partial{data.__name__}", fields, forbid_unknown_fields=True)
+
+
+def given(table: Struct) -> dict[str, Any]:
+    """Give the fields of a partial table that the file says something about."""
+    return {name: value for name, value in msgspec.structs.asdict(table).items() if value is not UNSET}
+
+
+def shown(value: Any) -> str:
+    """Write a value as in the file."""
+    return json.dumps(value, default=str, ensure_ascii=False)
+
+
+def _described(kind: Any) -> Any:
+    if get_origin(kind) is Literal:
+        return Annotated[kind, Meta(description=" or ".join(map(shown, get_args(kind))))]
+    return KINDS[kind]
+
+
+def _said(message: str, content: Any, kind: Any, place: str) -> str:
+    """Say what msgspec found in the words of the file: the place, what stands there, and what is expected."""
+    found = FAULT.fullmatch(message)
+    assert found is not None
+    expected = "a table"
+    for token in re.findall(r"\.([^.\[]+)|\[(\d+)\]", found["path"] or ""):
+        name, number = token
+        if isinstance(kind, type) and issubclass(kind, Struct):
+            kind, expected = _field(kind, name)
+            place, content = f"{place}.{name}".strip("."), content[name]
+        elif number and (inner := _element(kind)) is not None:
+            kind, content, expected = inner, content[int(number)], "a table"
+            place = f"{place}[{int(number) + 1}]"
+        else:
+            break  # within a list of numbers or texts: it is described as a whole
+    named = NAMED.fullmatch(found["what"])
+    if named is None:
+        return f"{place or 'the file'}: {shown(content)}; expected {expected}"
+    where = f"{place}.{named['key']}".strip(".")
+    if named["fault"] == "missing required":
+        return f"{where}: is missing; expected {_field(kind, named['key'])[1]}"
+    known = sorted(field.encode_name for field in msgspec.structs.fields(kind))
+    return f"{where}: unknown; expected one of {', '.join(known)}"
+
+
+def _field(struct: type[Struct], name: str) -> tuple[Any, str]:
+    """Give the type and the description of a field."""
+    field = next(field for field in msgspec.structs.fields(struct) if field.encode_name == name)
+    parts = [field.type, *get_args(field.type)]
+    marked = [meta for part in parts for meta in getattr(part, "__metadata__", ()) if isinstance(meta, Meta)]
+    inner = next((part for part in parts if isinstance(part, type) and issubclass(part, Struct)), field.type)
+    return inner, next((meta.description for meta in marked if meta.description), "a table")
+
+
+def _element(kind: Any) -> type[Struct] | None:
+    """Give the type of a list's tables, None for lists of anything else."""
+    for part in (kind, *get_args(kind)):
+        for inner in get_args(part):
+            if isinstance(inner, type) and issubclass(inner, Struct):
+                return inner
+    return None
+
+
+def label(mapping: Mapping[str, Any]) -> str:
+    """Name what a table says, in its order: the label of a setting."""
+    return ", ".join(
+        f"{key} {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else f"{key} {value}"
+        for key, value in mapping.items()
+    )

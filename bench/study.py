@@ -1,0 +1,104 @@
+"""The paper's study, reduced: two pools and teams of up to three, through its report.
+
+    python bench/study.py [--pools N] [--humans K] [--people N] [--instance NAME] [--out DIR] [--record FILE] [--check]
+
+All conditions of the paper's protocol are carried out, and the whole report is written: claims, readings, kinds of
+people, pictures. Printed are the figures of the headline. `--record` writes what was found as JSON, `--check` compares
+it with `bench/records/study.json`, which the default run has made: what a change does to the study is seen before it is
+published.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from assist.study import Study, read, run_study, write_report
+
+RECORD = Path(__file__).resolve().parent / "records" / "study.json"
+RELATIVE = 1e-6  # processors differ in the last digits
+KEPT = ("headline", "decline", "contrasts", "readings")
+EXPECTED = ("## Headline", "## Which of the claims of the paper hold", "## Kinds of people", "## Which reading comes")
+PICTURES = ("team-size", "benefit", "categories", "trade-off", "belief")
+
+
+def reduced(pools: int, humans: int, people: int, instance: str | None) -> Study:
+    """The paper's study, of fewer pools, smaller teams and fewer people in a pool."""
+    study = read("paper", repeats=pools)
+    instances = tuple(pair for pair in study.instances if instance in (None, pair[0]))
+    names = [name for name, _ in instances]
+    conditions = tuple(
+        replace(
+            condition, humans=tuple(range(1, humans + 1)), instances=tuple(i for i in condition.instances if i in names)
+        )
+        for condition in study.conditions
+    )
+    return replace(study, pool=people, conditions=conditions, instances=instances)
+
+
+def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
+    """Name where two documents differ by more than rounding."""
+    if isinstance(found, dict) and isinstance(recorded, dict) and found.keys() == recorded.keys():
+        for key in found:
+            yield from differences(found[key], recorded[key], f"{place}.{key}".strip("."))
+    elif isinstance(found, list) and isinstance(recorded, list) and len(found) == len(recorded):
+        for number, pair in enumerate(zip(found, recorded, strict=True)):
+            yield from differences(*pair, f"{place}[{number}]")
+    elif isinstance(found, float) and isinstance(recorded, float):
+        if not math.isclose(found, recorded, rel_tol=RELATIVE, abs_tol=RELATIVE):
+            yield f"{place}: {found}; recorded {recorded}"
+    elif found != recorded:
+        yield f"{place}: {found}; recorded {recorded}"
+
+
+@click.command()
+@click.option("--pools", type=click.IntRange(min=1), default=2, show_default=True)
+@click.option("--humans", type=click.IntRange(min=1), default=3, show_default=True, help="The largest team.")
+@click.option("--people", type=click.IntRange(min=1), default=4, show_default=True, help="In a pool.")
+@click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the report.")
+@click.option("--record", type=click.Path(path_type=Path, dir_okay=False), help="Write what was found.")
+@click.option("--check", is_flag=True, help="Compare what was found with the record.")
+def main(
+    pools: int, humans: int, people: int, instance: str | None, jobs: int, out: Path | None, record: Path | None,
+    check: bool,
+) -> None:  # fmt: skip
+    """Carry the reduced study out."""
+    study = reduced(pools, humans, people, instance)
+    if instance == "paper":  # the readings are of the other
+        study = replace(study, conditions=tuple(c for c in study.conditions if c.instances))
+    with tempfile.TemporaryDirectory(prefix="study-") as scratch:
+        folder = out or Path(scratch)
+        failed = run_study(study, folder, jobs=jobs)
+        if failed:
+            sys.exit(f"{len(failed)} cells failed; the first: {failed[0]}")
+        summary = write_report(study, folder, jobs=jobs)
+        text = (folder / "report.md").read_text(encoding="utf-8")
+        missing = [part for part in EXPECTED if part not in text]
+        missing += [name for name in PICTURES if not (folder / "figures" / f"{name}.svg").is_file()]
+    if missing:
+        sys.exit(f"the report lacks {', '.join(missing)}")
+    for key, found in summary["headline"].items():
+        if isinstance(found, dict) and key != "instances":
+            print(f"{key}: {found['mean']:.1f} %")
+    found = {name: summary[name] for name in KEPT}
+    if record:
+        record.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    if check:
+        wrong = list(differences(found, json.loads(RECORD.read_text(encoding="utf-8"))))
+        if wrong:
+            sys.exit(f"{len(wrong)} figures differ from {RECORD.name}; the first: {wrong[0]}")
+        print(f"all figures are those of {RECORD.name}")
+
+
+if __name__ == "__main__":
+    main()

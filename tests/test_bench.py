@@ -1,0 +1,33 @@
+"""Benchmarks: all are run, and what they need is there. Their smallest cases run in `.ci/run`."""
+
+from __future__ import annotations
+
+import importlib
+
+import click
+import pytest
+from conftest import ROOT
+
+RUN = importlib.import_module("run")
+CASES: dict[str, tuple[str, str]] = RUN.CASES
+
+
+def commands(script: str) -> dict[str, click.Command]:
+    """The commands of a script, by the names under which they are run."""
+    main = getattr(importlib.import_module(script), "main", None)
+    if isinstance(main, click.Group):
+        return {f"{script} {name}": command for name, command in main.commands.items()}
+    return {} if main is None else {script: main}
+
+
+def test_every_benchmark_is_run() -> None:
+    scripts = sorted(file.stem for file in (ROOT / "bench").glob("*.py") if file.stem not in {"run", *RUN.NEED_DATA})
+    assert {name for script in scripts for name in commands(script)} == set(CASES)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_benchmark_has_the_options_it_is_run_with(name: str) -> None:
+    command = commands(name.split()[0])[name]
+    for arguments in CASES[name]:
+        with command.make_context(name, arguments.split()):
+            pass
