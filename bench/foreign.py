@@ -5,8 +5,8 @@
 Encodings that this file writes (`counters`, `stacks`, `grid`, `transport`), `domains/depot`, and instances of the
 public benchmark collection, where the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs in a
 process of its own, after a first small instance, with `domains/kitting/ladder-4x8.pddl` before all others: `ratio` is
-how many times fewer states a second of processor time are swept than there. MB are what the process took beyond what
-it had before, at its peak. `--sparse` forbids bitmaps, so that everything goes through the hash table.
+how many times fewer states a second of processor time are swept than there. `bytes` are what the process took beyond
+what it had before, at its peak, per state. `--sparse` forbids bitmaps, so that everything goes through the hash table.
 
     python bench/foreign.py --write FOLDER
 
@@ -169,7 +169,8 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
 
     module = importlib.import_module("planner.sweep")
     if sparse:
-        module.SMALL_BITMAP = module.SPARSE = 0  # type: ignore[attr-defined]
+        searches = importlib.import_module("planner.searches")
+        searches.SMALL_BITMAP = searches.SPARSE = 0  # type: ignore[attr-defined]
     for small in ("kitting/tiny.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())

@@ -10,7 +10,7 @@ import pytest
 from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_sweep import check, module, random_task
+from test_sweep import check, module, random_task, searches
 
 from planner import Effect, Operator, Task, Variable, instance, load
 from planner.clusters import clusters
@@ -174,8 +174,8 @@ def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool) -> Non
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Coding, "of", classmethod(lambda *_: None))  # only the dense coding is left
         if hashed:
-            patch.setattr(module, "SMALL_BITMAP", 0)
-            patch.setattr(module, "SPARSE", 0)
+            patch.setattr(searches, "SMALL_BITMAP", 0)
+            patch.setattr(searches, "SPARSE", 0)
         table = check(composed(seed, costs=costs))
         assert len(table.space.numbering.searches.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
         check(random_task(random.Random(seed), costs=costs))

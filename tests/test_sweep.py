@@ -17,6 +17,7 @@ from planner.moves import exactly_one, split_operators
 from planner.statespace import explore
 
 module = importlib.import_module("planner.sweep")
+searches = importlib.import_module("planner.searches")
 moves_module = importlib.import_module("planner.moves")
 sweep = module.sweep
 
@@ -134,8 +135,8 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
 @pytest.mark.parametrize("seed", range(8))
 def test_random_tasks(seed, costs, hashed, monkeypatch):
     if hashed:
-        monkeypatch.setattr(module, "SMALL_BITMAP", 0)
-        monkeypatch.setattr(module, "SPARSE", 0)
+        monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
+        monkeypatch.setattr(searches, "SPARSE", 0)
     rng = random.Random(f"{seed} {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -158,8 +159,8 @@ def test_random_tasks_the_slow_way(seed, monkeypatch):
 
 
 def test_random_tasks_turn_from_hash_table_to_bitmap(monkeypatch):
-    monkeypatch.setattr(module, "SMALL_BITMAP", 0)
-    monkeypatch.setattr(module, "SPARSE", 40)
+    monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
+    monkeypatch.setattr(searches, "SPARSE", 40)
     rng = random.Random(1)
     for _ in range(100):
         check(random_task(rng, costs=range(1, 3)))
@@ -203,9 +204,9 @@ def test_a_task_of_many_blocks(smaller):
 
 
 def test_kitting_hashed(kitting, monkeypatch):
-    monkeypatch.setattr(module, "SMALL_BITMAP", 0)
+    monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
     expected = sweep(kitting)
-    monkeypatch.setattr(module, "SPARSE", 0)
+    monkeypatch.setattr(searches, "SPARSE", 0)
     table = sweep(kitting)
     assert not len(table.space.numbering.states.bits)
     assert len(expected.space.numbering.states.bits)
@@ -342,3 +343,34 @@ def test_numbers_outside_the_table():
             table.values([number])
     with pytest.raises(KeyError):
         table.numbers([(0, 1)])
+
+
+@pytest.mark.parametrize("what", ["states", "cost-to-go"])
+def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatch):
+    expected = sweep(smaller)
+    monkeypatch.setattr("planner.checkpoint.EVERY", 0.0)
+    layers = 0
+
+    def broken_off(now: str, _: int) -> None:
+        nonlocal layers
+        layers += now == what
+        if layers == 5:
+            raise LimitError("broken off")
+
+    with pytest.raises(LimitError, match="broken off"):
+        sweep(smaller, progress=broken_off, checkpoint=tmp_path / "kept")
+    assert (tmp_path / "kept").is_dir()
+    seen: list[tuple[str, int]] = []
+    other = sweep(counter(5), checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
+    assert len(other) == 32  # a checkpoint of another task is nothing to go on from
+    layers = 0
+    with pytest.raises(LimitError, match="broken off"):
+        sweep(smaller, progress=broken_off, checkpoint=tmp_path / "kept")
+    seen.clear()
+    table = sweep(smaller, checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
+    assert seen[0][0] == what
+    assert seen[0][1] > 5
+    assert seen[-1] == ("cost-to-go", len(table))
+    np.testing.assert_array_equal(table.distance, expected.distance)
+    assert table.space.transition_count == expected.space.transition_count
+    assert list(tmp_path.iterdir()) == []
