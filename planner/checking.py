@@ -1,9 +1,7 @@
 """What unified-planning says of files and of plans.
 
 unified-planning knows types and the whole language, and validates plans independently of all that is computed here;
-nothing is expanded with it. `read` and `validate` use it in this process. A `Checker` is a process of its own that
-reads an instance, while Fast Downward's translator grounds it, and afterwards checks plans: importing the library
-takes longer than most tasks, and its internal errors, memory and time stay there.
+nothing is expanded with it.
 
 Not everything that it refuses is wrong: it wants names to differ that Fast Downward tells apart. A `Refusal` says
 whether the fault is certain; otherwise the translator has the last word.
@@ -11,37 +9,21 @@ whether the fault is certain; otherwise the translator has the last word.
 
 from __future__ import annotations
 
-import contextlib
-import json
-import os
-import queue
 import re
-import subprocess
-import sys
-import threading
-import types
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from . import fast_downward, pddl
+from . import pddl
 from .expressions import tokens
-from .fast_downward import NO_LIMITS, Limits
 from .pddl import Instance, PDDLError
-from .processes import guarded_group
 from .source import Source
 from .supported import meant
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
-
-PATIENCE = 300.0
-"""Seconds that unified-planning may take longer than Fast Downward's translator, and for a plan."""
-
-MAPPED_MB = 1000.0
-"""Memory that loading libraries maps and never uses, beyond what a process may take."""
 
 
 class InvalidPlanError(AssertionError):
@@ -94,7 +76,7 @@ def read(instance: Instance) -> Problem:
     """
     source = Source.of(instance)
     try:
-        return _parsed(source.domain_text, source.problem_text)
+        return parsed(source.domain_text, source.problem_text)
     except RefusedError as error:
         raise error.refusal.error(instance) from None
 
@@ -121,107 +103,7 @@ def validate(problem: Problem, plan: Sequence[str]) -> None:
         raise InvalidPlanError(f"unified-planning's validator rejects the plan: {result.reason}")
 
 
-class Checker:
-    """unified-planning in a process of its own, about one instance.
-
-    It begins to read at once. Use it as a context manager: the process ends with it, or with this process.
-    """
-
-    def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "planner.checking"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},  # noqa: PTH109
-            text=True,
-            encoding="utf-8",
-            process_group=guarded_group(),
-        )
-        if limits.memory_mb is not None:
-            fast_downward.limit_memory(self._process.pid, Limits(memory_mb=limits.memory_mb + MAPPED_MB))
-        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        threading.Thread(target=self._listen, daemon=True).start()
-        self._ask({"domain": source.domain_text, "problem": source.problem_text})
-        self._refusal: Refusal | None = None
-        self._read = False
-
-    def __enter__(self) -> Checker:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End the process."""
-        self._process.kill()
-        self._process.wait()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
-
-    def _listen(self) -> None:
-        stream = self._process.stdout
-        assert stream is not None
-        try:
-            for line in stream:
-                self._answers.put(line)
-        except ValueError:
-            pass  # closed
-        self._answers.put("")
-
-    def _ask(self, question: Mapping[str, Any]) -> None:
-        stream = self._process.stdin
-        assert stream is not None
-        try:
-            stream.write(json.dumps(question) + "\n")
-            stream.flush()
-        except BrokenPipeError:
-            pass  # it has died, which the answer tells
-
-    def _answer(self, seconds: float) -> dict[str, Any] | None:
-        try:
-            line = self._answers.get(timeout=seconds)
-        except queue.Empty:
-            self._process.kill()
-            return {"failed": f"it takes more than {seconds:.0f} s"}
-        return json.loads(line) if line else {"failed": "its process died"}
-
-    def refusal(self, seconds: float = PATIENCE) -> Refusal | None:
-        """Wait for what it says of the files: nothing, if they are valid."""
-        if not self._read:
-            self._read = True
-            answer = self._answer(seconds)
-            if answer is not None and "failed" in answer:
-                self._refusal = Refusal("problem", None, answer["failed"], vague=True)
-            elif answer is not None:
-                self._refusal = Refusal(**answer)
-        return self._refusal
-
-    def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
-        """Check a plan of an instance that it has accepted.
-
-        Returns
-        -------
-        str or None
-            Why it could not be checked, if it could not.
-
-        Raises
-        ------
-        InvalidPlanError
-            The plan is rejected.
-        """
-        self._ask({"plan": list(plan)})
-        answer = self._answer(seconds)
-        if answer is None:
-            return None
-        if "rejected" in answer:
-            raise InvalidPlanError(answer["rejected"])
-        return str(answer["failed"])
-
-
-def _parsed(domain: str, problem: str) -> Problem:
+def parsed(domain: str, problem: str) -> Problem:
     """Read an instance's texts; a `RefusedError` tells why not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unified-planning and pyparsing warn of their own internals
@@ -298,48 +180,3 @@ def _line_of_expression(shown: str, text: str) -> int | None:
         if [part.word.lstrip("?") for part in expression.parts] == wanted:
             return expression.line
     return None
-
-
-def _serve(questions: IO[str], answers: IO[str]) -> None:
-    """Answer what a `Checker` asks: first about the files, then about plans. Ends when the other side is gone."""
-    asked: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-
-    def listen() -> None:
-        for line in questions:
-            asked.put(json.loads(line))
-        os._exit(0)
-
-    threading.Thread(target=listen, daemon=True).start()
-
-    def answer(content: object) -> None:
-        answers.write(json.dumps(content) + "\n")
-        answers.flush()
-
-    # unified-planning needs this package for an annotation only, and it takes longer to import than all the rest.
-    stand_in = types.ModuleType("ConfigSpace")
-    stand_in.ConfigurationSpace = object  # type: ignore[attr-defined]
-    sys.modules.setdefault("ConfigSpace", stand_in)
-
-    texts = asked.get()
-    try:
-        problem = _parsed(texts["domain"], texts["problem"])
-    except RefusedError as error:
-        answer(asdict(error.refusal))
-        os._exit(0)  # the other thread waits for input, on which a regular end would wait as well
-    answer(None)
-    while True:
-        plan = asked.get()["plan"]
-        try:
-            validate(problem, plan)
-        except InvalidPlanError as error:
-            answer({"rejected": str(error)})
-        except Exception as error:  # noqa: BLE001  the library's own internal errors
-            answer({"failed": f"it fails at it ({type(error).__name__})"})
-        else:
-            answer(None)
-
-
-if __name__ == "__main__":
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)  # whatever libraries print
-        _serve(sys.stdin, answers)

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any
 
 from . import fast_downward
 from .budget import MAX_STATES
-from .checking import Checker, InvalidPlanError
+from .checker import Checker
+from .checking import InvalidPlanError
 from .errors import MismatchError
 from .fast_downward import FastDownwardError, LimitError, Limits
 from .pddl import Instance, PDDLError

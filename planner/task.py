@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import built, fast_downward, pddl
-from .checking import Checker, Refusal
+from .checker import Checker
+from .checking import Refusal
 from .fast_downward import NO_LIMITS, Limits
 from .source import Source
 from .storage import atomic
@@ -209,7 +210,7 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
     except pddl.PDDLError as error:
         fault = error
     refusal = checker.refusal()
-    if refusal is not None and (refusal.certain or (fault is not None and not refusal.vague)):
+    if refusal is not None and (refusal.certain or (fault is not None and _says_more(refusal, fault, source))):
         raise refusal.error(source.instance)
     if fault is not None:
         raise fault
@@ -220,6 +221,12 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
         reason = refusal.message if refusal.line is None else str(refusal.error(source.instance))
         note = f"read by Fast Downward's translator, not checked by unified-planning: {reason}"
     return from_sas(sas, source.instance, note)
+
+
+def _says_more(refusal: Refusal, fault: pddl.PDDLError, source: Source) -> bool:
+    """Whether unified-planning's words are the better ones for what the translator refuses: of the same place."""
+    other = refusal.error(source.instance)
+    return not refusal.vague and (fault.line is None or (fault.file, fault.line) == (other.file, other.line))
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:
