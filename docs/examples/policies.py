@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from assist.team.state import NOBODY, TeamAction, TeamState
+from assist.team import NOBODY, TeamAction, TeamState
 
 
 def furthest_first(team: TeamState) -> TeamAction:
