@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,11 @@ from assist.study.report import Report, write_report
 from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study, StudyError
 from assist.study.summary import Found
+from assist.study.wording import interval
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import PolicyError
+from planner import Instance
 from planner.errors import DamagedFileError
 
 TINY = f"""
@@ -708,6 +711,38 @@ def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
     assert report.summary["cells"][0]["human_actions_per_person"]["sd"] is None
     assert "## Team sizes" in report.text
     assert {each.name for each in report.pictures if each.figure()} >= {"team-size", "belief"}
+
+
+def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
+    """All conditions of the paper, on a task that takes no time; `make study` has them on the paper's tasks."""
+    paper = read("paper", repeats=1)
+    conditions = tuple(replace(c, instances=("tiny",), humans=(1, 2)) for c in paper.conditions)
+    tiny = Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")
+    study = replace(paper, instances=(("tiny", tiny),), conditions=conditions, pool=2, draws=1, trials=1)
+    assert run_study(study, tmp_path) == []
+    report = Report.of(study, tmp_path)
+    for title in (
+        "Headline",
+        "Which of the claims of the paper hold",
+        "Team sizes",
+        "Does the benefit decline with the number of people?",
+        "Kinds of people",
+        "Which reading comes nearest to the interventions of the paper",
+        "Sensitivity",
+        "One episode",
+    ):
+        assert f"\n## {title}\n" in report.text
+    assert "24.48" in report.text
+    assert [each.name for each in report.pictures] == ["team-size", "benefit", "categories", "trade-off", "belief"]
+    assert len(report.summary["readings"]) == 3 * (2 * 3 * 2 + 2 + 1)
+
+
+def test_the_pages_figures_are_those_of_the_record() -> None:
+    record = json.loads((ROOT / "bench" / "records" / "study.json").read_text())["headline"]["instances"]
+    page = (ROOT / "docs" / "study.md").read_text().split("saves, reduced |")[1]
+    for key in ("actions_vs_none", "actions_vs_reactive", "interventions_vs_reactive"):
+        cells = [interval(record[instance][key]) for instance in ("paper", "paper-fixed")]
+        assert f"| {key.replace('_vs_', ', against ')} | {' | '.join(cells)} |" in page
 
 
 def test_the_shipped_example_is_of_another_domain() -> None:

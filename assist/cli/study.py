@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 from rich.table import Table
@@ -31,13 +30,7 @@ from .progress import progress_bar
 @click.option("--resume", is_flag=True, help="Keep what --out holds of this study, and run the rest.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
 def study(
-    protocol: str,
-    repeats: int | None,
-    jobs: int,
-    scheduler: str | None,
-    out: Path,
-    resume: bool,
-    as_json: bool,
+    protocol: str, repeats: int | None, jobs: int, scheduler: str | None, out: Path, resume: bool, as_json: bool
 ) -> None:
     """Run a whole study: pools of people, teams, policies, conditions; then write its report.
 
@@ -45,13 +38,12 @@ def study(
     """
     from ..study.cells import check
     from ..study.protocol import read
-    from ..study.report import require, write_report
+    from ..study.report import headline, require, write_report
     from ..study.runner import run_study
     from ..study.study import StudyError
     from ..team.state import PolicyError
 
     say = partial(click.echo, err=True)
-
     with one_line_errors("interrupted; what was finished is kept, --resume continues"):
         require()
         try:
@@ -70,28 +62,10 @@ def study(
         summary = write_report(planned, out, jobs=jobs)
     if as_json:
         print_json(summary)
-    else:
-        _show_headline(summary, out)
-
-
-def _show_headline(summary: dict[str, Any], out: Path) -> None:
-    from ..study.statistics import FEW_POOLS
-    from ..study.wording import interval, named, varying
-
-    headline = summary["headline"]
-    groups = [headline, *headline["others"]]
-    of = varying(groups, ("population", "setting", "prior"))
-    shown = Table(box=None, pad_edge=False)
-    for title in (f"{headline['policy']} saves, %", *of):
-        shown.add_column(title)
-    for name in headline["instances"]:
-        shown.add_column(name, justify="right")
-    for group in groups:
-        instances = group["instances"].values()
-        for key in dict.fromkeys(key for found in instances for key in found):
-            cells = [interval(found[key]) if key in found else "-" for found in instances]
-            shown.add_row(named(key), *(group[column] or "default" for column in of), *cells)
-    print_table(shown)
-    pools = f"{headline['pools']} pools" if headline["pools"] > 1 else "1 pool"
-    few = f"; fewer than {FEW_POOLS} are a first look" if headline["pools"] < FEW_POOLS else ""
-    click.echo(f"{pools} of people, 95 % intervals over pools{few}; the report is {out / 'report.md'}")
+        return
+    head, rows, pools = headline(summary)
+    table = Table(*head, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    print_table(table)
+    click.echo(f"{pools}; the report is {out / 'report.md'}")

@@ -243,6 +243,23 @@ def _titles(columns: Iterable[str]) -> list[str]:
     return [COLUMNS[column] for column in columns]
 
 
+def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:
+    """Give the headline as a table, its titles and its rows, and of how many pools it is."""
+    found = summary["headline"]
+    groups = [found, *found["others"]]
+    columns = varying(groups, COLUMNS)
+    rows = []
+    for group in groups:
+        instances = group["instances"].values()
+        for key in dict.fromkeys(key for saved in instances for key in saved):
+            cells = [interval(saved[key]) if key in saved else "-" for saved in instances]
+            rows.append([named(key), *_which(group, columns), *cells])
+    pools = f"{found['pools']} pools" if found["pools"] > 1 else "1 pool"
+    few = f"; fewer than {FEW_POOLS} are a first look" if found["pools"] < FEW_POOLS else ""
+    titles = [f"{found['policy']} saves, %", *_titles(columns), *found["instances"]]
+    return titles, rows, f"{pools} of people, 95 % intervals over pools{few}"
+
+
 def _which(row: Record, columns: Iterable[str]) -> list[str]:
     """Name what a row is of, in those columns."""
     return [{"": "default", OWN: "its population"}.get(str(row[column]), str(row[column])) for column in columns]
