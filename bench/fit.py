@@ -3,8 +3,7 @@
     python bench/fit.py COMMAND [--help]
 
 `recover` estimates people with known parameters and counts how many intervals cover them, `information` says how
-well anybody could estimate them, `identify` draws what can and cannot be told apart, `time` runs the command on large
-tasks.
+well anybody could estimate them, `misconceptions` estimates sigma, `time` runs the command on large tasks.
 """
 
 from __future__ import annotations
@@ -12,156 +11,30 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table as Grid
 from scipy.stats import spearmanr
+from simulated_people import People, observed, record
 
-from assist.learning.diagnostics import check
-from assist.learning.estimates import largest_beta, maximum_likelihood
-from assist.learning.likelihood import Method, log_likelihood
-from assist.learning.log import Log
-from assist.learning.misconception import MarginalLikelihood, fit_misconception
-from assist.learning.observations import Observations, observe
-from assist.learning.population import fit_population
-from assist.learning.recording import replay
-from assist.people.belief import Grid as BeliefGrid
-from assist.people.choices import Choices
-from assist.people.decision import NOTHING, choice, influence, trust
-from assist.people.human import HumanModel
-from assist.person.pomdp import AssistPOMDP
-from assist.plots.people import calibration_figure, expertise_figure
-from assist.plots.style import BLUE, ORANGE, save
-from planner import Cache, CostToGo, OnDemand, Table, Task, load, sweep
+from assist.learning import (
+    Method,
+    Observations,
+    check,
+    fit_misconception,
+    fit_population,
+    log_likelihood,
+    maximum_likelihood,
+)
+from assist.learning.estimates import largest_beta
+from planner import Cache, OnDemand, Table, Task, load, sweep
 from planner.storage import write_records
 
 ROOT = Path(__file__).resolve().parent.parent
 KITTING = ROOT / "domains" / "kitting"
-
-
-@dataclass(frozen=True)
-class People:
-    """Simulated people; each array has the shape (K,).
-
-    `noise`, shape (K, n), is their misconception in cost units, one for each state of the task.
-    """
-
-    beta: np.ndarray
-    theta: np.ndarray
-    eta: float = 0.2
-    noise: np.ndarray | None = None
-
-    def names(self) -> list[str]:
-        digits = len(str(len(self.beta)))
-        return [f"person-{k + 1:0{digits}}" for k in range(len(self.beta))]
-
-
-def perceived(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """What people take for the cost-to-go of states; both arrays have the shape (m,)."""
-    h = answers.lookup(states)
-    if people.noise is None:
-        return h
-    return np.where(answers.is_goal(states), 0.0, h + people.noise[who, states])
-
-
-def perceived_costs(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Give Q and the actions and targets of its slots, each of shape (m, A), for people in states."""
-    offsets, actions, targets = answers.choices(states)
-    counts = np.diff(offsets)
-    rows = np.repeat(np.arange(len(states)), counts)
-    slots = np.arange(len(actions)) - offsets[rows]
-    shape = (len(states), max(1, int(counts.max(initial=1))))
-    q, act, to = np.full(shape, np.inf), np.full(shape, -1), np.repeat(states[:, None], shape[1], axis=1)
-    q[rows, slots] = np.asarray(answers.task.costs)[actions] + perceived(answers, people, who[rows], targets)
-    act[rows, slots], to[rows, slots] = actions, targets
-    return q, act, to
-
-
-def value(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Give V(x) = -min Q(x, a), shape (m,)."""
-    if people.noise is None:
-        return -answers.lookup(states)
-    return np.where(answers.is_goal(states), 0.0, -perceived_costs(answers, people, who, states)[0].min(axis=1))
-
-
-def record(
-    answers: CostToGo,
-    people: People,
-    *,
-    episodes: int,
-    rng: np.random.Generator,
-    suggest: float = 0.0,
-    good: float = 0.5,
-    most: int = 10_000,
-) -> list[dict]:
-    """Let people act, and write down what they do.
-
-    Parameters
-    ----------
-    suggest : float
-        In each step something is suggested with this probability: of these suggestions a share `good` begin a
-        cheapest way to the goal, the others are any applicable action.
-    most : int
-        Actions of a person in an episode, and in all.
-    """
-    names, actions_of = people.names(), answers.task.actions
-    who = np.repeat(np.arange(len(names)), episodes)
-    number = np.tile(np.arange(episodes), len(names))
-    x = np.full(len(who), answers.initial, dtype=np.int64)
-    theta = people.theta[who].copy()
-    going = ~answers.is_goal(x)
-    rows: list[dict] = []
-    for step in range(most):
-        at = np.flatnonzero(going)
-        if not len(at):
-            break
-        k = who[at]
-        q, actions, targets = perceived_costs(answers, people, k, x[at])
-        applicable = actions >= 0
-        told = np.full(len(at), NOTHING, dtype=np.int64)
-        asked = np.flatnonzero(rng.random(len(at)) < suggest)
-        if len(asked):
-            exact = (
-                q if people.noise is None else perceived_costs(answers, People(people.beta, people.theta), k, x[at])[0]
-            )
-            best = (exact == exact.min(axis=1, keepdims=True))[asked]
-            pool = np.where((rng.random(len(asked)) < good)[:, None], best, applicable[asked])
-            told[asked] = np.where(pool, rng.random(pool.shape), -1.0).argmax(axis=1)
-        p = influence(choice(q, applicable, people.beta[k]), told, theta[at])
-        slot = (p.cumsum(axis=1) <= rng.random((len(at), 1))).sum(axis=1)
-        slot = np.minimum(slot, p.shape[1] - 1 - (p[:, ::-1] > 0).argmax(axis=1))
-        lines = np.arange(len(at))
-        rows += [
-            {
-                "person": names[k[i]], "episode": str(number[at[i]] + 1), "step": step,
-                "action": actions_of[actions[i, slot[i]]],
-                "suggestion": actions_of[actions[i, told[i]]] if told[i] != NOTHING else None,
-            }
-            for i in lines
-        ]  # fmt: skip
-        if len(asked):
-            before = value(answers, people, k[asked], x[at][asked])
-            after = value(answers, people, k[asked], targets[asked, told[asked]])
-            theta[at[asked]] = trust(theta[at[asked]], before, after, people.eta)
-        x[at] = targets[lines, slot]
-        going[at] = ~answers.is_goal(x[at])
-    return rows
-
-
-def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
-    """Read what `record` has written, as `kitassist fit` does."""
-    recording, faults = replay(Log.of(rows), answers)
-    assert not faults
-    h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
-    wanted = recording.wanted()
-    h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
-    return observe(recording, h, goal)
 
 
 def uniform(rng: np.random.Generator, low: float, high: float, count: int, distribution: str) -> np.ndarray:
@@ -266,11 +139,11 @@ def recover(
         start = time.perf_counter()
         fits = maximum_likelihood(observations, method)
         seconds = time.perf_counter() - start
-        crowd = fit_population(observations, method)
-        theta_of = crowd.theta
+        found_population = fit_population(observations, method)
+        theta_of = found_population.theta
         true_moments = np.array([people.beta.mean(), people.beta.std()])
-        fitted = np.array([crowd.beta.mean, crowd.beta.spread])
-        found.append((fitted, np.array(crowd.beta.recorded), true_moments))
+        fitted = np.array([found_population.beta.mean, found_population.beta.spread])
+        found.append((fitted, np.array(found_population.beta.recorded), true_moments))
         best = best_correlation(observations, people, *beta, distribution) if sigma == 0 else float("nan")
 
         def covered(true: np.ndarray, ends: list[tuple[float, float]]) -> str:
@@ -288,7 +161,7 @@ def recover(
             f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
             covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
             covered(np.full(count, people.eta), [f.eta.interval for f in fits]) if told and eta is None else "-",
-            crowd.beta.family,
+            found_population.beta.family,
             *(f"{x:.2f}" for x in np.array(found[-1]).T.ravel()),
             *(
                 ["-"] * 4
@@ -397,141 +270,6 @@ def misconceptions(instance: str, count: int, numbers: tuple[int, ...]) -> None:
                 f"{seconds:.1f}",
             )
     Console(width=120).print(shown)
-
-
-@main.command()
-@click.option("--instance", default="kitting/paper", show_default=True)
-@click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/fit"), show_default=True
-)
-def identify(instance: str, out: Path) -> None:
-    """Draw what recorded actions can and cannot tell apart, and the online belief beside the estimate."""
-    table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
-    out.mkdir(parents=True, exist_ok=True)
-    draw_identify(table, out / "fit_identify.png")
-    draw_online(table, out / "fit_online.png")
-    people = People(np.geomspace(0.1, 4.0, 24), np.full(24, 0.6))
-    fits = maximum_likelihood(
-        observed(table, record(table, people, episodes=3, rng=np.random.default_rng(3), suggest=0.5))
-    )
-    save(expertise_figure(fits), out / "fit_expertise.png")
-    save(calibration_figure(fits), out / "fit_calibration.png")
-
-
-def panel(figure: Figure, place: int, title: str, x: str, y: str) -> Axes:
-    """A panel of a figure with two rows of two."""
-    axis = figure.add_subplot(2, 2, place)
-    axis.set_title(title, fontsize=10, loc="left")
-    axis.set(xlabel=x, ylabel=y)
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.3)
-    return axis
-
-
-def draw_identify(table: Table, file: Path) -> None:
-    """Draw log-likelihoods, less their maximum; what lies above -1.92 is in the 95 % interval."""
-    figure = Figure(figsize=(9.6, 7.6), layout="constrained")
-    drop = -1.92
-    noise = np.random.default_rng(1).standard_normal((1, len(table)))
-    beta, sigma = np.geomspace(0.3, 8.0, 25), np.linspace(0.0, 3.0, 25)
-    for place, episodes in ((1, 3), (2, 30)):
-        person = People(np.array([2.0]), np.array([0.6]), noise=noise)
-        (o,) = observed(table, record(table, person, episodes=episodes, rng=np.random.default_rng(5)))
-        model = MarginalLikelihood(maximum_likelihood([o])[0])
-        values = np.array([[model.marginal(b, s)[0] for b in beta] for s in sigma])
-        axis = panel(
-            figure, place, f"beta against sigma: {episodes} episodes, {len(o)} actions", "expertise β",
-            "misconception σ, cost units",
-        )  # fmt: skip
-        axis.contourf(beta, sigma, values - values.max(), levels=[-30, -12, -3, 0.01], cmap="Blues", alpha=0.6)
-        axis.contour(beta, sigma, values - values.max(), levels=[-3], colors="black", linewidths=1.5, linestyles="-")
-        axis.plot(2.0, 1.0, marker="*", markersize=13, color=ORANGE, linestyle="none", label="true")
-        axis.plot([], [], color="black", linewidth=1.5, label="95 % region")
-        axis.set_xscale("log")
-        axis.set_xticks([0.5, 1, 2, 4, 8], ["0.5", "1", "2", "4", "8"])
-        axis.minorticks_off()
-        axis.legend(frameon=True, loc="upper left")
-
-    axis = panel(figure, 3, "theta: what suggestions tell", "influence θ at the beginning", "log-likelihood, profile")
-    theta = np.linspace(0, 1, 101)
-    plan = table.optimal_plan() or []
-    taken = [
-        {"person": "p", "episode": "1", "step": step, "action": action, "suggestion": action if step % 2 else None}
-        for step, action in enumerate(plan)
-    ]
-    novice = People(np.array([0.5]), np.array([0.7]))
-    mixed = record(table, novice, episodes=5, rng=np.random.default_rng(2), suggest=0.5, good=0.3)
-    silent = [{**row, "suggestion": None} for row in mixed]
-    for label, rows, style in (
-        ("no suggestions", silent, ":"),
-        ("an expert, good suggestions", taken, "--"),
-        ("a novice, good and bad suggestions", mixed, "-"),
-    ):
-        (o,) = observed(table, rows)
-        values = log_likelihood(o, np.geomspace(0.05, 5, 60), theta, np.array([0.2])).max(axis=(0, 2))
-        told = o.suggested != NOTHING
-        refused = int((o.chosen != o.suggested)[told].sum())
-        label += f": {refused} of {told.sum()} refused" if told.any() else ""
-        axis.plot(theta, values - values.max(), linestyle=style, label=label)
-    axis.axhline(drop, color="#8C8C8C", linewidth=1)
-    axis.axvline(0.7, color=ORANGE, linewidth=1)
-    axis.set_ylim(-8, 0.3)
-    axis.legend(frameon=True, fontsize=8, loc="lower left")
-
-    axis = panel(figure, 4, "beta of people who never err", "expertise β", "log-likelihood")
-    beta = np.linspace(0.3, 5, 200)
-    for episodes, style in ((1, "-"), (3, "--"), (10, "-.")):
-        plan = table.optimal_plan() or []
-        rows = [
-            {"person": "p", "episode": str(e), "step": s, "action": a, "suggestion": None}
-            for e in range(episodes)
-            for s, a in enumerate(plan)
-        ]
-        (o,) = observed(table, rows)
-        values = log_likelihood(o, beta, np.array([0.5]), np.array([0.0])).ravel()
-        axis.plot(beta, values - values.max(), linestyle=style, label=f"{len(o)} actions without a mistake")
-    axis.axhline(drop, color="#8C8C8C", linewidth=1)
-    axis.set_ylim(-8, 0.3)
-    axis.legend(frameon=True, fontsize=8)
-    save(figure, file)
-
-
-def draw_online(table: Table, file: Path) -> None:
-    """Draw the belief about beta after each action beside the estimate from all actions so far."""
-    person = People(np.array([0.9]), np.array([0.6]))
-    rows = record(table, person, episodes=25, rng=np.random.default_rng(4))
-    rows.sort(key=lambda row: (int(row["episode"]), row["step"]))
-    (o,) = observed(table, rows)
-    grid = BeliefGrid(np.linspace(0.02, 3.0, 150), np.array([0.0, 0.5, 1.0]))
-    pomdp = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), grid=grid)
-    belief = pomdp.prior[None]
-    path = []
-    for x, slot in zip(o.state, o.chosen, strict=True):
-        belief = pomdp.update(belief, np.array([x]), np.array([0]), np.array([slot]))
-        margin = belief[0].sum(axis=1)
-        low, high = np.interp([0.025, 0.975], margin.cumsum(), grid.beta)
-        path.append((float(margin @ grid.beta), low, high))
-    mean, low, high = np.array(path).T
-    ends = np.unique(np.append(np.flatnonzero(o.begins)[1:], len(o)))
-    offline = [maximum_likelihood(observed(table, rows[:end]))[0].beta for end in ends]
-    figure = Figure(figsize=(8, 4.2), layout="constrained")
-    axis = figure.subplots()
-    n = np.arange(1, len(o) + 1)
-    axis.fill_between(n, low, high, color=BLUE, alpha=0.2, linewidth=0, label="online: belief, 95 %")
-    axis.plot(n, mean, color=BLUE, label="online: belief, mean")
-    value = np.array([e.value for e in offline])
-    spans = np.array([e.interval for e in offline]).T
-    axis.errorbar(
-        ends, value, yerr=np.abs(np.array([value - spans[0], spans[1] - value])), fmt="o", color="#B35900",
-        markersize=4, capsize=2, linewidth=1, label="offline: estimate with 95 % interval",
-    )  # fmt: skip
-    axis.axhline(0.9, color="#8C8C8C", linestyle="--", linewidth=1, label="true")
-    axis.set(xlabel="actions seen", ylabel="expertise β", ylim=(0, 3))
-    axis.spines[["top", "right"]].set_visible(False)
-    axis.grid(alpha=0.3)
-    axis.legend(frameon=False)
-    save(figure, file)
-    print(f"after {len(o)} actions: belief {mean[-1]:.3f} ({low[-1]:.3f} to {high[-1]:.3f}), estimate {offline[-1]}")
 
 
 def first_actions(rows: list[dict], actions: int) -> list[dict]:

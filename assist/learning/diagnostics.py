@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
 
 from ..people.decision import Floats
 from .estimates import Fit
@@ -56,6 +55,8 @@ def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
     bins : int
         Of predicted probabilities.
     """
+    from scipy.stats import binomtest  # takes as long to import as everything else here together
+
     p = np.concatenate([f.probabilities()[f.observations.applicable] for f in fits])
     hit = np.concatenate(
         [
@@ -69,10 +70,12 @@ def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
     count = count[kept]
     predicted = np.bincount(number, p, bins)[kept] / count
     observed = np.bincount(number, hit, bins)[kept] / count
-    z = float(ndtri(0.975))
-    middle = (observed + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * np.sqrt(observed * (1 - observed) / count + z * z / (4 * count**2)) / (1 + z * z / count)
-    return Calibration(predicted, observed, middle - half, middle + half, count)
+    intervals = [
+        binomtest(round(share * n), int(n)).proportion_ci(method="wilson")
+        for share, n in zip(observed, count, strict=True)
+    ]
+    low, high = np.array([(interval.low, interval.high) for interval in intervals]).T
+    return Calibration(predicted, observed, low, high, count)
 
 
 @dataclass(frozen=True)

@@ -268,6 +268,10 @@ def _climb(data: Data, at: Floats, step: Floats, low: Floats, high: Floats, smal
 
     Besides single coordinates it moves along theta + k unit eta = constant: where trust just reaches 0 or 1 after k
     suggestions that change V by `unit`, the likelihood has a ridge.
+
+    Compiled, since people are fitted in parallel, which an optimiser in Python would keep from happening: scipy's
+    Nelder-Mead finds the same maxima in twice the time; Powell and L-BFGS-B end up to 0.5 below them (at the kinks) for
+    six and seven of 20 people on `kitting/paper`.
     """
     n = len(data.chosen)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)

@@ -1,0 +1,130 @@
+"""People whose parameters are known, and what they do: for the benchmarks of what is learned from actions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from assist.learning import Log, Observations, observe, replay
+from assist.people.decision import NOTHING, choice, influence, trust
+from planner import CostToGo
+
+
+@dataclass(frozen=True)
+class People:
+    """Simulated people; each array has the shape (K,).
+
+    `noise`, shape (K, n), is their misconception in cost units, one for each state of the task.
+    """
+
+    beta: np.ndarray
+    theta: np.ndarray
+    eta: float = 0.2
+    noise: np.ndarray | None = None
+
+    def names(self) -> list[str]:
+        digits = len(str(len(self.beta)))
+        return [f"person-{k + 1:0{digits}}" for k in range(len(self.beta))]
+
+
+def perceived(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """What people take for the cost-to-go of states; both arrays have the shape (m,)."""
+    h = answers.lookup(states)
+    if people.noise is None:
+        return h
+    return np.where(answers.is_goal(states), 0.0, h + people.noise[who, states])
+
+
+def perceived_costs(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Give Q and the actions and targets of its slots, each of shape (m, A), for people in states."""
+    offsets, actions, targets = answers.choices(states)
+    counts = np.diff(offsets)
+    rows = np.repeat(np.arange(len(states)), counts)
+    slots = np.arange(len(actions)) - offsets[rows]
+    shape = (len(states), max(1, int(counts.max(initial=1))))
+    q, act, to = np.full(shape, np.inf), np.full(shape, -1), np.repeat(states[:, None], shape[1], axis=1)
+    q[rows, slots] = np.asarray(answers.task.costs)[actions] + perceived(answers, people, who[rows], targets)
+    act[rows, slots], to[rows, slots] = actions, targets
+    return q, act, to
+
+
+def value(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """Give V(x) = -min Q(x, a), shape (m,)."""
+    if people.noise is None:
+        return -answers.lookup(states)
+    return np.where(answers.is_goal(states), 0.0, -perceived_costs(answers, people, who, states)[0].min(axis=1))
+
+
+def record(
+    answers: CostToGo,
+    people: People,
+    *,
+    episodes: int,
+    rng: np.random.Generator,
+    suggest: float = 0.0,
+    good: float = 0.5,
+    most: int = 10_000,
+) -> list[dict]:
+    """Let people act, and write down what they do.
+
+    Parameters
+    ----------
+    suggest : float
+        In each step something is suggested with this probability: of these suggestions a share `good` begin a
+        cheapest way to the goal, the others are any applicable action.
+    most : int
+        Actions of a person in an episode, and in all.
+    """
+    names, actions_of = people.names(), answers.task.actions
+    who = np.repeat(np.arange(len(names)), episodes)
+    number = np.tile(np.arange(episodes), len(names))
+    x = np.full(len(who), answers.initial, dtype=np.int64)
+    theta = people.theta[who].copy()
+    going = ~answers.is_goal(x)
+    rows: list[dict] = []
+    for step in range(most):
+        at = np.flatnonzero(going)
+        if not len(at):
+            break
+        k = who[at]
+        q, actions, targets = perceived_costs(answers, people, k, x[at])
+        applicable = actions >= 0
+        told = np.full(len(at), NOTHING, dtype=np.int64)
+        asked = np.flatnonzero(rng.random(len(at)) < suggest)
+        if len(asked):
+            exact = (
+                q if people.noise is None else perceived_costs(answers, People(people.beta, people.theta), k, x[at])[0]
+            )
+            best = (exact == exact.min(axis=1, keepdims=True))[asked]
+            pool = np.where((rng.random(len(asked)) < good)[:, None], best, applicable[asked])
+            told[asked] = np.where(pool, rng.random(pool.shape), -1.0).argmax(axis=1)
+        p = influence(choice(q, applicable, people.beta[k]), told, theta[at])
+        slot = (p.cumsum(axis=1) <= rng.random((len(at), 1))).sum(axis=1)
+        slot = np.minimum(slot, p.shape[1] - 1 - (p[:, ::-1] > 0).argmax(axis=1))
+        lines = np.arange(len(at))
+        rows += [
+            {
+                "person": names[k[i]], "episode": str(number[at[i]] + 1), "step": step,
+                "action": actions_of[actions[i, slot[i]]],
+                "suggestion": actions_of[actions[i, told[i]]] if told[i] != NOTHING else None,
+            }
+            for i in lines
+        ]  # fmt: skip
+        if len(asked):
+            before = value(answers, people, k[asked], x[at][asked])
+            after = value(answers, people, k[asked], targets[asked, told[asked]])
+            theta[at[asked]] = trust(theta[at[asked]], before, after, people.eta)
+        x[at] = targets[lines, slot]
+        going[at] = ~answers.is_goal(x[at])
+    return rows
+
+
+def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
+    """Read what `record` has written, as `kitassist fit` does."""
+    recording, faults = replay(Log.of(rows), answers)
+    assert not faults
+    h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
+    wanted = recording.wanted()
+    h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
+    return observe(recording, h, goal)
