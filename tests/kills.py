@@ -206,22 +206,25 @@ def kill(case: Case, folder: Path, moment: float, number: signal.Signals, *, gro
         assert number == signal.SIGKILL or unfinished(folder) <= left, unfinished(folder)
 
 
+def uninterrupted(case: Case, folder: Path) -> tuple[float, dict[str, object]]:
+    """Run a command without a kill: how long it takes, and its outcome."""
+    return whole_run(case, folder, resume=False), case.outcome(folder)
+
+
 def kill_and_resume(
-    case: Case, folder: Path, kills: list[tuple[float, signal.Signals, bool]], figures: Figures
-) -> None:
-    """Kill a command at each of these moments, shares of the duration of a whole run, and let it end at last."""
-    reference = folder / f"{case.name}-reference"
-    duration = whole_run(case, reference, resume=False)
-    again = folder / f"{case.name}-killed"
-    for share, number, group in kills:
-        kill(case, again, share * duration, number, group=group, figures=figures)
-    before = case.finished(again) if again.exists() else {}
-    whole_run(case, again, resume=again.exists())
+    case: Case, folder: Path, kills: list[tuple[float, signal.Signals, bool]], reference: dict[str, object],
+    figures: Figures,
+) -> None:  # fmt: skip
+    """Kill a command after each of these times, and let it end at last."""
+    for moment, number, group in kills:
+        kill(case, folder, moment, number, group=group, figures=figures)
+    before = case.finished(folder) if folder.exists() else {}
+    whole_run(case, folder, resume=folder.exists())
     figures.restarts += 1
-    kept = case.finished(again)
+    kept = case.finished(folder)
     assert all(kept[name] == value for name, value in before.items()), "something finished was made again"
-    assert case.outcome(again) == case.outcome(reference)
-    assert case.name == "fit" or not unfinished(again), unfinished(again)  # which has no folder of its own to tidy up
+    assert case.outcome(folder) == reference
+    assert case.name == "fit" or not unfinished(folder), unfinished(folder)  # which has no folder of its own to tidy up
 
 
 def small_batch() -> Case:
@@ -235,15 +238,21 @@ def main(count: int = 100, seed: int = 0) -> None:
     figures = Figures()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        cases = [small_batch(), study(folder / "study.toml"), fit(folder / "log.jsonl")]
+        cases = [small_batch(), fit(folder / "log.jsonl"), study(folder / "study.toml")]
+        whole = {case.name: uninterrupted(case, folder / case.name) for case in cases}
         made = 0
         while made < count:
-            case = cases[int(rng.integers(len(cases)))]
+            case = cases[int(rng.choice(len(cases), p=(0.45, 0.45, 0.1)))]
+            duration, reference = whole[case.name]
             chain = [
-                (float(rng.uniform(0.05, 1.0)), signal.Signals(int(rng.choice([2, 9, 15]))), bool(rng.random() < 0.5))
+                (
+                    duration * rng.uniform(0.05, 1.0),
+                    signal.Signals(int(rng.choice([2, 9, 15]))),
+                    bool(rng.random() < 0.5),
+                )
                 for _ in range(min(5, count - made))
             ]
-            kill_and_resume(case, Path(tempfile.mkdtemp(dir=folder)), chain, figures)
+            kill_and_resume(case, Path(tempfile.mkdtemp(dir=folder)) / case.name, chain, reference, figures)
             made += len(chain)
             print(f"{made} kills: longest survival {figures.survival:.2f} s", file=sys.stderr, flush=True)
     print(f"{sum(figures.kills.values())} kills, {figures.too_late} of them after the end; {figures.restarts} restarts")

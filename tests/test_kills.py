@@ -9,14 +9,16 @@ import sys
 from pathlib import Path
 
 import pytest
-from kills import DOMAINS, Figures, kill_and_resume, small_batch, survival
+from kills import DOMAINS, Figures, kill_and_resume, small_batch, survival, uninterrupted
 
 from planner.processes import guarded_group
 
 
 def test_killed_batches_leave_nothing_and_lose_nothing(tmp_path: Path) -> None:
-    kills = [(0.5, signal.SIGKILL, False), (0.7, signal.SIGTERM, True), (0.6, signal.SIGINT, False)]
-    kill_and_resume(small_batch(), tmp_path, kills, figures := Figures())
+    duration, reference = uninterrupted(batch := small_batch(), tmp_path / "whole")
+    shares = [(0.5, signal.SIGKILL, False), (0.7, signal.SIGTERM, True), (0.6, signal.SIGINT, False)]
+    kills = [(duration * share, number, group) for share, number, group in shares]
+    kill_and_resume(batch, tmp_path / "killed", kills, reference, figures := Figures())
     assert figures.kills.total() == 3
 
 

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from planner import find_instances
 from planner.batch import solve_batch
 from planner.results import DONE
-from planner.solving import Record, SolveOptions
+from planner.solving import SolveOptions
 
-from .console import EXIT_FAILED, one_line_errors, print_json, print_table
+from .console import EXIT_FAILED, one_line_errors, print_json
 from .options import JOBS, MEGABYTES, OUTPUT_FOLDER, SECONDS, domain_option
 from .progress import progress_bar
+from .solutions import show_solutions, tell_errors
 
 
 @click.command()
@@ -60,31 +60,10 @@ def solve(
                 found, SolveOptions(**options), out=out, jobs=jobs, resume=resume, scheduler=scheduler,
                 progress=lambda _: advance(1),
             )  # fmt: skip
-    for record in records:
-        if (error := record["error"]) is not None:
-            line = "" if error["line"] is None else f":{error['line']}"
-            click.echo(f"{error['file']}{line}: {error['message']}", err=True)
-        elif record["note"]:
-            click.echo(f"{record['instance']}: {record['note']}", err=True)
+    tell_errors(records)
     if as_json:
         print_json(records)
     elif len(records) > 1 or not records[0]["error"]:
-        _show_solutions(records)
+        show_solutions(records)
     if any(record["status"] not in DONE for record in records):
         sys.exit(EXIT_FAILED)
-
-
-def _show_solutions(records: list[Record]) -> None:
-    if len(records) == 1 and records[0]["plan"] is not None:
-        click.echo("\n".join(records[0]["plan"]))
-    table = Table(box=None, pad_edge=False)
-    table.add_column("instance", overflow="fold")
-    table.add_column("status")
-    for name in ("cost", "states", "dead ends", "largest h*", "verified", "seconds"):
-        table.add_column(name, justify="right")
-    for r in records:
-        numbers = (r["cost"], r["states"], r["dead_ends"], r["max_cost_to_go"], r["verified"])
-        cells = ("-" if number is None else f"{number:,}" for number in numbers)
-        seconds = r["seconds"].get("total")
-        table.add_row(r["instance"], r["status"], *cells, "-" if seconds is None else f"{seconds:.2f}")
-    print_table(table)
