@@ -28,7 +28,7 @@ ROOMS = {
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study cells toml protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
-    "assist.cli": """interrupts options console progress task population person travel team policies summaries
+    "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
         solve simulate policy bound export log fit study""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""

@@ -13,6 +13,7 @@ travel         the way between people's places
 team           a team, and the options that describe it
 policies       team policies by name, or of one's own
 summaries      episodes as a table
+solutions      records of `solve` as a table
 solve          the command `solve`
 simulate       the command `simulate`
 study          the command `study`
