@@ -46,30 +46,32 @@ def values(problem: AssistPOMDP, *, policy: str) -> Floats:
     optimal suggestion, each time the one that turns out worst, and nothing in dead ends.
     """
     model, grid, c = problem.model, problem.grid, problem.model.choices
-    shape = (len(c), *grid.shape)
-    value = np.zeros(shape)
+    steps = []  # of each state: what each suggestion makes people do, where it moves theta, and what all that costs
+    for x in range(len(c)):
+        told = np.flatnonzero(c.optimal[x]).tolist()
+        if policy == "best" or not told:
+            told.append(-1)
+        options = []
+        for r in told if not c.goal[x] else ():
+            y = c.targets[x, r]
+            theta = (
+                grid.theta if r < 0 else trust(grid.theta, -model.q[x].min(), 0.0 if c.goal[y] else -c.h[y], model.eta)
+            )
+            alone = np.array([choice(model.q[x], c.applicable[x], beta) for beta in grid.beta])
+            chance = lapse(
+                influence(alone[:, None] + 0 * grid.theta[:, None], r, grid.theta), c.applicable[x], model.lapse
+            )
+            options.append((chance, *grid.shares(theta), chance @ c.costs[x] + problem.c_suggest * (r >= 0)))
+        steps.append(options)
+    value = np.zeros((len(c), *grid.shape))
     for _ in range(int(np.log(1e-9) / np.log(problem.gamma))):
-        new = np.zeros(shape)
+        new = np.zeros_like(value)
         for x in np.flatnonzero(~c.goal):
             returns = []
-            told = np.flatnonzero(c.optimal[x]).tolist()
-            if policy == "best" or not told:
-                told.append(-1)
-            here = -model.q[x].min()
-            for r in told:
-                theta = grid.theta
-                if r >= 0:
-                    y = c.targets[x, r]
-                    theta = trust(theta, here, 0.0 if c.goal[y] else -c.h[y], model.eta)
-                low, up = grid.shares(theta)
-                after = (1 - up) * value[:, :, low] + up * value[:, :, low + 1]
-                found = np.zeros(grid.shape)
-                for b, beta in enumerate(grid.beta):
-                    p = choice(model.q[x], c.applicable[x], beta)
-                    heard = lapse(influence(p[None].repeat(len(theta), 0), r, grid.theta), c.applicable[x], model.lapse)
-                    step = problem.gamma * after[c.targets[x], b, :].T - c.costs[x]
-                    found[b] = (heard * step).sum(axis=1) - problem.c_suggest * (r >= 0)
-                returns.append(found)
+            for chance, low, up, cost in steps[x]:
+                after = value[c.targets[x]]
+                after = (1 - up) * after[:, :, low] + up * after[:, :, low + 1]
+                returns.append(problem.gamma * np.einsum("bta,abt->bt", chance, after) - cost)
             new[x] = np.max(returns, axis=0) if policy == "best" else np.min(returns, axis=0)
         value = new
     return value
