@@ -6,7 +6,7 @@ a robot takes for granted of a person whose beta and theta it does not know.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 
@@ -142,6 +142,7 @@ class HumanModel:
 
     choices: Choices
     q: Floats
+    _: KW_ONLY
     eta: float = 0.2
     lapse: float = 1e-3
     utility_scale: float = 1.0
@@ -158,11 +159,13 @@ class HumanModel:
         cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
         """Model a person of whom only the task is known (`knowledge="exact"`): h* for their h."""
-        return cls(choices, perceived_cost(choices, choices.h), eta, lapse, utility_scale)
+        q = perceived_cost(choices, choices.h)
+        return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
 
     @classmethod
     def own(
         cls, choices: Choices, human: Human, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
         """Model a person whose own perceived costs are known (`knowledge="own"`, as in the paper)."""
-        return cls(choices, perceived_cost(choices, human.h), eta, lapse, utility_scale)
+        q = perceived_cost(choices, human.h)
+        return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)

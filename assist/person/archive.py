@@ -61,8 +61,9 @@ def _pack(value: Any, prefix: str) -> dict[str, Any]:
 
 def _unpack(cls: Any, arrays: Mapping[str, Any], prefix: str) -> Any:
     parts: dict[str, Any] = {}
-    for name, hint in get_type_hints(cls).items():
-        key = prefix + name
+    hints = get_type_hints(cls)
+    for name in (field.name for field in fields(cls)):
+        key, hint = prefix + name, hints[name]
         if get_origin(hint) is UnionType:
             hint = next(kind for kind in get_args(hint) if kind is not type(None))
             if not any(found == key or found.startswith(f"{key}.") for found in arrays):

@@ -124,10 +124,46 @@ def empty_hull(corner: Floats, capacity: int) -> Hull:
     """Make a hull of the corners only."""
     states, size = corner.shape
     return Hull(
-        corner, np.empty((capacity, size)), np.empty((capacity, size)), np.empty(capacity),
-        np.full(capacity, NONE, dtype=np.int32), np.full(capacity, NONE, dtype=np.int32),
-        np.full(states, NONE, dtype=np.int32), np.array([0, NONE]),
-    )  # fmt: skip
+        corner=corner,
+        belief=np.empty((capacity, size)),
+        inverse=np.empty((capacity, size)),
+        drop=np.empty(capacity),
+        state=np.full(capacity, NONE, dtype=np.int32),
+        after=np.full(capacity, NONE, dtype=np.int32),
+        head=np.full(states, NONE, dtype=np.int32),
+        space=np.array([0, NONE]),
+    )
+
+
+def no_plans(states: int, size: int, capacity: int) -> Plans:
+    """Make room for vectors of so many numbers."""
+    return Plans(
+        vector=np.empty((capacity, size)),
+        witness=np.empty((capacity, size)),
+        robot=np.zeros(capacity, dtype=np.int32),
+        state=np.full(capacity, NONE, dtype=np.int32),
+        after=np.full(capacity, NONE, dtype=np.int32),
+        head=np.full(states, NONE, dtype=np.int32),
+        live=np.zeros(states, dtype=np.int64),
+        limit=np.full(states, FEW),
+        space=np.array([0, NONE]),
+    )
+
+
+def new_path(size: int, robots: int, slots: int) -> Path:
+    """Make room for a trial, with beliefs of so many numbers, and so many choices of the robot and of the person."""
+    return Path(
+        state=np.empty(DEPTH, dtype=np.int64),
+        belief=np.empty((DEPTH, size)),
+        bound=np.empty(DEPTH),
+        robot=np.empty(DEPTH, dtype=np.int64),
+        chance=np.empty(DEPTH),
+        q=np.empty((DEPTH, robots)),
+        known=np.empty((DEPTH, robots), dtype=bool),
+        child=np.empty((DEPTH, robots, slots)),
+        after=np.empty((DEPTH, robots, slots, size)),
+        mass=np.empty((DEPTH, robots, slots)),
+    )
 
 
 @numba.njit(cache=True)

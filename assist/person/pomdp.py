@@ -59,7 +59,7 @@ class Frontier:
             array.flags.writeable = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AssistPOMDP:
     """The problem of assisting one person.
 
@@ -184,8 +184,9 @@ class AssistPOMDP:
         theta = trust(grid.theta, value[:, None, None], value[after][:, :, None], model.eta, model.utility_scale)
         low, weight = grid.shares(theta)
         return cls(
-            model, grid, gamma, c_suggest, c_execute, grid.prior(population), robot_actions, suggested, afterstate,
-            robot_costs, chosen, unsuggested, low, weight, frontier,
+            model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=grid.prior(population),
+            robot_actions=robot_actions, suggested=suggested, afterstate=afterstate, robot_costs=robot_costs,
+            chosen=chosen, unsuggested=unsuggested, low=low, weight=weight, frontier=frontier,
         )  # fmt: skip
 
     @cached_property

@@ -214,7 +214,10 @@ def _converge(
 
 
 class Arrays(NamedTuple):
-    """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`."""
+    """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
+
+    A named tuple, however long: numba takes no dataclasses.
+    """
 
     counts: NDArray[np.int64]
     targets: NDArray[np.int64]
@@ -238,9 +241,11 @@ class Arrays(NamedTuple):
         """Collect the arrays of a problem."""
         choices = pomdp.model.choices
         return cls(
-            choices.applicable.sum(axis=1), choices.targets, choices.costs, choices.goal, pomdp.final,
-            pomdp.robot_actions, pomdp.suggested, pomdp.afterstate, pomdp.robot_costs, pomdp.chosen, pomdp.unsuggested,
-            pomdp.low, pomdp.weight, pomdp.grid.theta, pomdp.gamma, pomdp.model.lapse,
+            counts=choices.applicable.sum(axis=1), targets=choices.targets, costs=choices.costs, goal=choices.goal,
+            final=pomdp.final, robot_actions=pomdp.robot_actions, suggested=pomdp.suggested,
+            afterstate=pomdp.afterstate, robot_costs=pomdp.robot_costs, chosen=pomdp.chosen,
+            unsuggested=pomdp.unsuggested, low=pomdp.low, weight=pomdp.weight, theta=pomdp.grid.theta,
+            gamma=pomdp.gamma, lapse=pomdp.model.lapse,
         )  # fmt: skip
 
 

@@ -45,7 +45,7 @@ SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be e
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Solution:
     """A policy for one person's problem with proven bounds on its value.
 
@@ -273,20 +273,8 @@ class _Search:
         corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)
         self.q = best.q_mdp.reshape(states, -1, size) * (1 - margin)  # values are negative
         self.hull = hsvi.empty_hull(corner, 2 * hsvi.DEPTH)
-        capacity = 4 * states + 2 * hsvi.DEPTH
-        self.plans = hsvi.Plans(
-            np.empty((capacity, size)), np.empty((capacity, size)), np.zeros(capacity, dtype=np.int32),
-            np.full(capacity, hsvi.NONE, dtype=np.int32), np.full(capacity, hsvi.NONE, dtype=np.int32),
-            np.full(states, hsvi.NONE, dtype=np.int32), np.zeros(states, dtype=np.int64), np.full(states, hsvi.FEW),
-            np.array([0, hsvi.NONE]),
-        )  # fmt: skip
-        robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
-        self.path = hsvi.Path(
-            np.empty(hsvi.DEPTH, dtype=np.int64), np.empty((hsvi.DEPTH, size)), np.empty(hsvi.DEPTH),
-            np.empty(hsvi.DEPTH, dtype=np.int64), np.empty(hsvi.DEPTH), np.empty((hsvi.DEPTH, robots)),
-            np.empty((hsvi.DEPTH, robots), dtype=bool), np.empty((hsvi.DEPTH, robots, slots)),
-            np.empty((hsvi.DEPTH, robots, slots, size)), np.empty((hsvi.DEPTH, robots, slots)),
-        )  # fmt: skip
+        self.plans = hsvi.no_plans(states, size, 4 * states + 2 * hsvi.DEPTH)
+        self.path = hsvi.new_path(size, pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1])
         self.order = sweep_order(pomdp)
         self.renewed = len(self.order)  # how far in this order the present renewal has come
         self.tried = 0  # backups of trials since it began
@@ -369,8 +357,8 @@ class _Search:
         )
         kept, first = _sorted(self.hull.state, states)
         return Solution(
-            policy, self.hull.corner.reshape(shape), self.hull.belief[kept].reshape(shape), self.hull.drop[kept], first,
-            **facts,  # type: ignore[arg-type]
+            policy=policy, corner=self.hull.corner.reshape(shape), point=self.hull.belief[kept].reshape(shape),
+            drop=self.hull.drop[kept], first=first, **facts,  # type: ignore[arg-type]
         )  # fmt: skip
 
 
