@@ -15,6 +15,9 @@ from .pddl import InstanceError as InstanceError
 from .pddl import PDDLError as PDDLError
 from .pddl import find_instances as find_instances
 from .pddl import instance as instance
+from .saved import SavedTable as SavedTable
+from .saved import open_table as open_table
+from .saved import save_table as save_table
 from .statespace import StateSpace as StateSpace
 from .successors import Packing as Packing
 from .successors import Successors as Successors

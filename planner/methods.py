@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from .budget import MAX_STATES, MemoryLimitError
 from .costtogo import Table
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
+from .searches import Progress
 from .sweep import sweep
 from .task import Task
 
@@ -38,6 +40,8 @@ def cost_to_go(
     cache: Cache | None = None,
     jobs: int | None = None,
     limits: Limits = NO_LIMITS,
+    progress: Progress | None = None,
+    checkpoint: Path | None = None,
 ) -> Table | OnDemand:
     """Choose how to come by the exact cost-to-go of a task, and begin.
 
@@ -62,6 +66,8 @@ def cost_to_go(
         Threads of the sweep, or searches at a time; one per processor unless given.
     limits : Limits
         Of each single search on demand.
+    progress, checkpoint
+        Of the sweep.
 
     Returns
     -------
@@ -84,6 +90,8 @@ def cost_to_go(
                 deadline=deadline,
                 threads=jobs,
                 stop=stop,
+                progress=progress,
+                checkpoint=checkpoint,
             )
         except (MemoryLimitError, MemoryError):
             return "a table of all states does not fit the memory"  # how much is missing differs from run to run

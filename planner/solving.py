@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 
 DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-BLOCK = 1 << 16  # states that are unpacked at a time
 
 
 @dataclass(frozen=True)
@@ -201,6 +200,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
                 memory_limit_mb=memory,
                 deadline=phases.deadline,
                 jobs=options.threads,
+                checkpoint=None if place is None else place.with_name(f"{place.name}.sweep"),
             )
         if isinstance(answers, OnDemand):
             notes.append(f"solved on demand: {answers.reason}")
@@ -241,6 +241,8 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
         table_file, plan_file = saved_files(place)
         with phases.phase("save"):
             if table is not None:
+                from .saved import save_table
+
                 save_table(table_file, table)
             if plan is not None:
                 save_plan(plan_file, task, plan)
@@ -259,33 +261,6 @@ def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
 def saved_files(place: Path) -> tuple[Path, Path]:
     """Name the files of an instance's table and plan."""
     return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
-
-
-def save_table(file: Path, table: Table) -> None:
-    """Save a cost-to-go table as `.npz`, at once or not at all; `docs/commands.md` describes the arrays."""
-    import numpy as np
-
-    from .successors import Packing
-
-    task = table.task
-    packing = Packing.of(task)
-    states = np.empty((len(table), packing.words), dtype=np.uint64)
-    for start in range(0, len(table), BLOCK):
-        rows = np.arange(start, min(start + BLOCK, len(table)))
-        states[rows] = packing.pack(table.values(rows))
-    width = max(len(variable.facts) for variable in task.variables)
-    facts = np.array([[*v.facts, *[""] * (width - len(v.facts))] for v in task.variables])
-    with atomic(file) as path, path.open("wb") as stream:
-        np.savez(
-            stream,
-            states=states,
-            cost_to_go=table.distance,
-            initial=table.initial,
-            word=packing.word,
-            shift=packing.shift,
-            bits=packing.bits,
-            facts=facts,
-        )
 
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:

@@ -16,7 +16,7 @@ from assist.cli import COMMANDS, main
 ROOMS = {
     "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking checker
         built task replay budget successors statespace costtogo moves atomics checkpoint reached kernels mutexes
-        invariants clusters coding trie searches sweep ondemand methods solving results batch engine""",
+        invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine""",
     "assist.people": "choices decision human compiled belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception

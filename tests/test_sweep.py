@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from conftest import KITTING
 
-from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load
+from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
 from planner.coding import Coding
 from planner.costtogo import backward, compact
+from planner.errors import DamagedFileError
 from planner.moves import exactly_one, split_operators
 from planner.statespace import explore
 
@@ -374,3 +375,24 @@ def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatc
     np.testing.assert_array_equal(table.distance, expected.distance)
     assert table.space.transition_count == expected.space.transition_count
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_saved_table_is_opened_without_being_read(tmp_path):
+    task = counter(9, costs=(3, 1, 0, 2, 1, 1, 5, 1, 1))
+    table = sweep(task)
+    file = tmp_path / "table.npz"
+    save_table(file, table)
+    saved = open_table(file)
+    assert isinstance(saved.states, np.memmap)
+    assert isinstance(saved.distance, np.memmap)
+    everything = np.arange(len(table))
+    np.testing.assert_array_equal(saved.lookup(everything), table.h)
+    np.testing.assert_array_equal(saved.values(everything), table.values(everything))
+    assert (len(saved), saved.initial, saved.facts[2, 1]) == (len(table), table.initial, "Atom one(2)")
+    with np.load(file) as arrays:
+        assert list(arrays) == ["states", "cost_to_go", "initial", "word", "shift", "bits", "facts"]
+        np.testing.assert_array_equal(arrays["states"], saved.states)
+        np.testing.assert_array_equal(arrays["cost_to_go"], saved.distance)
+    file.write_bytes(file.read_bytes()[:3000])
+    with pytest.raises(DamagedFileError, match=r"table\.npz.*no table"):
+        open_table(file)

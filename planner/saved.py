@@ -1,0 +1,123 @@
+"""Cost-to-go tables in files: written a block at a time, and opened without being read.
+
+A file is numpy's `.npz`, an uncompressed archive of arrays, so that `numpy.load` reads it too; `docs/commands.md`
+describes the arrays. Tables of a billion states are larger than the memory, and of most only some states are wanted:
+`open_table` maps the file into memory, and only what is looked at is read.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import ArrayLike, NDArray
+
+from .costtogo import Table
+from .errors import DamagedFileError
+from .storage import atomic
+from .successors import Ints, Packing, Words
+
+BLOCK = 1 << 16
+"""States that are unpacked at a time."""
+
+LOCAL_HEADER = 30
+"""Bytes of an archive's header of one file, before the file's name."""
+
+
+@dataclass(frozen=True)
+class SavedTable:
+    """A table in a file.
+
+    Attributes
+    ----------
+    packing : Packing
+    states : uint64 array, shape (n, words)
+    distance : unsigned integer array, shape (n,)
+        The type's largest value marks a dead end.
+    initial : int
+        The initial state's place.
+    facts : text array, shape (variables, values)
+        What a value of a variable means, in PDDL.
+    """
+
+    packing: Packing
+    states: Words
+    distance: NDArray[np.unsignedinteger]
+    initial: int
+    facts: NDArray[np.str_]
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), infinite at dead ends."""
+        distance = self.distance[np.asarray(states, dtype=np.int64)]
+        return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
+
+    def values(self, states: ArrayLike) -> Ints:
+        """Give the values, shape (N, variables), of states of shape (N,)."""
+        return self.packing.unpack(self.states[np.asarray(states, dtype=np.int64)])
+
+
+def save_table(file: Path, table: Table) -> None:
+    """Save a cost-to-go table as `.npz`, at once or not at all."""
+    task = table.task
+    packing = Packing.of(task)
+    width = max(len(variable.facts) for variable in task.variables)
+    arrays = {
+        "cost_to_go": table.distance,
+        "initial": np.asanyarray(table.initial),
+        "word": packing.word,
+        "shift": packing.shift,
+        "bits": packing.bits,
+        "facts": np.array([[*v.facts, *[""] * (width - len(v.facts))] for v in task.variables]),
+    }
+    with atomic(file) as path, path.open("wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+        with archive.open("states.npy", "w", force_zip64=True) as target:
+            shape = {"descr": npy.dtype_to_descr(np.dtype(np.uint64)), "fortran_order": False}
+            npy.write_array_header_1_0(target, {**shape, "shape": (len(table), packing.words)})
+            for start in range(0, len(table), BLOCK):
+                rows = np.arange(start, min(start + BLOCK, len(table)))
+                target.write(packing.pack(table.values(rows)).tobytes())
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as target:
+                npy.write_array(target, array, allow_pickle=False)
+
+
+def open_table(file: Path) -> SavedTable:
+    """Open a table that `save_table` has written; what is not looked at is not read.
+
+    Raises
+    ------
+    DamagedFileError
+        It is no such file, or not all of it.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive, file.open("rb") as stream:
+            members = archive.infolist()
+            arrays = {member.filename.removesuffix(".npy"): _mapped(file, stream, member) for member in members}
+        packing = Packing(arrays["word"], arrays["shift"], arrays["bits"], arrays["states"].shape[1])
+        return SavedTable(packing, arrays["states"], arrays["cost_to_go"], int(arrays["initial"]), arrays["facts"])
+    except (zipfile.BadZipFile, KeyError, ValueError, IndexError) as error:
+        raise DamagedFileError(file, None, f"no table of costs-to-go ({error})") from None
+
+
+def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Map an array of an archive."""
+    stream.seek(member.header_offset)
+    header = stream.read(LOCAL_HEADER)
+    # What follows are the file's name and more about it, the lengths of both are the header's last numbers.
+    lengths = np.frombuffer(header[-4:], dtype="<u2")
+    stream.seek(member.header_offset + LOCAL_HEADER + int(lengths.sum()))
+    if npy.read_magic(stream) != (1, 0):
+        raise ValueError(f"{member.filename} is written in another way")
+    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
+    if not shape or 0 in shape:
+        return np.fromfile(stream, dtype=dtype, count=1 if not shape else 0).reshape(shape)
+    order = "F" if fortran_order else "C"
+    return np.memmap(file, dtype=dtype, mode="r", offset=stream.tell(), shape=shape, order=order)
