@@ -11,7 +11,7 @@ import io
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.lib import format as npy
@@ -119,5 +119,5 @@ def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> N
     shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
     if not shape or 0 in shape:
         return np.fromfile(stream, dtype=dtype, count=1 if not shape else 0).reshape(shape)
-    order = "F" if fortran_order else "C"
+    order: Literal["C", "F"] = "F" if fortran_order else "C"
     return np.memmap(file, dtype=dtype, mode="r", offset=stream.tell(), shape=shape, order=order)
