@@ -16,7 +16,7 @@ from assist.cli import COMMANDS, main
 ROOMS = {
     "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking checker
         built task replay budget successors statespace costtogo moves atomics checkpoint reached kernels mutexes
-        invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine""",
+        invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices decision human compiled belief",
     "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception
@@ -43,7 +43,7 @@ ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file
 ORDER.remove("planner")
 # With all that is in them.
 MAY_READ_PDDL = ("assist.study.study", "assist.study.cells", "assist.study.protocol", "assist.cli")
-ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.storage", "planner.workers"}
+ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.arrays", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
 

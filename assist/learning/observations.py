@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.arrays import read_only
 
 from ..people.decision import NOTHING, Floats
 from .recording import Recording
@@ -58,10 +60,7 @@ class Observations:
     goal: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        read_only(self)
 
     def __len__(self) -> int:
         return len(self.chosen)

@@ -8,13 +8,14 @@ any number of states.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
+from planner.arrays import read_only
 
 from ..people.choices import STAND_STILL
 from ..people.decision import NOTHING
@@ -64,10 +65,7 @@ class Recording:
     suggested: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        read_only(self)
 
     def __len__(self) -> int:
         return len(self.state)

@@ -7,12 +7,13 @@ applicable in state `x`. Everything else in this package works on these arrays a
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import Table, Transitions
+from planner.arrays import read_only
 
 WAIT = -1
 """The action number of standing still, the only choice in a state without applicable actions."""
@@ -57,10 +58,7 @@ class Choices:
     initial: int = 0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        read_only(self)
 
     @classmethod
     def of(cls, table: Table) -> Choices:
