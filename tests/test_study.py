@@ -327,6 +327,8 @@ def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path
         check(read(write(tmp_path, TINY.replace("c_suggest = 0.2\n", "gamma = 1.5\n"))))
     with pytest.raises(StudyError, match="the goal cannot be reached"):
         check(read(write(tmp_path, TINY.replace("tiny.pddl", "unsolvable.pddl"))))
+    with pytest.raises(StudyError, match=r"episodes; at most 100,000,000 are carried out"):
+        check(read(write(tmp_path), repeats=10**20))
     (tmp_path / "mine.py").write_text("other = 1\n")
     with pytest.raises(StudyError, match=r"mine.py: has no function 'mine'"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:mine"]'))))

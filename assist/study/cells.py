@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from ..team.pool import SIMULATED_STATES, Pool
 from ..team.state import PolicyError, TeamPolicy
 from .study import OWN, Cell, Study, StudyError
 
+MOST_EPISODES = 100_000_000
 TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
 
 
@@ -164,6 +165,9 @@ def check(study: Study) -> None:
     ------
     StudyError, planner.PDDLError
     """
+    once = replace(study, repeats=1)
+    if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > MOST_EPISODES:
+        raise StudyError(f"{study.file}: {episodes:.3g} episodes; at most {MOST_EPISODES:,} are carried out")
     for _, files in study.instances:
         _choices(files)
     for _, (file, name) in study.own_policies:
