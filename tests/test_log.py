@@ -280,6 +280,34 @@ def test_a_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
     assert len(read_log(file).entries) == len(PLAN)
 
 
+WHOLE = "".join(f"{line}\n" for line in text_of([*lines(FETCH, RIGHT, told={1: WRONG}), *lines(*PLAN, episode="2")]))
+
+
+@given(st.sampled_from([WHOLE, CSV]), st.data())
+@settings(max_examples=150, deadline=None)
+def test_whatever_a_file_has_is_read_or_a_fault(
+    tmp_path_factory: pytest.TempPathFactory, tiny: Table, text: str, data: st.DataObject
+) -> None:
+    """Nothing is raised, and what can be read can be followed or is named with its line."""
+    raw = bytearray(text.encode())
+    for _ in range(data.draw(st.integers(1, 6))):
+        begin, end = sorted(data.draw(st.tuples(*[st.integers(0, len(raw))] * 2)))
+        raw[begin : min(end, begin + 20)] = data.draw(
+            st.one_of(
+                st.binary(max_size=6),
+                st.sampled_from([b"\n", b'"', b"{", b"}", b"null", b"1e999", b"-1", b"NaN", b"\xef\xbb\xbf", b"\0"]),
+            )
+        )
+    file = tmp_path_factory.mktemp("log") / "log"
+    file.write_bytes(raw)
+    for gaps in (False, True):
+        log = read_log(file, gaps=gaps)
+        recording, faults = replay(log, tiny)
+        assert set(recording.people) <= log.people
+        assert all(1 <= fault.line <= raw.count(b"\n") + 1 for fault in [*log.faults, *faults])
+        assert len(told(log.faults, "log")) <= len(log.faults)
+
+
 def test_bytes_that_are_not_utf8_make_no_new_person(tmp_path: Path, tiny: Table) -> None:
     raw = "\n".join(json.dumps(row, ensure_ascii=False) for row in lines(*PLAN, person="Zoë")) + "\n"
     file = tmp_path / "log.jsonl"
@@ -287,7 +315,7 @@ def test_bytes_that_are_not_utf8_make_no_new_person(tmp_path: Path, tiny: Table)
     log = read_log(file)
     assert log.people == {"ann"}
     assert told(log.faults, "log") == [
-        "log:1: byte 0xeb is not UTF-8; expected a file that is encoded in UTF-8 (and so 5 more, to line 6)"
+        "log:1: its bytes are no UTF-8; expected a file in that encoding (and so 5 more, to line 6)"
     ]
     assert used(file, tiny) == {"ann": len(PLAN)}
 

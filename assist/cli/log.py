@@ -16,7 +16,7 @@ from planner.solving import SolveOptions
 
 from .console import EXIT_FAILED, fail
 from .options import JOBS, NUMBER, OUTPUT_FOLDER, SECONDS, SEED
-from .progress import progress_bar
+from .progress import progress_bar, status_line
 
 if TYPE_CHECKING:
     from ..learning.people import People
@@ -148,14 +148,16 @@ def _evaluate(
     """
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     kept = Cache(walked.task, cache)
-    costs = cost_to_go(walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits)
+    with status_line(f"evaluating {len(wanted)} states"):
+        costs = cost_to_go(walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits)
     h = np.full(len(walked), np.nan)
     if not isinstance(costs, OnDemand):
         h[wanted] = costs.lookup(costs.numbers(values))
         return h
-    click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
+    numbers = costs.numbers(values)
+    if np.isnan(costs.known(numbers)).any():
+        click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
     with progress_bar("evaluating states", len(wanted)) as advance:
-        numbers = costs.numbers(values)
         try:
             h[wanted] = costs.lookup(numbers, advance)
         except LimitError as error:

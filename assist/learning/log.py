@@ -204,10 +204,10 @@ def _foreign(data: bytes) -> str | None:
 def _decoded(line: bytes) -> str | _Broken:
     try:
         return line.decode("utf-8")
-    except UnicodeDecodeError as error:
+    except UnicodeDecodeError:
         text = line.decode("utf-8", errors="replace")
         owners = frozenset(names for names in _owners(text) if "\ufffd" not in "".join(names))
-        return _Broken(f"byte {line[error.start]:#04x} is not UTF-8; expected a file that is encoded in UTF-8", owners)
+        return _Broken("its bytes are no UTF-8; expected a file in that encoding", owners)
 
 
 def _objects(lines: Sequence[str | _Broken]) -> Iterator[tuple[int, Any]]:
@@ -223,7 +223,7 @@ def _objects(lines: Sequence[str | _Broken]) -> Iterator[tuple[int, Any]]:
                     cut = "the last line is cut off; the lines before it are used"
                     yield number, _Broken(cut, _owners(line), ends=True)
                 else:
-                    yield number, _Broken("no JSON; expected one object", _owners(line))
+                    yield number, _Broken("no JSON; expected one object in every line", _owners(line))
 
 
 NAMED = re.compile(r'"(person|episode)"\s*:\s*(?:("(?:[^"\\]|\\.)*")|(-?\d+)(?=\s*[,}]))')
