@@ -96,15 +96,19 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
                 out = (np.abs(middle - [(room.x0 + room.x1) / 2, (room.y0 + room.y1) / 2]) + size / 2) > (
                     np.array([room.width, room.height]) / 2 + 20 * pixels
                 )
-                over = sum((np.abs(other - middle) < (size + its) / 2 + pixels).all() for other, its in written)
+                over = sum(bool((np.abs(other - middle) < (size + its) / 2 + pixels).all()) for other, its in written)
                 lines = (np.abs(covered - middle) < size / 2 + pixels).all(axis=1).sum()
+                tie = np.linspace(at, middle, SAMPLES if distance > DISTANCES[0] else 0)
+                over += sum(bool((np.abs(tie - other) < its / 2 + pixels).all(axis=1).any()) for other, its in written)
                 hidden.append(len(covered) * (over + out.any()) + lines + distance / 10)
             best = int(np.argmin(hidden))
             distance, right, up = places[best]
             written.append((middles[best], size))
             words.set(ha=("center", "left", "right")[right], va=("center", "bottom", "top")[up])
             words.xyann = (distance * right, distance * up)
-            if distance == DISTANCES[0] and words.arrow_patch is not None:
+            if distance > DISTANCES[0]:
+                covered = np.concatenate([covered, np.linspace(at, middles[best], SAMPLES)])
+            elif words.arrow_patch is not None:
                 words.arrow_patch.set_visible(False)
 
 
