@@ -248,15 +248,16 @@ def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:
     found = summary["headline"]
     groups = [found, *found["others"]]
     columns = varying(groups, COLUMNS)
+    several = len(found["instances"]) > 1
     rows = []
     for group in groups:
-        instances = group["instances"].values()
-        for key in dict.fromkeys(key for saved in instances for key in saved):
+        instances = [*group["instances"].values(), *([group] if several else [])]
+        for key in dict.fromkeys(key for saved in group["instances"].values() for key in saved):
             cells = [interval(saved[key]) if key in saved else "-" for saved in instances]
             rows.append([named(key), *_which(group, columns), *cells])
     pools = f"{found['pools']} pools" if found["pools"] > 1 else "1 pool"
     few = f"; fewer than {FEW_POOLS} are a first look" if found["pools"] < FEW_POOLS else ""
-    titles = [f"{found['policy']} saves, %", *_titles(columns), *found["instances"]]
+    titles = [f"{found['policy']} saves, %", *_titles(columns), *found["instances"], *(["together"] if several else [])]
     return titles, rows, f"{pools} of people, 95 % intervals over pools{few}"
 
 
