@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from conftest import KITTING, kitassist, write_instance
 
+from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, load
 from planner.checking import InvalidPlanError, read, validate
 
@@ -404,14 +406,19 @@ def test_the_command_says_it_in_one_line(tmp_path: Path, case: str, code: int) -
         arguments = [f"{tmp_path}/x*.pddl"]
     else:
         arguments = [instance.problem, "--domain", tmp_path / "absent.pddl"]
-    result = kitassist("solve", *arguments)
-    assert result.returncode == code
-    assert result.stdout == ""
-    assert len(result.stderr.splitlines()) == 1
-    assert str(tmp_path) in result.stderr
-    result = kitassist("simulate", *arguments, "--humans", "2")
-    assert result.returncode == code
-    assert len(result.stderr.splitlines()) == 1
+    # A second interpreter where that is what a user starts, and else none: both read in the same way.
+    for command, options in (("solve", []), ("simulate", ["--humans", "2"])):
+        if command == "solve" and case == "broken":
+            done = kitassist("solve", *arguments)
+            assert (done.returncode, done.stdout) == (code, "")
+            said = done.stderr
+        else:
+            result = CliRunner().invoke(main, [command, *map(str, arguments), *options])
+            assert result.exit_code == code
+            assert result.stdout == ""
+            said = result.stderr
+        assert len(said.splitlines()) == 1
+        assert str(tmp_path) in said
 
 
 def test_find_instances(tmp_path: Path) -> None:
