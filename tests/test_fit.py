@@ -413,23 +413,23 @@ def test_a_simulations_trace_is_a_log_and_a_fit_is_a_population(tmp_path: Path) 
 def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     """Only states that were visited, and their successors, are evaluated; a kill loses none of them."""
     huge = KITTING / "ladder-4x10.pddl"
-    actions = [FETCH, "(place hammer slot-3 box-a)", "(place pliers slot-2)", "(remove hammer)", BACK, "(fetch box-d)"]
+    actions = [FETCH, "(place hammer slot-3 box-a)", "(remove hammer)"]
     file = write_log(tmp_path / "log.jsonl", lines(*actions))
     command = ["fit", huge, file, "--cache", tmp_path / "cache", "--json"]
     program = [str(Path(sys.executable).with_name("kitassist")), *map(str, command)]
     process = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     task = load(huge)
     known = 0
-    while process.poll() is None and known < 20:
+    while process.poll() is None and known < 10:
         known = len(Cache(task, tmp_path / "cache").read())
         time.sleep(0.05)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert known >= 20
+    assert known >= 10
     result = CliRunner().invoke(main, [str(argument) for argument in command])
     assert result.exit_code == 0
     (record,) = json.loads(result.stdout)
-    assert (record["actions"], record["suboptimal_actions"]) == (6, 2)
+    assert (record["actions"], record["suboptimal_actions"]) == (3, 1)
     assert len(Cache(task, tmp_path / "cache").read()) > known
 
 
