@@ -65,7 +65,13 @@ class SavedTable:
 
 
 def save_table(file: Path, table: Table) -> None:
-    """Save a cost-to-go table as `.npz`, at once or not at all."""
+    """Save a cost-to-go table as `.npz`, at once or not at all.
+
+    Parameters
+    ----------
+    table : Table
+    file : path
+    """
     task = table.task
     packing = Packing.of(task)
     width = max(len(variable.facts) for variable in task.variables)
@@ -91,6 +97,10 @@ def save_table(file: Path, table: Table) -> None:
 
 def open_table(file: Path) -> SavedTable:
     """Open a table that `save_table` has written; what is not looked at is not read.
+
+    Parameters
+    ----------
+    file : path
 
     Raises
     ------
