@@ -184,6 +184,8 @@ def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
         return
     if not log.people:
         raise LogError(f"{log.name}: no recorded actions")
+    if not log.entries:
+        raise LogError(f"{log.name}: no episode can be used")
     place = costs.task.instance
     raise LogError(f"{log.name}: no episode can be followed through {place}; is it the log of another instance?")
 
