@@ -219,7 +219,7 @@ def gap(
             for humans in sizes:
                 knowledge = "own" if humans <= own else "exact"
                 pool = pool_of(name, humans, seed, gamma=gamma, c_suggest=c_suggest, knowledge=knowledge)
-                found = upper_bound(pool, gap=gap, time_limit=time_limit)
+                found = upper_bound(pool, gap=gap, time_limit=time_limit * len(pool.policies))
                 certified = {
                     label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
                     for label in ("none", "reactive", "attention", "priority")

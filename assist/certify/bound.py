@@ -149,8 +149,8 @@ def upper_bound(
         problem gets an equal share. What is being set up or solved for the first bounds is not interrupted, and the
         bound is sound however little time there was.
     memory_limit_mb : float
-        What people's problems may take, in megabytes, which is known before they are set up; and once more what those
-        that are solved at a time may take for vectors and beliefs.
+        What people's problems may take, in megabytes, which is known before they are set up; and once more what each
+        of those that are solved at a time may.
     seed : int or Generator
     jobs : int, optional
         Problems that are solved at a time; as many as there are processors unless given.
@@ -183,7 +183,7 @@ def upper_bound(
         share = (start + limit - time.perf_counter()) / still
         solution = solve(
             visits.pomdp, gap=gap, time_limit=None if time_limit is None else max(0.0, share),
-            memory_limit_mb=memory_limit_mb / workers, best=best,
+            memory_limit_mb=memory_limit_mb, best=best,
         )  # fmt: skip
         return solution.upper, solution.upper - solution.lower, solution.value_qmdp
 

@@ -18,6 +18,7 @@ from planner import LimitError
 
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, qmdp
+from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
 from ..team.arguments import positive
 from ..team.attention import NoAssistance
@@ -127,7 +128,9 @@ def kinds_of(
         tell("setting people's problems up", done, len(members))
         alone = pool.policies[model].pomdp
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
-        kinds.append(Kind(pool, Visits.of(alone, entry, entry_steps, np.zeros(window)), tail, count))
+        visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
+        _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
+        kinds.append(Kind(pool, visits, tail, count))
     return kinds
 
 
@@ -140,11 +143,15 @@ def _allow(pool: Pool, kinds: list[tuple[int, float, int]], window: int, limit_m
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
     needed *= 1 + 1 / len(kinds)  # one is solved anew in every round
+    _refuse_above(limit_mb, needed, len(kinds), states, window)
+
+
+def _refuse_above(limit_mb: float, needed: float, kinds: int, states: int, window: int) -> None:
     if needed > positive("memory_limit_mb", limit_mb) * 1e6:
         raise LimitError(
-            f"{len(kinds):,} problems of people, each of up to {states:,} states with {window} steps of prices, take "
-            f"about {needed / 1e6:,.0f} MB of memory, and {limit_mb:,.0f} MB are allowed; expected one model for all "
-            "(knowledge 'exact'), prices on fewer steps (window), or a higher memory limit"
+            f"{kinds:,} {'problem' if kinds == 1 else 'problems'} of people, each of up to {states:,} states with "
+            f"{window} steps of prices, take about {needed / 1e6:,.0f} MB of memory, and {limit_mb:,.0f} MB are "
+            "allowed; expected one model for all (knowledge 'exact'), prices on fewer steps (window), or a higher limit"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..people.belief import Spread
 from ..people.decision import Floats
+from ..team.arguments import Seed
 from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
@@ -48,7 +49,7 @@ def beliefs_of_episode(
     *,
     humans: int | Sequence[int],
     episode: int,
-    seed: int,
+    seed: Seed,
     name: str = "policy",
     travel: Travel | None = None,
     presence: Presence | None = None,
