@@ -191,8 +191,3 @@ class Summary:
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:
     error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
     return float(values.mean()), float(error)
-
-
-def summarise(episodes: Episodes) -> Summary:
-    """Summarise the episodes of one policy."""
-    return episodes.summary()
