@@ -400,9 +400,9 @@ def without_processes() -> None:
     import planner.batch
     import planner.solving
     import planner.task
-    from planner import checking, fast_downward
+    from planner import checker, checking, fast_downward
 
-    translate, parsed = fast_downward.translate, cache(checking._parsed)
+    translate, parsed = fast_downward.translate, cache(checking.parsed)
     translated: dict[tuple[str, str], str] = {}
 
     def translate_once(source: Any, *limits: Any) -> str:
@@ -411,11 +411,11 @@ def without_processes() -> None:
             translated[texts] = translate(source, *limits)
         return translated[texts]
 
-    class Checker(checking.Checker):
+    class Checker(checker.Checker):
         def __init__(self, source: Any, limits: Any = None) -> None:  # noqa: ARG002
             self._source = source
 
-        def close(self) -> None:
+        def __exit__(self, *_: object) -> None:
             pass
 
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002

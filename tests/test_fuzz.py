@@ -10,7 +10,7 @@ from conftest import ROOT
 
 
 def test_broken_inputs_are_refused(tmp_path: Path) -> None:
-    command = [sys.executable, ROOT / "tests" / "fuzz.py", "30", "7", tmp_path, "solve,simulate,fit"]
+    command = [sys.executable, ROOT / "tests" / "fuzz.py", "15", "7", tmp_path, "solve,simulate,fit"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("30 broken inputs, 0 faults\n")
+    assert done.stdout.startswith("15 broken inputs, 0 faults\n")
