@@ -57,7 +57,8 @@ def atomic(file: Path) -> Iterator[Path]:
             with suppress(OSError):  # what went wrong before says more
                 path.unlink(missing_ok=True)
     except OSError as error:
-        if error.filename is None or Path(str(error.filename)).name.startswith(UNFINISHED):
+        # One without a number has words of its own, which a name would hide.
+        if error.errno and (error.filename is None or Path(str(error.filename)).name.startswith(UNFINISHED)):
             error.filename = str(file)
         raise
 
