@@ -5,7 +5,11 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test lint bench bench-smallest study docs clean
 
-demo: $(VENV)/.demo
+# Compiled code that calls what other files compile is kept when only those change (numba looks at one file), so that it
+# is thrown away here.
+SHARED := assist/people/compiled.py planner/atomics.py planner/reached.py planner/trie.py
+
+demo: $(VENV)/.demo $(VENV)/.compiled
 	@mkdir -p demo
 	$(BIN)/kitassist solve domains/kitting/paper.pddl
 	@echo
@@ -15,7 +19,7 @@ demo: $(VENV)/.demo
 	@echo
 	@echo "One episode as a picture: demo/episode.png; every action of all of them: demo/trace.jsonl"
 
-test: $(VENV)/.test
+test: $(VENV)/.test $(VENV)/.compiled
 	$(BIN)/python -m pytest --numprocesses auto
 
 lint: $(VENV)/.test
@@ -35,6 +39,10 @@ study: $(VENV)/.test
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs site
 	@echo "The documentation: site/index.html"
+
+$(VENV)/.compiled: $(VENV)/bin/python $(SHARED)
+	@find planner assist -name '*.nb[ci]' -delete
+	@touch $@
 
 clean:
 	rm -rf $(VENV) demo site

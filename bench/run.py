@@ -31,7 +31,7 @@ CASES = {
     "live": ("--steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
     "on_demand": ("--states 20", "--states 2"),
     "pomdp": ("--timeout 20 --solvers kitassist", "--timeout 2 --solvers kitassist --settings 0.95/1/0"),
-    "study": ("", "--pools 2 --humans 1 --people 2 --instance paper-fixed"),
+    "study": ("", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
     "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1"),
     "team gap": (

@@ -4,7 +4,7 @@ What simulates, fits and searches calls these. Where a loop was made faster by a
 (`person.qmdp`, `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
 
 numba keeps compiled code for as long as the file of the function that was compiled is unchanged, and so keeps these
-functions within callers of other files. Who changes an equation here removes the `__pycache__` folders of `assist`.
+functions within callers of other files: `make test` and `make demo` throw that away when this file has changed.
 """
 
 from __future__ import annotations
