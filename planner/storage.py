@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import shutil
 import stat
@@ -115,6 +116,11 @@ def remove_unfinished(folders: Iterable[Path]) -> None:
     for folder in set(folders):
         for path in folder.glob(f"{UNFINISHED}*"):
             path.unlink(missing_ok=True)
+
+
+def finite(number: float) -> float | None:
+    """Give a number as JSON can hold it: infinite ones, and what is none, are null."""
+    return float(number) if math.isfinite(number) else None
 
 
 def write_records(file: Path, records: Iterable[Mapping[str, Any]]) -> None:

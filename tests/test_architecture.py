@@ -11,14 +11,15 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from assist.cli import COMMANDS, main
+from assist.cli import main
+from assist.cli.commands import COMMANDS
 
 ROOMS = {
     "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking checker
         built task replay budget successors statespace costtogo moves atomics checkpoint reached kernels mutexes
         invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices decision human compiled belief",
-    "assist.person": "archive pomdp region qmdp alpha_vectors hsvi upper_hull solver",
+    "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception
         diagnostics population record people summary""",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
@@ -26,15 +27,18 @@ ROOMS = {
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.plots": "style labels episode people study",
-    "assist.study": "statistics study cells toml protocol runner summary wording claims pictures report",
+    "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
-        solve simulate policy bound export log fit study""",
+        bounds solve simulate policy bound export log fit study commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
 LONGEST = 500
 """Lines of a file."""
+
+COMMAND = 80
+"""Lines of a command."""
 
 LONGER = {"assist/person/hsvi.py"}
 """The compiled search, which is one function to the compiler."""
@@ -42,7 +46,7 @@ LONGER = {"assist/person/hsvi.py"}
 ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
 ORDER.remove("planner")
 # With all that is in them.
-MAY_READ_PDDL = ("assist.study.study", "assist.study.cells", "assist.study.protocol", "assist.cli")
+MAY_READ_PDDL = (*(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")), "assist.cli")
 ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.arrays", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
@@ -109,6 +113,12 @@ def test_no_file_is_long() -> None:
     files = [file for folder in ("planner", "assist") for file in (ROOT / folder).rglob("*.py")]
     long = {str(file.relative_to(ROOT)) for file in files if len(file.read_text().splitlines()) > LONGEST}
     assert long - LONGER == set()
+
+
+def test_commands_are_thin() -> None:
+    folder = ROOT / "assist" / "cli"
+    files = [folder / "__init__.py", *(folder / f"{name}.py" for name in COMMANDS)]
+    assert [file.name for file in files if len(file.read_text().splitlines()) > COMMAND] == []
 
 
 def handed_on(package: str) -> list[tuple[str, str]]:

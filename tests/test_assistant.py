@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.live import problem
 from assist.live.assistant import Assistant
 from assist.live.problem import InapplicableError, UnknownError
 from assist.people.human import Mixture, Population
+from assist.person import problem
 from assist.simulation.belief_trace import Watched
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool

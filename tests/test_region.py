@@ -15,6 +15,7 @@ from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
+from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
 from assist.person.region import Region
 from assist.person.solver import Solution, solve
@@ -135,6 +136,22 @@ def test_a_solution_is_saved_under_the_name_that_is_given(tmp_path: Path, tiny: 
     solution.save(tmp_path / "policy")
     assert [file.name for file in tmp_path.iterdir()] == ["policy"]
     assert Solution.load(tmp_path / "policy").lower == solution.lower
+
+
+def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tiny: Table) -> None:
+    problem = PersonProblem.of(tiny, **SETTING)  # type: ignore[arg-type]
+    assert problem.pomdp.frontier is None
+    assert problem.pomdp.afterstate.tolist() == whole(tiny).afterstate.tolist()
+    assert problem.states.tolist() == list(range(len(tiny)))
+    asked = OnDemand(tiny.task)
+    for known, states in ((tiny, 5), (asked, 5), (asked, 10_000)):
+        part = PersonProblem.of(known, states=states, **SETTING)  # type: ignore[arg-type]
+        region = Region.of(known, states=states)
+        assert part.states.tolist() == region.states.tolist()
+        assert part.pomdp.frontier is not None
+        assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()
+        with pytest.raises(ValueError, match="execute: expected a task of at most"):
+            PersonProblem.of(known, states=states, execute=True)
 
 
 def test_another_file_is_no_solution(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from rich.table import Table
 from planner.solving import versions
 
 from .console import print_json, print_table
-from .options import GAP, JOBS, SECONDS, instance_argument, json_option
+from .options import JOBS, gap_option, instance_argument, json_option, seconds_option
 from .policies import policies_of, policy_errors, policy_option
 from .progress import stages
 from .team import team_of, team_options
@@ -25,13 +25,8 @@ from .team import team_of, team_options
     "--episodes", type=click.IntRange(min=2), default=20_000, show_default=True,
     help="From which its value is estimated.",
 )  # fmt: skip
-@click.option(
-    "--gap", type=GAP, default=1e-3, show_default=True, help="Relative gap to which each person's problem is solved."
-)
-@click.option(
-    "--time-limit", type=SECONDS, default=300.0, show_default=True, metavar="S",
-    help="Seconds for all of it; what has been proven by then is reported.",
-)  # fmt: skip
+@gap_option("Relative gap to which each person's problem is solved.")
+@seconds_option("Seconds for all of it; what has been proven by then is reported.", default=300.0)
 @click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options
 @json_option

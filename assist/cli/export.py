@@ -10,6 +10,7 @@ import click
 from .console import EXIT_FAILED, fail, one_line_errors, print_json
 from .options import OUTPUT_FILE, instance_argument
 from .person import person_options, person_problem
+from .task import table_of
 
 
 @click.command()
@@ -30,8 +31,8 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
     if out.suffix != f".{form}":  # solvers choose the parser by it
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
     with one_line_errors():
-        problem = person_problem(instance, **person)
-        found, pomdp = problem.instance, problem.pomdp
+        found, problem = person_problem(instance, table_of, states=None, **person)
+        pomdp = problem.pomdp
         try:
             {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out)
         except ValueError as error:

@@ -12,10 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
-from planner.solving import SolveOptions
 
 from .console import EXIT_FAILED, fail
-from .options import JOBS, NUMBER, OUTPUT_FOLDER, SECONDS, SEED
+from .options import (
+    JOBS,
+    NUMBER,
+    OUTPUT_FOLDER,
+    SEED,
+    Option,
+    lapse_option,
+    max_states_option,
+    scale_option,
+    seconds_option,
+)
 from .progress import progress_bar, status_line
 
 if TYPE_CHECKING:
@@ -24,16 +33,14 @@ if TYPE_CHECKING:
 
 def log_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options that say what a log is and how people are estimated; `people_of` takes them all."""
-    options: tuple[Callable[[Callable[..., None]], Callable[..., None]], ...] = (
+    options: tuple[Option[Any], ...] = (
         click.option(
             "--misconception", "misconceptions", is_flag=True,
             help="Also estimate sigma, and what people take for the cost-to-go.",
         ),
         click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given."),
-        click.option(
-            "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
-        ),
-        click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help="Weight of a uniform choice."),
+        scale_option,
+        lapse_option("Weight of a uniform choice."),
         click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Of the intervals."),
         click.option(
             "--largest-beta", type=NUMBER,
@@ -50,11 +57,8 @@ def log_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--strict", is_flag=True, help="Fit nothing if any line cannot be used, or if any state takes too long."
         ),
-        click.option(
-            "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
-            help="On a larger task evaluate only states that were visited, and their successors.",
-        ),
-        click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each of these states."),
+        max_states_option("On a larger task evaluate only states that were visited, and their successors."),
+        seconds_option("Seconds for each of these states."),
         click.option(
             "--cache", type=OUTPUT_FOLDER,
             help="Folder where these states are kept.  [default: kitassist in the user's cache folder]",

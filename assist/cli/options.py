@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from planner import storage
+from planner.solving import SolveOptions
 
 Range = tuple[float, float]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -100,6 +101,40 @@ def range_option(name: str, default: Range, text: str) -> Option[Command]:
     return click.option(name, nargs=2, type=NUMBER, metavar="LOW HIGH", default=default, show_default=True, help=text)
 
 
+def gap_option(text: str) -> Option[Any]:
+    """Give the option that says how close bounds have to be."""
+    return click.option("--gap", type=GAP, default=1e-3, show_default=True, help=text)
+
+
+def seconds_option(text: str, default: float | None = None) -> Option[Any]:
+    """Give the option that limits time; a limit there is only with a default."""
+    return click.option(
+        "--time-limit", type=SECONDS, default=default, show_default=default is not None, metavar="S", help=text
+    )
+
+
+def megabytes_option(text: str, default: float | None = None) -> Option[Any]:
+    """Give the option that limits memory; a limit there is only with a default."""
+    return click.option(
+        "--memory-limit", type=MEGABYTES, default=default, show_default=default is not None, metavar="MB", help=text
+    )
+
+
+def max_states_option(text: str) -> Option[Any]:
+    """Give the option that says which tasks are too large to be solved in every state."""
+    return click.option(
+        "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True, help=text
+    )
+
+
+def lapse_option(text: str) -> Option[Any]:
+    """Give the option that says how often people choose without a thought."""
+    return click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help=text)
+
+
+scale_option = click.option(
+    "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
+)
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
     "--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."

@@ -14,7 +14,7 @@ from planner.results import DONE
 from planner.solving import SolveOptions
 
 from .console import EXIT_FAILED, one_line_errors, print_json
-from .options import JOBS, MEGABYTES, OUTPUT_FOLDER, SECONDS, domain_option
+from .options import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
 from .progress import progress_bar
 from .solutions import show_solutions, tell_errors
 
@@ -24,12 +24,9 @@ from .solutions import show_solutions, tell_errors
 @domain_option
 @click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
 @click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
-@click.option("--time-limit", type=SECONDS, metavar="S", help="Seconds for each instance.")
-@click.option("--memory-limit", type=MEGABYTES, metavar="MB", help="Memory for each instance.")
-@click.option(
-    "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True,
-    help="Solve only the initial state of a larger task.",
-)  # fmt: skip
+@seconds_option("Seconds for each instance.")
+@megabytes_option("Memory for each instance.")
+@max_states_option("Solve only the initial state of a larger task.")
 @click.option(
     "--verify", type=click.IntRange(min=1), default=SolveOptions.verify, show_default=True,
     help="States to compare with Fast Downward's A*.",

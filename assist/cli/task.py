@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
+from planner import Cache, CostToGo, Instance, InstanceError, Table, cost_to_go, find_instances, load
 
-from planner import Instance, InstanceError, LimitError, Table, find_instances, load, sweep
-
-from ..team.pool import SIMULATED_STATES
 from .console import EXIT_FAILED, fail
 
 
@@ -20,17 +17,23 @@ def one_instance(instance: str, domain: str | None) -> Instance:
 
 def table_of(instance: Instance) -> Table:
     """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
+    from ..study import tasks
+    from ..study.study import StudyError
+
     try:
-        table = sweep(load(instance), max_states=SIMULATED_STATES)
-    except LimitError as error:
-        fail(f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states", EXIT_FAILED)
-    require_goal(instance, table[table.initial])
-    return table
+        return tasks.table_of(instance)
+    except StudyError as error:
+        fail(str(error), EXIT_FAILED)
 
 
-def require_goal(instance: Instance, cost: float) -> None:
-    """Refuse a task that cannot be solved."""
-    if not math.isfinite(cost):
-        fail(
-            f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist", EXIT_FAILED
-        )
+def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | None) -> CostToGo:
+    """Read a task of any size that a person is to be assisted in; a larger one is asked on demand."""
+    from ..people.choices import require_goal
+
+    task = load(instance)
+    known = cost_to_go(task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=Cache(task))
+    try:
+        require_goal(float(known.lookup([known.initial])[0]))
+    except ValueError as error:
+        fail(f"{instance}: {error}", EXIT_FAILED)
+    return known

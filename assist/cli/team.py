@@ -10,7 +10,7 @@ import click
 from planner import Instance, LimitError
 
 from .console import EXIT_FAILED, fail
-from .options import MEGABYTES, SEED, Command, Option, Range, range_option
+from .options import SEED, Command, Option, Range, megabytes_option, range_option
 from .person import model_options
 from .population import population_of, population_options
 from .progress import stages
@@ -36,7 +36,7 @@ def team_options(command: Command) -> Command:
         ),
         population_options(),
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
-        click.option("--memory-limit", type=MEGABYTES, default=4000.0, show_default=True, help="MB for policies."),
+        megabytes_option("MB for policies.", default=4000.0),
     )  # fmt: skip
     for option in reversed(options):
         command = option(command)

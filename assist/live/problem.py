@@ -1,8 +1,8 @@
 """A task as people live through it, and what the robot has worked out about it.
 
-Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand, the
-`Region` is that people most likely get to; whoever leaves it has another one begun where they are. What is believed of
-a person does not depend on where regions end.
+Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand
+(`assist.person.problem` decides which), the `Region` is that people most likely get to; whoever leaves it has another
+one begun where they are. What is believed of a person does not depend on where regions end.
 """
 
 from __future__ import annotations
@@ -14,21 +14,15 @@ from typing import TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo
 
 from ..learning.actions import Matcher, UnmatchedError, words_of
-from ..people.choices import Choices
+from ..people.choices import Choices, require_goal
 from ..people.human import Mixture, Population
-from ..person.pomdp import AssistPOMDP, Policy
+from ..person.pomdp import Policy
+from ..person.problem import PersonProblem
 from ..person.qmdp import Arrays, qmdp
-from ..person.region import Region
 from ..team.settings import Setting
-
-WHOLE = 20_000
-"""States of a table up to which everything is worked out; beyond it, those of a region."""
-
-ASKED = 200
-"""States of a region where each has to be asked for."""
 
 
 class UnknownError(ValueError):
@@ -65,12 +59,15 @@ class Part:
         return cls(policy, Arrays.of(policy.pomdp))
 
     @classmethod
-    def of(cls, region: Region, pomdp: AssistPOMDP) -> Part:
-        """Those of a region."""
-        kept = np.ones(len(region.states), dtype=bool)
-        kept[region.frontier] = False
-        rows = {int(region.states[row]): int(row) for row in np.flatnonzero(kept)}
-        return cls(qmdp(pomdp), Arrays.of(pomdp), region.states, rows)
+    def of(cls, problem: PersonProblem) -> Part:
+        """Those that a problem covers."""
+        pomdp, states = problem.pomdp, problem.states
+        if pomdp.frontier is None:
+            return cls.whole(qmdp(pomdp))
+        kept = np.ones(len(states), dtype=bool)
+        kept[pomdp.frontier.states] = False
+        rows = {int(states[row]): int(row) for row in np.flatnonzero(kept)}
+        return cls(qmdp(pomdp), Arrays.of(pomdp), states, rows)
 
     @property
     def choices(self) -> Choices:
@@ -113,11 +110,8 @@ class Problem:
         self.initial = task.pomdp.model.choices.initial if is_policy(task) else cast(CostToGo, task).initial
         if is_policy(task):
             self._add(Part.whole(task))
-        elif isinstance(task, Table) and len(task) <= WHOLE:
-            self._add(Part.whole(qmdp(setting.problem(Choices.of(task), None, prior))))
         number, row = self.at(self.initial)
-        if not np.isfinite(parts[number].choices.h[row]):
-            raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+        require_goal(parts[number].choices.h[row])
         self.matcher = Matcher(parts[number].choices.names)
 
     def _add(self, part: Part) -> int:
@@ -131,17 +125,16 @@ class Problem:
             row = self.parts[number].row(state)
             if row is not None:
                 return number, row
-        return self._region(state), 0
-
-    def _region(self, state: int) -> int:
-        known, s = cast(CostToGo, self.task), self.setting
-        size = WHOLE if isinstance(known, Table) else ASKED
-        region = Region.of(known, start=state, states=size, population=self.prior)
-        pomdp = region.problem(
-            population=self.prior, eta=s.eta, lapse=s.lapse, utility_scale=s.utility_scale, gamma=s.gamma,
-            c_suggest=s.c_suggest, suggestions=s.suggestions,
+        s = self.setting
+        part = Part.of(
+            PersonProblem.of(
+                cast(CostToGo, self.task), start=state, population=self.prior, eta=s.eta, lapse=s.lapse,
+                utility_scale=s.utility_scale, gamma=s.gamma, c_suggest=s.c_suggest, suggestions=s.suggestions,
+            )
         )  # fmt: skip
-        return self._add(Part.of(region, pomdp))
+        row = part.row(state)
+        assert row is not None, "a region holds the state in which it begins"
+        return self._add(part), row
 
     def slot(self, number: int, row: int, action: str) -> int:
         """Find the slot of an action.

@@ -22,6 +22,18 @@ STAND_STILL = "(wait)"
 """What it is called."""
 
 
+def require_goal(cost: float) -> None:
+    """Refuse a task by the cost-to-go of its initial state.
+
+    Raises
+    ------
+    ValueError
+        The goal cannot be reached.
+    """
+    if not np.isfinite(cost):
+        raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+
+
 @dataclass(frozen=True)
 class Choices:
     """The choices of every state, padded to the largest number of applicable actions `A`.

@@ -3,6 +3,7 @@ from .archive import ArchiveError as ArchiveError
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .pomdp import Frontier as Frontier
 from .pomdp import Policy as Policy
+from .problem import PersonProblem as PersonProblem
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp

@@ -118,6 +118,22 @@ class Solution:
         """The distance of the bounds, relative to the lower one."""
         return relative_gap(self.lower, self.upper)
 
+    def as_dict(self) -> dict[str, Any]:
+        """Give as plain data how large the problem is, what is proven of it, and what that took."""
+        return {
+            "states": len(self.pomdp.robot_actions),
+            "hidden": self.pomdp.prior.size,
+            "lower": self.lower,
+            "upper": self.upper,
+            "gap": self.gap,
+            "value_qmdp": self.value_qmdp,
+            "value_never": self.value_never,
+            "value_always": self.value_always,
+            "seconds": self.seconds,
+            "alpha_vectors": len(self.policy.robot),
+            "stopped": self.stopped,
+        }
+
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give the policy's value of each robot action, shape (N, R), at least; minus infinity in padding.
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.storage import finite
 
 from ..people.decision import NOTHING, Floats, perceived_cost, perceived_value
 from ..person.qmdp import Arrays
@@ -198,8 +199,8 @@ class Run:
                 "place": k,
                 "robot_place": int(self.location[e]) if there else None,
                 "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
-                "cost_to_go": _finite(choices.h[x]),
-                "cost_to_go_after": _finite(choices.h[self.x[e, k]]),
+                "cost_to_go": finite(choices.h[x]),
+                "cost_to_go_after": finite(choices.h[self.x[e, k]]),
                 "theta": float(theta_before[e, k]),
                 "reward": float(reward[e, k]),
             }
@@ -235,8 +236,3 @@ class _Group:
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
     """Some rows of a large array, copied only if they must be, and then a row at a time."""
     return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)
-
-
-def _finite(value: float) -> float | None:
-    """A number that JSON can hold: a dead end's cost-to-go is null."""
-    return float(value) if math.isfinite(value) else None

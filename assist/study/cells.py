@@ -10,9 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from planner import Instance, LimitError, load, sweep
+from planner import Instance
 
 from ..people.choices import Choices
 from ..people.human import Population
@@ -20,9 +18,10 @@ from ..person.qmdp import qmdp
 from ..simulation.episodes import Episodes
 from ..simulation.simulate import simulate
 from ..team.policies import OwnPolicy
-from ..team.pool import SIMULATED_STATES, Pool
+from ..team.pool import Pool
 from ..team.state import PolicyError, TeamPolicy
 from .study import OWN, Cell, Study, StudyError
+from .tasks import table_of
 
 MOST_EPISODES = 100_000_000
 TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
@@ -137,15 +136,7 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
 @cache  # cells of one task follow one another in a process
 def _choices(instance: Instance) -> Choices:
     """Read and solve a task, once in each process."""
-    try:
-        table = sweep(load(instance), max_states=SIMULATED_STATES)
-    except LimitError as error:
-        raise StudyError(
-            f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states"
-        ) from None
-    if not np.isfinite(table[table.initial]):
-        raise StudyError(f"{instance}: the goal cannot be reached from the initial state, so there is nobody to assist")
-    return Choices.of(table)
+    return Choices.of(table_of(instance))
 
 
 @cache

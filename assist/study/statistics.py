@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats
 
+from planner.storage import finite
+
 Floats = NDArray[np.float64]
 
 RESAMPLES = 10_000
@@ -43,14 +45,10 @@ class Estimate:
     def record(self) -> dict[str, float | None]:
         """Give the fields as plain data, None for what is not a number."""
         return {
-            "mean": _plain(self.value),
-            "low": _plain(self.low),
-            "high": _plain(self.high),
+            "mean": finite(self.value),
+            "low": finite(self.low),
+            "high": finite(self.high),
         }
-
-
-def _plain(number: float) -> float | None:
-    return float(number) if math.isfinite(number) else None
 
 
 def mean(values: ArrayLike, level: float = 0.95) -> Estimate:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.storage import finite
+
 from ..team.settings import Setting
 from . import statistics
 from .statistics import Estimate
@@ -296,7 +298,7 @@ def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> I
     if math.isfinite(estimate.value):  # of nothing no share can be saved
         yield {
             **estimate.record(),
-            "effect": _finite(statistics.effect(other - mine)),
+            "effect": finite(statistics.effect(other - mine)),
             "pools_better": float((mine < other).mean()),
             "pools": len(mine),
         }
@@ -312,17 +314,13 @@ def _described(values: Any, pools: Any) -> dict[str, float | int | None]:
     estimate = statistics.mean(pools)
     return {
         "mean": float(values.mean()),
-        "sd": _finite(values.std(ddof=1)) if len(values) > 1 else None,
+        "sd": finite(values.std(ddof=1)) if len(values) > 1 else None,
         "n": len(values),
-        "low": _finite(estimate.low),
-        "high": _finite(estimate.high),
+        "low": finite(estimate.low),
+        "high": finite(estimate.high),
         "median": float(np.median(values)),
         "highest": float(values.max()),
     }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _texts(key: Hashable) -> tuple[str, ...]:

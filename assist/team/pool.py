@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, LimitError, Table
 
-from ..people.choices import Choices
+from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..person.pomdp import AssistPOMDP, Policy
 from ..person.qmdp import qmdp
@@ -122,8 +122,7 @@ class Pool:
             )
         _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
         choices = table if isinstance(table, Choices) else Choices.of(table)
-        if not np.isfinite(choices.h[choices.initial]):
-            raise ValueError("the goal cannot be reached from the initial state, so there is nobody to assist")
+        require_goal(choices.h[choices.initial])
         offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
         robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
         one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)

@@ -1,0 +1,56 @@
+"""The commands, each loaded when it is used."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import click
+
+COMMANDS = {
+    "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
+    "export": "Write the problem of assisting one person, for other solvers.",
+    "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",
+    "policy": "Solve the problem of assisting one person, with a lower and an upper bound on what can be reached.",
+    "simulate": "Simulate a team of people and a robot that assists them.",
+    "solve": "Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.",
+    "study": "Run a whole study: pools of people, teams, policies, conditions; then write its report.",
+}
+"""The commands, each in a file of that name, and what the overview says of them without loading any."""
+
+
+class Commands(click.Group):
+    """Commands that are loaded when they are used; encodings, signals, and errors in one line for all of them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Give their names."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        """Load one."""
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f".{cmd_name}", __package__), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write what each is for."""
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+    def main(self, *args: Any, **extra: Any) -> Any:
+        """Run the command line."""
+        from .interrupts import interruptible
+
+        with interruptible():
+            from .console import print_in_any_encoding  # takes its time
+
+            print_in_any_encoding()
+            return super().main(*args, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run one command."""
+        from .console import one_line_errors
+
+        with one_line_errors():
+            return super().invoke(ctx)

@@ -1,0 +1,131 @@
+"""One person's problem on a task of any size: all of its states, or those that matter to one person."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo, Table
+
+from ..people.choices import Choices
+from ..people.decision import perceived_cost, perceived_cost_to_go
+from ..people.human import HumanModel, Mixture, Population
+from .pomdp import AssistPOMDP, Suggestions
+from .region import Region
+
+WHOLE = 20_000
+"""States of a table up to which all are worked out, and those of a region beyond it."""
+
+ASKED = 200
+"""States of a region where each has to be asked for."""
+
+
+def is_whole(known: CostToGo, states: int | None = None) -> TypeGuard[Table]:
+    """Decide whether a person's problem covers all of a task, or only a `Region` of it.
+
+    All of it does if every cost-to-go is known and there are at most so many states: then nothing breaks off, the
+    value is that of the task, and people's misconceptions and the robot's own actions may lead anywhere. A solver
+    keeps much of each state and can do no more than that many. Where each state has to be asked for, nobody knows how
+    many there are; so that is a region always.
+
+    Parameters
+    ----------
+    known : CostToGo
+    states : int, optional
+        `WHOLE` unless given.
+    """
+    return isinstance(known, Table) and len(known) <= (WHOLE if states is None else states)
+
+
+@dataclass(frozen=True)
+class PersonProblem:
+    """The problem of assisting one person, and where its states are in the task.
+
+    Attributes
+    ----------
+    known : CostToGo
+        The task's cost-to-go.
+    pomdp : AssistPOMDP
+        Its `frontier` is None if it covers the whole task.
+    states : int array, shape (n,)
+        The number of each of the problem's states in `known`.
+    """
+
+    known: CostToGo
+    pomdp: AssistPOMDP
+    states: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        known: CostToGo,
+        *,
+        states: int | None = None,
+        start: int | None = None,
+        population: Population | Mixture | None = None,
+        eta: float = 0.2,
+        lapse: float = 1e-3,
+        utility_scale: float = 1.0,
+        gamma: float = 0.99,
+        c_suggest: float = 1.0,
+        suggestions: Suggestions = "optimal",
+        execute: bool = False,
+        c_execute: float = 1.0,
+        sigma: float = 0.0,
+        seed: int | np.random.Generator = 0,
+        time_limit: float | None = None,
+        progress: Callable[[int], None] | None = None,
+    ) -> PersonProblem:
+        """Set up the problem, on all states or on a region of them as `is_whole` decides.
+
+        What is not listed is as in `AssistPOMDP.of` and `HumanModel`.
+
+        Parameters
+        ----------
+        known : CostToGo
+        states : int, optional
+            The most states to work out; `WHOLE` of a table unless given, `ASKED` where each has to be asked for.
+        start : int, optional
+            Where a region begins; in the initial state unless given.
+        sigma : float
+            Size of a misconception, which the robot knows; of a whole task only.
+        seed : int or Generator
+            From which it is drawn.
+        time_limit : float, optional
+            Seconds for collecting a region's states.
+        progress : callable, optional
+            Called with how many of them have been looked at since the last call.
+
+        Raises
+        ------
+        ValueError
+            Parameters that cannot be, or a misconception or executed actions on a region.
+        """
+        if not 0 <= sigma < np.inf:
+            raise ValueError(f"sigma {sigma:g}: expected 0 or more")
+        if is_whole(known, states):
+            choices = Choices.of(known)
+            h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
+            model = HumanModel(choices, perceived_cost(choices, h), eta=eta, lapse=lapse, utility_scale=utility_scale)
+            pomdp = AssistPOMDP.of(
+                model, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
+                execute=execute, c_execute=c_execute,
+            )  # fmt: skip
+            return cls(known, pomdp, np.arange(len(known)))
+        if states is None:
+            states = WHOLE if isinstance(known, Table) else ASKED
+        for name, given in (("sigma", sigma > 0), ("execute", execute)):
+            if given:
+                raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
+        region = Region.of(
+            known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
+        )
+        pomdp = region.problem(
+            population=population, eta=eta, lapse=lapse, utility_scale=utility_scale, gamma=gamma,
+            c_suggest=c_suggest, suggestions=suggestions,
+        )  # fmt: skip
+        return cls(known, pomdp, region.states)
