@@ -88,7 +88,7 @@ class PersonProblem:
         ----------
         known : CostToGo
         states : int, optional
-            The most states to work out; `WHOLE` of a table unless given, `ASKED` where each has to be asked for.
+            The most states to work out; 20,000 of a table unless given, 200 where each has to be asked for.
         start : int, optional
             Where a region begins; in the initial state unless given.
         sigma : float
