@@ -6,7 +6,9 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 
+from assist.cli import main
 from assist.people.choices import Choices
 from planner import Instance, Table, Task, find_instances, load, sweep
 from planner.task import from_sas
@@ -62,6 +64,11 @@ def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subp
     """Run the command as a user does."""
     command = [str(Path(sys.executable).with_name("kitassist")), *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=240, check=check)
+
+
+def invoke(*arguments: object) -> Result:
+    """Run the command in this process, which takes a tenth of the time."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def write_instance(folder: Path, domain: str, problem: str) -> Instance:

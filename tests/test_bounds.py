@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
-from conftest import KITTING
+from conftest import KITTING, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.certify.bound import TeamBound, upper_bound
-from assist.cli import main
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
@@ -34,10 +32,6 @@ def pool(tiny_choices: Choices) -> Pool:
 @pytest.fixture(scope="module")
 def together(pool: Pool) -> TeamBound:
     return upper_bound(pool, gap=1e-3)
-
-
-def kitassist(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def root(visits: Visits) -> float:
@@ -179,7 +173,7 @@ def test_the_own_policy_holds_its_place_and_looks_at_the_way(tiny_choices: Choic
 
 
 def test_bound_on_the_command_line() -> None:
-    result = kitassist(
+    result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
         "--episodes", "500", "--policy", "attention", "--policy", "none", "--json",
     )  # fmt: skip
@@ -204,7 +198,7 @@ def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
         (["--travel-time", "-1"], "travel_time -1: expected 0 or more"),
         (["--gamma", "1"], "gamma 1"),
     ):
-        result = kitassist("bound", tiny, "--humans", "3", *options)
+        result = invoke("bound", tiny, "--humans", "3", *options)
         assert result.exit_code == 2
         assert complaint in result.stderr
         assert result.stdout == ""

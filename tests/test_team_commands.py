@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
-from conftest import KITTING
+from conftest import KITTING, invoke
 
-from assist.cli import main
 from assist.learning.population import mixture
 
 TINY = KITTING / "tiny.pddl"
@@ -51,10 +49,6 @@ silent.uses_belief = False
 """
 
 
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     file = tmp_path / "own.py"
@@ -64,14 +58,14 @@ def own(tmp_path: Path) -> Path:
 
 def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, tmp_path: Path) -> None:
     options = (TINY, "--humans", 2, "--json", "--policy", f"{own}:in_turn", "--policy", f"{own}:silent")
-    result = run("simulate", *options, "--policy", "none", "--episodes", 40, "--out", tmp_path / "out.jsonl")
+    result = invoke("simulate", *options, "--policy", "none", "--episodes", 40, "--out", tmp_path / "out.jsonl")
     assert result.exit_code == 0, result.output
     first, silent, none = json.loads(result.stdout)["policies"]
     assert (first["policy"], silent["policy"]) == ("in_turn", "silent")
     assert first["interventions"]["mean"] > 2
     assert {**silent, "policy": "none"} == none
     assert len((tmp_path / "out.jsonl").read_text().splitlines()) == 120
-    result = run("bound", *options, "--episodes", 500, "--time-limit", 0.5)
+    result = invoke("bound", *options, "--episodes", 500, "--time-limit", 0.5)
     assert result.exit_code == 0, result.output
     assert [c["policy"] for c in json.loads(result.stdout)["policies"]] == ["in_turn", "silent"]
 
@@ -89,7 +83,7 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
 def test_faults_of_own_policies_are_said_in_one_line(
     own: Path, command: str, function: str, code: int, words: str
 ) -> None:
-    result = run(command, TINY, "--humans", 2, "--policy", f"{own}:{function}",
+    result = invoke(command, TINY, "--humans", 2, "--policy", f"{own}:{function}",
                  *(("--time-limit", 0.05) if command == "bound" else ()))  # fmt: skip
     assert (result.exit_code, result.stdout) == (code, "")
     assert words in result.stderr
@@ -104,7 +98,7 @@ def test_faults_of_own_policies_are_said_in_one_line(
 )
 def test_a_file_that_cannot_be_run_is_named_with_its_line(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "broken.py").write_text(text)
-    result = run("simulate", TINY, "--humans", 1, "--policy", f"{tmp_path / 'broken.py'}:f")
+    result = invoke("simulate", TINY, "--humans", 1, "--policy", f"{tmp_path / 'broken.py'}:f")
     assert result.exit_code == 1
     assert words in result.stderr
 
@@ -114,21 +108,21 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
     file = tmp_path / "people.json"
     file.write_text(json.dumps(record))
     mixture(record)  # as `fit` writes it
-    out = run("simulate", TINY, "--humans", 2, "--population", file, "--episodes", 5, "--json")
+    out = invoke("simulate", TINY, "--humans", 2, "--population", file, "--episodes", 5, "--json")
     assert out.exit_code == 0, out.output
     assert json.loads(out.stdout)["population"]["parts"][0]["beta"] == [2.0, 2.5]
-    experts = run("policy", TINY, "--population", file, "--gap", 0.01, "--json")
-    ranges = run("policy", TINY, "--beta", 2.0, 2.5, "--theta", 0.8, 0.9, "--gap", 0.01, "--json")
+    experts = invoke("policy", TINY, "--population", file, "--gap", 0.01, "--json")
+    ranges = invoke("policy", TINY, "--beta", 2.0, 2.5, "--theta", 0.8, 0.9, "--gap", 0.01, "--json")
     assert experts.exit_code == 0, experts.output
     assert json.loads(experts.stdout)["value_never"] == json.loads(ranges.stdout)["value_never"]
     for command in ("simulate", "bound", "policy"):
         team = () if command == "policy" else ("--humans", 2)
         for name, *span in (("beta", 1, 2), ("theta", 0.5, 0.6)):
-            both = run(command, TINY, *team, "--population", file, f"--{name}", *span)
+            both = invoke(command, TINY, *team, "--population", file, f"--{name}", *span)
             assert (both.exit_code, both.stdout) == (2, "")
             assert f"says what --{name} says; expected one of them" in both.stderr
     file.write_text('["no population"]')
-    assert run("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
+    assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 
 
 @pytest.mark.parametrize(
@@ -147,7 +141,7 @@ def test_what_cannot_be_is_said_before_the_work_begins(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     command, *more = options
-    result = run(command, TINY, "--humans", 2, *more)
+    result = invoke(command, TINY, "--humans", 2, *more)
     assert (result.exit_code, result.stdout) == (code, "")
     assert words in result.stderr
     assert list(tmp_path.iterdir()) == []
@@ -158,7 +152,7 @@ def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
     start = problem.index("(:goal")
     (tmp_path / "done.pddl").write_text(problem[:start] + "(:goal (and)))")
     domain = KITTING / "domain.pddl"
-    result = run("bound", tmp_path / "done.pddl", "--domain", domain, "--humans", 2, "--episodes", 10, "--json")
+    result = invoke("bound", tmp_path / "done.pddl", "--domain", domain, "--humans", 2, "--episodes", 10, "--json")
     assert result.exit_code == 0, result.output
     found = json.loads(result.stdout)
     assert (found["value"], found["upper"], found["gap_percent"]) == (0, 0, 0)
@@ -167,9 +161,9 @@ def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
 def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
     """However little time there is: something is proven, and it is sound."""
     options: tuple[Any, ...] = (TINY, "--humans", 3, "--c-suggest", 0.1, "--gamma", 0.95, "--json")
-    short = run("bound", *options, "--time-limit", 0.05, "--gap", 0)
+    short = invoke("bound", *options, "--time-limit", 0.05, "--gap", 0)
     assert short.exit_code == 0, short.output
-    good = json.loads(run("bound", *options, "--episodes", 2000).stdout)
+    good = json.loads(invoke("bound", *options, "--episodes", 2000).stdout)
     hasty = json.loads(short.stdout)
     assert hasty["upper"] >= good["upper"] - 1e-9
     assert hasty["value"] <= hasty["upper"] + 4 * hasty["value_stderr"]
