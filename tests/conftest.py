@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from functools import cache
@@ -10,6 +11,10 @@ from click.testing import CliRunner, Result
 
 from assist.cli import main
 from assist.people.choices import Choices
+from assist.study.protocol import read
+from assist.study.study import Study
+from assist.team.pool import Pool
+from assist.team.settings import Setting
 from planner import Instance, Table, Task, find_instances, load, sweep
 from planner.task import from_sas
 
@@ -58,6 +63,23 @@ def sealed() -> Table:
 @pytest.fixture(scope="session")
 def tiny_choices(tiny: Table) -> Choices:
     return Choices.of(tiny)
+
+
+@pytest.fixture(scope="session")
+def pool(tiny_choices: Choices) -> Pool:
+    return Pool.sample(tiny_choices, 5, seed=3, setting=Setting(c_suggest=0.5))
+
+
+@pytest.fixture(scope="session")
+def small_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path, dict]:
+    """A study that was carried out by the command with one worker: the study, its folder, and what was printed."""
+    from studies import write  # which imports this file
+
+    folder = tmp_path_factory.mktemp("study")
+    file = write(folder)
+    result = kitassist("study", "--protocol", file, "--out", folder / "out", "--json")
+    assert (result.returncode, result.stderr) == (0, "")
+    return read(file), folder / "out", json.loads(result.stdout)
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:

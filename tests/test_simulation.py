@@ -1,122 +1,36 @@
-"""Team policies and simulation: the rules of each policy, the laws of an episode, the paper's order."""
+"""Simulation: the laws of an episode, against the equations of people and by hand."""
 
 from __future__ import annotations
 
 import re
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from teams import equal, run
 
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import Arrays, evaluate, qmdp
+from assist.person.qmdp import Arrays
 from assist.simulation.dynamics import Minds, People, act
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.illustration import typical
 from assist.simulation.luck import BLOCK
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
-from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.policies import POLICIES
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.travel import Travel
-from planner import LimitError, OnDemand, Table
-
-
-@pytest.fixture(scope="module")
-def pool(tiny_choices: Choices) -> Pool:
-    return Pool.sample(tiny_choices, 5, seed=3, setting=Setting(c_suggest=0.5))
-
-
-def state(
-    pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
-) -> TeamState:
-    """One team of the pool's first people."""
-    people = np.arange(len(x))[None]
-    choices, model = pool.choices(0), pool.model[people]
-    at = np.array([x])
-    prior = np.array([policy.pomdp.prior for policy in pool.policies])[model]
-    return TeamState(
-        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]), np.array([location]), model, prior,
-        pool.policies, travel or pool.setting.travel(len(x)),
-    )  # fmt: skip
-
-
-def run(pool: Pool, name: str, humans: int, episodes: int, seed: int, **options: Any) -> Episodes:
-    return simulate(pool, pool.policy(name), humans=humans, episodes=episodes, seed=seed, name=name, **options)
-
-
-def equal(a: Episodes, b: Episodes) -> bool:
-    return list(a) == list(b)
-
-
-def test_no_assistance_does_nothing(pool: Pool) -> None:
-    action = NoAssistance()(state(pool, [pool.choices(0).initial] * 3, erred=[True] * 3))
-    assert (action.person.tolist(), action.robot.tolist()) == ([NOBODY], [0])
-
-
-def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
-    reactive, start = Reactive(), [pool.choices(0).initial] * 3
-    assert reactive(state(pool, start)).person.tolist() == [NOBODY]
-    assert reactive(state(pool, start, erred=[False, True, True])).person.tolist() == [1]
-    assert reactive(state(pool, start, erred=[True, True, True], location=2)).person.tolist() == [2]
-    action = reactive(state(pool, start, erred=[True, False, False], location=2))
-    assert action.person.tolist() == [0]
-    slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0]]
-    assert pool.choices(0).optimal[start[0], slot]
-
-
-def test_attention_follows_algorithm_1(pool: Pool) -> None:
-    """Score each person by hand: Q(best) - Q(nothing) - c_move * distance, and act on the largest."""
-    rng = np.random.default_rng(0)
-    far = np.array([[0, 1, 5, 2], [1, 0, 3, 2], [5, 3, 0, 0.1], [2, 2, 0.1, 0]])
-    open_states = np.flatnonzero(~pool.choices(0).goal)
-    helped = 0
-    for c_move, location in [(0.0, 0), (0.3, 0), (0.3, 1), (0.3, BASE), (50.0, 2)] * 8:
-        x = rng.choice(open_states, 3).tolist()
-        team = state(pool, x, location=location, travel=Travel.of(3, c_move=c_move, distance=far))
-        scores = []
-        for k in range(3):
-            q = np.einsum(
-                "sbt,bt->s", np.nan_to_num(pool.policies[k].q_mdp[x[k]], neginf=-1e9), pool.policies[k].pomdp.prior
-            )
-            scores.append(q.max() - q[0] - c_move * far[location, k])
-        action = AttentionSwitching()(team)
-        if max(scores) <= 0:
-            assert action.person.tolist() == [NOBODY]
-        else:
-            helped += 1
-            assert action.person.tolist() == [int(np.argmax(scores))]
-    assert helped > 5
-
-
-def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
-    """Where help is worth nothing the best is to say nothing, however much better than never helping again it is."""
-    x = [pool.choices(0).initial] * 2
-    far_below = tuple(np.full_like(policy.value_mdp, -1e6) for policy in pool.policies)
-    dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
-                                        for p in pool.policies))  # fmt: skip
-    team = state(dear, x, travel=Travel.of(2, c_move=0.0))
-    switching = AttentionSwitching(far_below)
-    robot, score = switching.scores(team)
-    assert robot.tolist() == [[0, 0]]
-    assert np.isneginf(score).all()
-    assert switching(team).person.tolist() == [NOBODY]
-
-
-def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
-    goal = int(np.flatnonzero(pool.choices(0).goal)[0])
-    action = AttentionSwitching()(state(pool, [goal, goal, goal]))
-    assert action.person.tolist() == [NOBODY]
+from planner import LimitError, Table
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -140,70 +54,6 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
             assert episode.costs[k] == sum(row["cost"] for row in own)
             assert (own[-1]["cost_to_go_after"] == 0) == episode.finished[k]
             assert own[0]["theta"] == episode.theta[k]
-
-
-def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """All arrays that can be reached from an object by its fields, what it has cached, and its items."""
-    if isinstance(thing, np.ndarray):
-        found.setdefault(path, thing)
-    elif isinstance(thing, tuple | list):
-        for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
-            reachable(item, f"{path}[{number}]", found)
-    elif is_dataclass(thing):
-        for name in {field.name for field in fields(thing)} | set(vars(thing)):
-            reachable(getattr(thing, name), f"{path}.{name}", found)
-    return found
-
-
-def test_a_policy_cannot_write_into_the_simulation(pool: Pool) -> None:
-    """Each array that a policy can reach refuses to be written to, and stays as it was."""
-    tried: set[str] = set()
-
-    def vandal(team: TeamState) -> TeamAction:
-        action = AttentionSwitching()(team)  # so that what is cached is there
-        team.first_optimal()
-        for name, array in reachable(team, "team", {}).items():
-            before = array.copy()
-            with pytest.raises(ValueError, match="read-only"):
-                array[...] = 0
-            np.testing.assert_array_equal(array, before)
-            tried.add(name)
-        return action
-
-    for episodes in (1, 3):
-        expected = simulate(pool, AttentionSwitching(), humans=3, episodes=episodes, seed=0, name="same")
-        assert equal(expected, simulate(pool, vandal, humans=3, episodes=episodes, seed=0, name="same"))
-    arrays = {"x", "active", "erred", "location", "model", "belief", "travel.distance", "travel.steps"}
-    arrays |= {f"policies[0].{name}" for name in ("q_mdp", "pomdp.prior", "pomdp.first_optimal", "pomdp.grid.beta")}
-    arrays |= {f"policies[0].pomdp.model.{name}" for name in ("q", "choices.h", "choices.targets", "choices.goal")}
-    assert {f"team.{name}" for name in arrays} <= tried
-    assert len(tried) > 30
-
-
-def test_a_team_state_leaves_its_makers_arrays_alone(pool: Pool) -> None:
-    x = np.zeros((1, 2), dtype=np.int64)
-    team = replace(state(pool, [0, 0]), x=x)
-    x[0, 1] = 3
-    assert team.x.tolist() == [[0, 3]]
-    with pytest.raises(ValueError, match="read-only"):
-        team.x[0, 0] = 1
-
-
-@pytest.mark.parametrize(
-    ("setting", "complaint"),
-    [
-        ({"knowledge": "Own"}, "knowledge 'Own': expected 'own' or 'exact'"),
-        ({"suggestions": "optimum"}, "suggestions 'optimum': expected 'optimal' or 'all'"),
-        ({"execute": "no"}, "execute 'no': expected True or False"),
-        ({"max_steps": 0}, "max_steps 0: expected a whole number of 1 or more"),
-        ({"max_steps": 2.5}, "max_steps 2.5"),
-        ({"c_move": float("nan")}, "c_move nan"),
-        ({"travel_time": -1.0}, "travel_time -1"),
-    ],
-)
-def test_settings_that_cannot_be(setting: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        Setting(**setting)
 
 
 @pytest.mark.parametrize(
@@ -243,30 +93,6 @@ def test_any_kind_of_integer_and_a_generator_will_do(pool: Pool) -> None:
     drawn = [simulate(pool, "none", humans=2, episodes=3, seed=np.random.default_rng(n)) for n in (1, 1, 2)]
     assert equal(drawn[0], drawn[1])
     assert not equal(drawn[0], drawn[2])
-
-
-def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
-    for size in (0, -1, 2.0, True):
-        with pytest.raises(ValueError, match="size"):
-            Pool.sample(tiny_choices, size, seed=0)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="goal cannot be reached"):
-        Pool.sample(replace(tiny_choices, h=np.full(len(tiny_choices), np.inf)), 2, seed=0)
-    with pytest.raises(TypeError, match="OnDemand: expected the cost-to-go of every state"):
-        Pool.sample(OnDemand(tiny.task), 2, seed=0)
-
-
-@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
-def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any]) -> None:
-    """What a pool is said to take is what its arrays take, and a pool that takes more than is allowed is refused."""
-    setting, choices = Setting(**options), Choices.of(fixed)
-    pool = Pool.sample(choices, 2, seed=0, setting=setting)
-    arrays = [array for p in pool.policies for array in reachable(p, "", {}).items() if ".choices." not in array[0]]
-    taken = sum(array.nbytes for array in {id(array): array for _, array in arrays}.values()) / 1e6
-    needed = taken * (1 + 1 / len(pool.policies))  # one of them is there twice for a time
-    Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=1.03 * needed)
-    with pytest.raises(LimitError, match=r"states take about .* MB of memory, and .* are allowed") as refused:
-        Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=0.97 * needed)
-    assert ("knowledge 'exact'" in str(refused.value)) == (len(pool.policies) > 1)
 
 
 def test_more_episodes_than_fit_the_memory_are_refused(pool: Pool) -> None:
@@ -346,22 +172,6 @@ def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
         assert abs(share - p) < 4 * np.sqrt(p * (1 - p) / 4000)
 
 
-def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) -> None:
-    experts = Population(beta=(5.0, 8.0), theta=(0.8, 0.9))
-    pomdp = Pool.sample(tiny_choices, 1, seed=0, population=experts).policies[0].pomdp
-    assert 5 < pomdp.grid.beta[0] < pomdp.grid.beta[-1] < 8
-    assert pomdp.prior.sum(axis=1) @ pomdp.grid.beta == pytest.approx(6.5)
-    assert pomdp.prior.sum(axis=0) @ pomdp.grid.theta == pytest.approx(0.85)
-
-
-def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
-    pool = Pool.sample(tiny_choices, 6, seed=0, setting=Setting(knowledge="exact", c_suggest=0.5))
-    assert len(pool.policies) == 1
-    helped = run(pool, "attention", 3, 200, 0)
-    alone = run(pool, "none", 3, 200, 0)
-    assert helped.summary().actions[0] < alone.summary().actions[0]
-
-
 def test_episodes_are_cut_off(tiny_choices: Choices) -> None:
     pool = Pool.sample(tiny_choices, 2, seed=0, setting=Setting(max_steps=4))
     episodes = simulate(pool, NoAssistance(), humans=2, episodes=5, seed=0)
@@ -379,25 +189,6 @@ def test_summary_by_hand(pool: Pool) -> None:
     assert summary.interventions == (2.0, pytest.approx(2 / np.sqrt(3)))
     assert summary.moves == (1.0, 0.0)
     assert typical(made, replace(made, actions=np.full((3, 2), 20))).actions == (6, 12)
-
-
-def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool) -> None:
-    def first_who_works(team: TeamState) -> TeamAction:
-        return TeamAction(team.active.argmax(axis=1), np.zeros(len(team.x), dtype=np.int64))
-
-    episodes = simulate(pool, first_who_works, humans=3, episodes=5, seed=0)
-    assert all(e.moves >= 1 and e.interventions == 0 for e in episodes)
-
-    def everybody(person: int, robot: int):  # type: ignore[no-untyped-def]
-        return lambda team: TeamAction(np.full(len(team.x), person), np.full(len(team.x), robot))
-
-    for policy, complaint in (
-        (everybody(3, 0), "goes to person 3 in a team of 3"),
-        (everybody(0, 9), "does not have"),
-        (everybody(0, 0), "has finished"),
-    ):
-        with pytest.raises(ValueError, match=complaint):
-            simulate(pool, policy, humans=3, episodes=20, seed=0)
 
 
 @settings(max_examples=25, deadline=None)
@@ -423,17 +214,6 @@ def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) ->
     for team in seen:
         if team.belief is not None:
             np.testing.assert_allclose(team.belief.sum(axis=(2, 3)), 1, atol=1e-9)
-
-
-def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
-    """500 episodes of a team of 3 from the paper's population: each difference beyond two standard errors."""
-    pool = Pool.sample(Choices.of(fixed), 12, seed=0)
-    actions = {}
-    for name in ("none", "reactive", "attention"):
-        actions[name] = run(pool, name, 3, 500, 0).actions.mean(axis=1)
-    for worse, better in (("none", "reactive"), ("reactive", "attention")):
-        gain = actions[worse] - actions[better]
-        assert gain.mean() > 2 * gain.std(ddof=1) / np.sqrt(len(gain))
 
 
 def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
@@ -500,19 +280,6 @@ def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
     assert len(here) == alive
     sure = believed > 0.3  # calibration where the belief says something
     assert abs(here[sure].mean() - believed[sure].mean()) < 4 * 0.5 / np.sqrt(sure.sum())
-
-
-def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) -> None:
-    pool = Pool.sample(tiny_choices, 2, seed=3, setting=Setting(c_suggest=0.05))
-    switching = AttentionSwitching.against_never(pool.policies)
-    pomdp = pool.policies[0].pomdp
-    priors = np.repeat(pomdp.prior[None], len(pomdp.robot_actions), axis=0)
-    x = int(pool.policies[0].choose(np.arange(len(priors)), priors).argmax())
-    robot, score = switching.scores(state(pool, [x, x]))
-    never = (evaluate(pomdp, np.zeros(len(pomdp.robot_actions), dtype=np.int64))[x] * pomdp.prior).sum()
-    value = pool.policies[0].q_values(np.array([x]), pomdp.prior[None]).max()
-    assert robot[0, 0] > 0
-    assert score[0, 0] == pytest.approx(value - never - pool.setting.c_move, abs=1e-9)
 
 
 def test_travel_by_hand() -> None:
@@ -591,23 +358,6 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
         assert episode.finished[k] or episode.actions[k] == min(stays[k], 500 - joins[k])
 
 
-def test_a_team_of_different_tasks_costs_and_models(tiny_choices: Choices, fixed: Table) -> None:
-    """Each person of a mixed team does what they do in a pool of their own kind."""
-    small = Pool.sample(tiny_choices, 2, seed=1, setting=Setting(c_suggest=0.05, c_move=0.1))
-    large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1))
-    mixed = Pool.joined([small, large])
-    assert [len(mixed.choices(i)) for i in range(4)] == [21, 21, 128, 128]
-    trace: Trace = []
-    episodes = simulate(mixed, mixed.policy("attention"), humans=[2, 1, 3], episodes=100, seed=0, trace=trace)
-    assert episodes.finished.all()
-    assert episodes.actions.min(axis=0).tolist() == [10, 6, 10]
-    assert episodes.helped.sum(axis=0).min() > 0
-    for row in trace:
-        charged = 0.05 if row["place"] == 1 else 0.1
-        paid = -row["reward"] - row["cost"] - charged * (row["suggestion"] is not None)
-        assert paid == pytest.approx(0, abs=1e-9) or paid == pytest.approx(0.1)
-
-
 def test_execution_by_the_robot(tiny_choices: Choices) -> None:
     """Where executing costs nothing the robot does half of the work of one person alone."""
     setting = Setting(execute=True, c_execute=0.0, c_move=0.0)
@@ -618,3 +368,16 @@ def test_execution_by_the_robot(tiny_choices: Choices) -> None:
     assert episodes.actions.min() == 3
     assert episodes.helped.sum() > 0
     assert sum(row["reward"] for row in trace) == pytest.approx(-episodes.costs.sum())
+
+
+def test_teams_may_differ_from_episode_to_episode(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 4, seed=0)
+    teams = np.array([[0, 1], [2, 3], [0, 1]])
+    episodes = simulate(pool, pool.policy("attention"), humans=teams, episodes=3, seed=1)
+    assert episodes.people.tolist() == teams.tolist()
+    alone = simulate(pool, pool.policy("attention"), humans=[2, 3], episodes=[1], seed=1)
+    assert episodes[1] == alone[0]
+    with pytest.raises(ValueError, match="one row for each of 3 episodes"):
+        simulate(pool, pool.policy("none"), humans=teams[:2], episodes=3, seed=1)
+    with pytest.raises(ValueError, match="from 0 to 3"):
+        simulate(pool, pool.policy("none"), humans=teams + 1, episodes=3, seed=1)

@@ -1,0 +1,161 @@
+"""A whole team's problem, written out from each person's `AssistPOMDP`: every deed, its outcomes, their chances."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from assist.people.decision import Floats
+from assist.person.pomdp import AssistPOMDP
+from assist.team.state import NOBODY
+from assist.team.travel import Travel
+
+Ints = NDArray[np.int64]
+
+MOST = 10_000_000
+"""Chances that are written out, at the most: one for each outcome of a step and each hidden state."""
+
+
+class JointProblem(NamedTuple):
+    """A team's problem, written out, for compiled code.
+
+    What people's tasks are is one number y, and with the robot's place k (K: the base) the observed state
+    y * (K + 1) + k. What the robot can do there is alike for all places but for the way: its deeds are numbered
+    through all y, and the outcomes, what people do then, through all deeds.
+
+    Attributes
+    ----------
+    gamma : float
+    way : float array, shape (K + 1, K + 1)
+        What moving costs.
+    first : int array, shape (Y + 1,)
+        The deeds at y are `first[y]`, to do nothing, up to `first[y + 1]`.
+    person : int array, shape (D,)
+        To whom each deed is done, or `NOBODY`.
+    reward : float array, shape (D, H)
+        Minus what the deed and people's actions cost, without the way.
+    low, high : int arrays, shape (D, H); weight : float array, shape (D, H)
+        The hidden states between which each is shared after the deed; `high` has `weight`.
+    begin : int array, shape (D + 1,)
+        The outcomes of deed d are `begin[d]` up to `begin[d + 1]`.
+    target : int array, shape (O,)
+        To what y each outcome leads.
+    chance : float array, shape (O, H)
+    """
+
+    gamma: float
+    way: Floats
+    first: Ints
+    person: Ints
+    reward: Floats
+    low: Ints
+    high: Ints
+    weight: Floats
+    begin: Ints
+    target: Ints
+    chance: Floats
+
+
+def check(people: list[AssistPOMDP], travel: Travel) -> None:
+    """Refuse what is too large, or another problem than that of this module."""
+    if len(people) != len(travel):
+        raise ValueError(f"{len(people)} people, and a way between {len(travel)}: expected as many")
+    if travel.steps.any():
+        raise ValueError("travel: expected a way that takes no time")
+    around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
+    if (around < travel.distance - 1e-9).any():
+        raise ValueError("distance: expected no way around that is shorter than the direct one")
+    if any(pomdp.frontier is not None for pomdp in people):
+        raise ValueError("team: expected problems of all states, and one breaks off at a frontier")
+    # Somebody is left alone in each of their states, or gets one of the robot's actions there.
+    count = [np.where(p.model.choices.goal, 1, p.model.choices.applicable.sum(axis=1)) for p in people]
+    alone = [int(c.sum()) for c in count]
+    helped = [
+        int(sum(c[p.afterstate[x, 1:most]].sum() for x, most in enumerate(p.robot_actions)))
+        for p, c in zip(people, count, strict=True)
+    ]
+    outcomes = math.prod(alone) + sum(h * math.prod(alone) // a for h, a in zip(helped, alone, strict=True))
+    hidden = math.prod(p.prior.size for p in people)
+    if outcomes * hidden > MOST:
+        states = (len(people) + 1) * math.prod(len(p.robot_actions) for p in people)
+        raise ValueError(
+            f"team of {len(people)}: too large to be solved as a whole, with {states:,} observed and {hidden:,} hidden "
+            f"states; expected {MOST:,} chances at the most, and there are {outcomes * hidden:,}"
+        )
+
+
+class _Act(NamedTuple):
+    """What one person may do next, and what comes of it: L outcomes.
+
+    Attributes
+    ----------
+    target : int array, shape (L,)
+    cost : float array, shape (L,)
+    chance : float array, shape (L, B * T)
+    """
+
+    target: Ints
+    cost: Floats
+    chance: Floats
+
+
+def _act(pomdp: AssistPOMDP, x: int, robot: int) -> _Act:
+    """Give what comes of a person in a state to whom the robot does something."""
+    choices, place = pomdp.model.choices, int(pomdp.afterstate[x, robot])
+    if choices.goal[place]:  # finished, or the robot's execution has done it
+        return _Act(np.array([place]), np.zeros(1), np.ones((1, pomdp.prior.size)))
+    slots = np.flatnonzero(choices.applicable[place])
+    chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, robot), slots)
+    chance = np.broadcast_to(chance, (len(slots), *pomdp.grid.shape)).reshape(len(slots), -1)
+    return _Act(choices.targets[place, slots], choices.costs[place, slots], chance)
+
+
+def product_of(chances: list[Floats]) -> Floats:
+    """Give what is likely of all people together; what is the last person's varies fastest, in every axis."""
+    joint: Floats = np.ones((1,) * chances[0].ndim)
+    for one in chances:
+        joint = np.asarray(np.kron(joint, one), dtype=float)
+    return joint
+
+
+def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
+    """Write the problem out."""
+    sizes, shape = [len(p.robot_actions) for p in people], [n for p in people for n in p.grid.shape]
+    every = np.arange(math.prod(shape))
+    grid = np.array(np.unravel_index(every, shape))  # each person's beta and theta, as rows
+    acts = [[[_act(p, x, r) for r in range(p.robot_actions[x])] for x in range(len(p.robot_actions))] for p in people]
+    first, person, begin = [0], [], [0]
+    reward, low, high, weight, target, chance = [], [], [], [], [], []
+    for tasks in product(*map(range, sizes)):
+        deeds = [(k, r) for k, x in enumerate(tasks) for r in range(1, people[k].robot_actions[x])]
+        if not all(p.model.choices.goal[x] for p, x in zip(people, tasks, strict=True)):
+            deeds.insert(0, (NOBODY, 0))
+        for k, robot in deeds:
+            each = [acts[j][x][robot if j == k else 0] for j, x in enumerate(tasks)]
+            chances = product_of([one.chance for one in each])
+            cost = np.sum(np.meshgrid(*[one.cost for one in each], indexing="ij"), axis=0).ravel()
+            to = np.meshgrid(*[one.target for one in each], indexing="ij")
+            at, above, share, charge = grid.copy(), grid.copy(), np.zeros(len(every)), 0.0
+            if k != NOBODY:
+                theta = grid[2 * k + 1]
+                at[2 * k + 1] = people[k].low[tasks[k], robot][theta]
+                above[2 * k + 1] = at[2 * k + 1] + 1
+                share, charge = people[k].weight[tasks[k], robot][theta], float(people[k].robot_costs[tasks[k], robot])
+            person.append(k)
+            reward.append(-charge - cost @ chances)
+            low.append(np.ravel_multi_index(tuple(at), shape))
+            high.append(np.ravel_multi_index(tuple(above), shape))
+            weight.append(share)
+            target.append(np.ravel_multi_index([one.ravel() for one in to], sizes))
+            chance.append(chances)
+            begin.append(begin[-1] + len(chances))
+        first.append(len(person))
+    return JointProblem(
+        people[0].gamma, travel.c_move * travel.distance, np.array(first), np.array(person), np.array(reward),
+        np.array(low), np.array(high), np.array(weight), np.array(begin), np.concatenate(target),
+        np.concatenate(chance),
+    )  # fmt: skip

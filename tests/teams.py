@@ -1,0 +1,49 @@
+"""Teams for tests: states of them, episodes, and what a policy can reach."""
+
+from __future__ import annotations
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from assist.simulation.episodes import Episodes
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.state import BASE, TeamState
+from assist.team.travel import Travel
+
+
+def state(
+    pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
+) -> TeamState:
+    """One team of the pool's first people."""
+    people = np.arange(len(x))[None]
+    choices, model = pool.choices(0), pool.model[people]
+    at = np.array([x])
+    prior = np.array([policy.pomdp.prior for policy in pool.policies])[model]
+    return TeamState(
+        0, at, ~choices.goal[at], np.array([erred or [False] * len(x)]), np.array([location]), model, prior,
+        pool.policies, travel or pool.setting.travel(len(x)),
+    )  # fmt: skip
+
+
+def run(pool: Pool, name: str, humans: int, episodes: int, seed: int, **options: Any) -> Episodes:
+    return simulate(pool, pool.policy(name), humans=humans, episodes=episodes, seed=seed, name=name, **options)
+
+
+def equal(a: Episodes, b: Episodes) -> bool:
+    return list(a) == list(b)
+
+
+def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """All arrays that can be reached from an object by its fields, what it has cached, and its items."""
+    if isinstance(thing, np.ndarray):
+        found.setdefault(path, thing)
+    elif isinstance(thing, tuple | list):
+        for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
+            reachable(item, f"{path}[{number}]", found)
+    elif is_dataclass(thing):
+        for name in {field.name for field in fields(thing)} | set(vars(thing)):
+            reachable(getattr(thing, name), f"{path}.{name}", found)
+    return found

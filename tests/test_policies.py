@@ -1,0 +1,156 @@
+"""Team policies: the rules of each, what they may do, the paper's order."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from teams import equal, reachable, run, state
+
+from assist.people.choices import Choices
+from assist.person.qmdp import evaluate, qmdp
+from assist.simulation.simulate import simulate
+from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.travel import Travel
+from planner import Table
+
+
+def test_no_assistance_does_nothing(pool: Pool) -> None:
+    action = NoAssistance()(state(pool, [pool.choices(0).initial] * 3, erred=[True] * 3))
+    assert (action.person.tolist(), action.robot.tolist()) == ([NOBODY], [0])
+
+
+def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
+    reactive, start = Reactive(), [pool.choices(0).initial] * 3
+    assert reactive(state(pool, start)).person.tolist() == [NOBODY]
+    assert reactive(state(pool, start, erred=[False, True, True])).person.tolist() == [1]
+    assert reactive(state(pool, start, erred=[True, True, True], location=2)).person.tolist() == [2]
+    action = reactive(state(pool, start, erred=[True, False, False], location=2))
+    assert action.person.tolist() == [0]
+    slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0]]
+    assert pool.choices(0).optimal[start[0], slot]
+
+
+def test_attention_follows_algorithm_1(pool: Pool) -> None:
+    """Score each person by hand: Q(best) - Q(nothing) - c_move * distance, and act on the largest."""
+    rng = np.random.default_rng(0)
+    far = np.array([[0, 1, 5, 2], [1, 0, 3, 2], [5, 3, 0, 0.1], [2, 2, 0.1, 0]])
+    open_states = np.flatnonzero(~pool.choices(0).goal)
+    helped = 0
+    for c_move, location in [(0.0, 0), (0.3, 0), (0.3, 1), (0.3, BASE), (50.0, 2)] * 8:
+        x = rng.choice(open_states, 3).tolist()
+        team = state(pool, x, location=location, travel=Travel.of(3, c_move=c_move, distance=far))
+        scores = []
+        for k in range(3):
+            q = np.einsum(
+                "sbt,bt->s", np.nan_to_num(pool.policies[k].q_mdp[x[k]], neginf=-1e9), pool.policies[k].pomdp.prior
+            )
+            scores.append(q.max() - q[0] - c_move * far[location, k])
+        action = AttentionSwitching()(team)
+        if max(scores) <= 0:
+            assert action.person.tolist() == [NOBODY]
+        else:
+            helped += 1
+            assert action.person.tolist() == [int(np.argmax(scores))]
+    assert helped > 5
+
+
+def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
+    """Where help is worth nothing the best is to say nothing, however much better than never helping again it is."""
+    x = [pool.choices(0).initial] * 2
+    far_below = tuple(np.full_like(policy.value_mdp, -1e6) for policy in pool.policies)
+    dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
+                                        for p in pool.policies))  # fmt: skip
+    team = state(dear, x, travel=Travel.of(2, c_move=0.0))
+    switching = AttentionSwitching(far_below)
+    robot, score = switching.scores(team)
+    assert robot.tolist() == [[0, 0]]
+    assert np.isneginf(score).all()
+    assert switching(team).person.tolist() == [NOBODY]
+
+
+def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
+    goal = int(np.flatnonzero(pool.choices(0).goal)[0])
+    action = AttentionSwitching()(state(pool, [goal, goal, goal]))
+    assert action.person.tolist() == [NOBODY]
+
+
+def test_a_policy_cannot_write_into_the_simulation(pool: Pool) -> None:
+    """Each array that a policy can reach refuses to be written to, and stays as it was."""
+    tried: set[str] = set()
+
+    def vandal(team: TeamState) -> TeamAction:
+        action = AttentionSwitching()(team)  # so that what is cached is there
+        team.first_optimal()
+        for name, array in reachable(team, "team", {}).items():
+            before = array.copy()
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0
+            np.testing.assert_array_equal(array, before)
+            tried.add(name)
+        return action
+
+    for episodes in (1, 3):
+        expected = simulate(pool, AttentionSwitching(), humans=3, episodes=episodes, seed=0, name="same")
+        assert equal(expected, simulate(pool, vandal, humans=3, episodes=episodes, seed=0, name="same"))
+    arrays = {"x", "active", "erred", "location", "model", "belief", "travel.distance", "travel.steps"}
+    arrays |= {f"policies[0].{name}" for name in ("q_mdp", "pomdp.prior", "pomdp.first_optimal", "pomdp.grid.beta")}
+    arrays |= {f"policies[0].pomdp.model.{name}" for name in ("q", "choices.h", "choices.targets", "choices.goal")}
+    assert {f"team.{name}" for name in arrays} <= tried
+    assert len(tried) > 30
+
+
+def test_a_team_state_leaves_its_makers_arrays_alone(pool: Pool) -> None:
+    x = np.zeros((1, 2), dtype=np.int64)
+    team = replace(state(pool, [0, 0]), x=x)
+    x[0, 1] = 3
+    assert team.x.tolist() == [[0, 3]]
+    with pytest.raises(ValueError, match="read-only"):
+        team.x[0, 0] = 1
+
+
+def test_a_users_policy_is_a_plain_callable_and_its_faults_are_named(pool: Pool) -> None:
+    def first_who_works(team: TeamState) -> TeamAction:
+        return TeamAction(team.active.argmax(axis=1), np.zeros(len(team.x), dtype=np.int64))
+
+    episodes = simulate(pool, first_who_works, humans=3, episodes=5, seed=0)
+    assert all(e.moves >= 1 and e.interventions == 0 for e in episodes)
+
+    def everybody(person: int, robot: int):  # type: ignore[no-untyped-def]
+        return lambda team: TeamAction(np.full(len(team.x), person), np.full(len(team.x), robot))
+
+    for policy, complaint in (
+        (everybody(3, 0), "goes to person 3 in a team of 3"),
+        (everybody(0, 9), "does not have"),
+        (everybody(0, 0), "has finished"),
+    ):
+        with pytest.raises(ValueError, match=complaint):
+            simulate(pool, policy, humans=3, episodes=20, seed=0)
+
+
+def test_attention_is_ahead_of_reactive_is_ahead_of_none(fixed: Table) -> None:
+    """500 episodes of a team of 3 from the paper's population: each difference beyond two standard errors."""
+    pool = Pool.sample(Choices.of(fixed), 12, seed=0)
+    actions = {}
+    for name in ("none", "reactive", "attention"):
+        actions[name] = run(pool, name, 3, 500, 0).actions.mean(axis=1)
+    for worse, better in (("none", "reactive"), ("reactive", "attention")):
+        gain = actions[worse] - actions[better]
+        assert gain.mean() > 2 * gain.std(ddof=1) / np.sqrt(len(gain))
+
+
+def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 2, seed=3, setting=Setting(c_suggest=0.05))
+    switching = AttentionSwitching.against_never(pool.policies)
+    pomdp = pool.policies[0].pomdp
+    priors = np.repeat(pomdp.prior[None], len(pomdp.robot_actions), axis=0)
+    x = int(pool.policies[0].choose(np.arange(len(priors)), priors).argmax())
+    robot, score = switching.scores(state(pool, [x, x]))
+    never = (evaluate(pomdp, np.zeros(len(pomdp.robot_actions), dtype=np.int64))[x] * pomdp.prior).sum()
+    value = pool.policies[0].q_values(np.array([x]), pomdp.prior[None]).max()
+    assert robot[0, 0] > 0
+    assert score[0, 0] == pytest.approx(value - never - pool.setting.c_move, abs=1e-9)

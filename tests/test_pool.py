@@ -1,0 +1,118 @@
+"""Pools: the people from whom teams are drawn, what the robot knows of them, and what that takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from teams import reachable, run
+
+from assist.people.choices import Choices
+from assist.people.decision import perceived_cost
+from assist.people.human import Population
+from assist.simulation.episodes import Trace
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from planner import LimitError, OnDemand, Table
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ({"knowledge": "Own"}, "knowledge 'Own': expected 'own' or 'exact'"),
+        ({"suggestions": "optimum"}, "suggestions 'optimum': expected 'optimal' or 'all'"),
+        ({"execute": "no"}, "execute 'no': expected True or False"),
+        ({"max_steps": 0}, "max_steps 0: expected a whole number of 1 or more"),
+        ({"max_steps": 2.5}, "max_steps 2.5"),
+        ({"c_move": float("nan")}, "c_move nan"),
+        ({"travel_time": -1.0}, "travel_time -1"),
+    ],
+)
+def test_settings_that_cannot_be(setting: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        Setting(**setting)
+
+
+def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
+    for size in (0, -1, 2.0, True):
+        with pytest.raises(ValueError, match="size"):
+            Pool.sample(tiny_choices, size, seed=0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="goal cannot be reached"):
+        Pool.sample(replace(tiny_choices, h=np.full(len(tiny_choices), np.inf)), 2, seed=0)
+    with pytest.raises(TypeError, match="OnDemand: expected the cost-to-go of every state"):
+        Pool.sample(OnDemand(tiny.task), 2, seed=0)
+
+
+@pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
+def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any]) -> None:
+    """What a pool is said to take is what its arrays take, and a pool that takes more than is allowed is refused."""
+    setting, choices = Setting(**options), Choices.of(fixed)
+    pool = Pool.sample(choices, 2, seed=0, setting=setting)
+    arrays = [array for p in pool.policies for array in reachable(p, "", {}).items() if ".choices." not in array[0]]
+    taken = sum(array.nbytes for array in {id(array): array for _, array in arrays}.values()) / 1e6
+    needed = taken * (1 + 1 / len(pool.policies))  # one of them is there twice for a time
+    Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=1.03 * needed)
+    with pytest.raises(LimitError, match=r"states take about .* MB of memory, and .* are allowed") as refused:
+        Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=0.97 * needed)
+    assert ("knowledge 'exact'" in str(refused.value)) == (len(pool.policies) > 1)
+
+
+def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) -> None:
+    experts = Population(beta=(5.0, 8.0), theta=(0.8, 0.9))
+    pomdp = Pool.sample(tiny_choices, 1, seed=0, population=experts).policies[0].pomdp
+    assert 5 < pomdp.grid.beta[0] < pomdp.grid.beta[-1] < 8
+    assert pomdp.prior.sum(axis=1) @ pomdp.grid.beta == pytest.approx(6.5)
+    assert pomdp.prior.sum(axis=0) @ pomdp.grid.theta == pytest.approx(0.85)
+
+
+def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 6, seed=0, setting=Setting(knowledge="exact", c_suggest=0.5))
+    assert len(pool.policies) == 1
+    helped = run(pool, "attention", 3, 200, 0)
+    alone = run(pool, "none", 3, 200, 0)
+    assert helped.summary().actions[0] < alone.summary().actions[0]
+
+
+def test_a_team_of_different_tasks_costs_and_models(tiny_choices: Choices, fixed: Table) -> None:
+    """Each person of a mixed team does what they do in a pool of their own kind."""
+    small = Pool.sample(tiny_choices, 2, seed=1, setting=Setting(c_suggest=0.05, c_move=0.1))
+    large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1))
+    mixed = Pool.joined([small, large])
+    assert [len(mixed.choices(i)) for i in range(4)] == [21, 21, 128, 128]
+    trace: Trace = []
+    episodes = simulate(mixed, mixed.policy("attention"), humans=[2, 1, 3], episodes=100, seed=0, trace=trace)
+    assert episodes.finished.all()
+    assert episodes.actions.min(axis=0).tolist() == [10, 6, 10]
+    assert episodes.helped.sum(axis=0).min() > 0
+    for row in trace:
+        charged = 0.05 if row["place"] == 1 else 0.1
+        paid = -row["reward"] - row["cost"] - charged * (row["suggestion"] is not None)
+        assert paid == pytest.approx(0, abs=1e-9) or paid == pytest.approx(0.1)
+
+
+def test_people_may_be_mistaken_about_actions(tiny_choices: Choices) -> None:
+    (person,) = Population(sigma=(0.5, 0.5), noise="action").sample(tiny_choices, 1, np.random.default_rng(0))
+    q = perceived_cost(tiny_choices, person.h)
+    exact = perceived_cost(tiny_choices, tiny_choices.h)
+    noise = q[tiny_choices.applicable] - exact[tiny_choices.applicable]
+    to_goal = tiny_choices.goal[tiny_choices.targets][tiny_choices.applicable]
+    assert (noise[to_goal] == 0).all()
+    assert 0.3 < noise[~to_goal].std() < 0.7
+    # Two ways into one state look different.
+    assert len(np.unique(noise[~to_goal].round(9))) == (~to_goal).sum()
+    pool = Pool.sample(tiny_choices, 2, seed=0, population=Population(noise="action"))
+    assert simulate(pool, pool.policy("attention"), humans=2, episodes=3, seed=0).finished.all()
+    with pytest.raises(ValueError, match="expected 'state' or 'action'"):
+        Population(noise="both")  # type: ignore[arg-type]
+
+
+def test_the_robot_may_take_people_for_others(tiny_choices: Choices) -> None:
+    novices = Population(beta=(0.1, 0.5))
+    matched = Pool.sample(tiny_choices, 2, seed=0, population=novices)
+    general = Pool.sample(tiny_choices, 2, seed=0, population=novices, prior=Population())
+    assert [p.beta for p in matched.people] == [p.beta for p in general.people]
+    assert matched.policies[0].pomdp.grid.beta.max() < 0.5
+    assert general.policies[0].pomdp.grid.beta.max() > 2.5

@@ -1,0 +1,215 @@
+"""What a study has found: in numbers, and as a report."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from conftest import KITTING, ROOT
+from matplotlib.text import Text
+from scipy import stats
+from studies import TINY, write
+
+from assist.study.protocol import read
+from assist.study.report import Report
+from assist.study.runner import load_study, run_study
+from assist.study.study import Study
+from assist.study.summary import Found
+from assist.study.wording import interval
+from planner import Instance
+
+
+def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict]) -> None:
+    study, out, printed = small_study
+    assert printed == json.loads((out / "summary.json").read_text())
+    frame = load_study(out)
+    own = frame[(frame["condition"] == "first")]
+    (cell,) = [
+        c for c in printed["cells"]
+        if (c["condition"], c["humans"], c["policy"]) == ("first", 2, "reactive")
+    ]  # fmt: skip
+    part = own[(own["humans"] == 2) & (own["policy"] == "reactive")]
+    for column in ("human_actions_per_person", "interventions", "moves"):
+        assert cell[column]["mean"] == pytest.approx(part[column].mean())
+        assert cell[column]["sd"] == pytest.approx(part[column].std())
+        assert cell[column]["n"] == len(part) == 12
+        means = part.groupby("repeat")[column].mean()
+        low, high = stats.t.interval(0.95, 2, means.mean(), stats.sem(means)) if means.std() else (means[0],) * 2
+        assert (cell[column]["low"], cell[column]["high"]) == pytest.approx((low, high))
+    assert (cell["pools"], cell["episodes"], cell["cut_off"]) == (3, 12, 0)
+    headline = printed["headline"]
+    mean = own.groupby("policy", observed=True)[["human_actions_per_person", "interventions"]].mean()
+    for key, column, other in (
+        ("actions_vs_none", "human_actions_per_person", "none"),
+        ("actions_vs_reactive", "human_actions_per_person", "reactive"),
+        ("interventions_vs_reactive", "interventions", "reactive"),
+    ):
+        saved = 100 * (1 - mean.loc["attention", column] / mean.loc[other, column])
+        assert headline[key]["mean"] == pytest.approx(saved)
+        assert headline[key] == headline["instances"]["tiny"][key]
+        assert headline[key]["low"] <= saved <= headline[key]["high"]
+    found = Found(study, frame)
+    assert found.summary() == printed
+
+
+def test_a_condition_without_baselines_borrows_them(small_study: tuple[Study, Path, dict]) -> None:
+    _, out, printed = small_study
+    frame = load_study(out)
+    (row,) = [
+        r for r in printed["comparisons"]
+        if (r["condition"], r["setting"], r["against"], r["measure"]) == ("dear", "c_suggest 0.6", "none", "actions")
+    ]  # fmt: skip
+    mine = frame[(frame["condition"] == "dear") & (frame["setting"] == "c_suggest 0.6")]
+    none = frame[(frame["condition"] == "first") & (frame["policy"] == "none") & (frame["repeat"] < 2)]
+    columns = [f["human_actions_per_person"].mean() for f in (mine, none)]
+    assert row["mean"] == pytest.approx(100 * (1 - columns[0] / columns[1]))
+    assert row["pools"] == 2
+
+
+def test_the_report_says_what_was_found_and_shows_its_pictures(small_study: tuple[Study, Path, dict]) -> None:
+    _, out, printed = small_study
+    text, page = (out / "report.md").read_text(), (out / "report.html").read_text()
+    saved = printed["headline"]["actions_vs_none"]
+    for words in ("# small", "## What was run", "## Headline", "## Team sizes", "## Sensitivity", "cut off"):
+        assert words in text
+    assert f"| actions against none | tiny | {saved['mean']:.1f} ({saved['low']:.1f} to {saved['high']:.1f}) |" in text
+    shown = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
+    assert {Path(name).stem for name in shown} >= {"team-size", "benefit", "trade-off", "belief"}
+    files = {*shown, *re.findall(r'(?:src|srcset)="([^"]+)"', page)}
+    assert len(files) == 3 * len(shown)
+    assert all((out / name).is_file() for name in files)
+    assert "<table>" in page
+    assert page.count("<picture>") == len(shown)
+
+
+SEVERAL = TINY.replace('name = "first"', 'name = "first"\npopulations = ["everybody", "novices"]')
+PUBLISHED = """
+[[contrasts]]
+name = "novices to everybody"
+of = ["novices"]
+to = ["everybody"]
+
+[reference]
+name = "an earlier study"
+source = "Nobody, 1999"
+headline = { actions_vs_none = -400.0, interventions_vs_reactive = 34.0 }
+interventions = [{ populations = ["novices"], mean = 2.5 }]
+declines = true
+contrasts = ["novices to everybody"]
+"""
+
+
+def report_of(folder: Path, text: str, repeats: int) -> Report:
+    study = read(write(folder, text), repeats=repeats)
+    assert run_study(study, folder / "out") == []
+    return Report.of(study, folder / "out")
+
+
+def words_in(report: Report, name: str) -> list[str]:
+    """All that is written in a picture."""
+    (picture,) = [each for each in report.pictures if each.name == name]
+    return [text.get_text() for text in picture.figure().findobj(Text) if text.get_text()]
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Report:
+    """A study of two populations and two pools, without a reference."""
+    return report_of(tmp_path_factory.mktemp("several"), SEVERAL, 2)
+
+
+def rows_below(text: str, title: str) -> list[list[str]]:
+    """The first table below a title, without its head."""
+    below = text.split(f"## {title}\n", 1)[1]
+    lines = [line for line in below.split("\n## ")[0].splitlines() if line.startswith("|")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def test_every_population_of_the_first_condition_has_a_headline(several: Report) -> None:
+    summary, text = several.summary, several.text
+    headline = summary["headline"]
+    assert (headline["condition"], headline["population"]) == ("first", "everybody")
+    assert [other["population"] for other in headline["others"]] == ["novices"]
+    for group in (headline, *headline["others"]):
+        cells = {c["policy"]: c for c in summary["cells"] if c["population"] == group["population"]
+                 and c["condition"] == "first" and c["humans"] == 1}  # fmt: skip
+        assert set(cells) == {"none", "reactive", "attention"}
+        assert 0 < group["actions_vs_none"]["mean"] < 100
+    assert headline["actions_vs_none"] != headline["others"][0]["actions_vs_none"]
+    rows = rows_below(text, "Headline")
+    assert {(row[0], row[1]) for row in rows if row[0] == "actions against none"} == {
+        ("actions against none", "everybody"), ("actions against none", "novices"),
+    }  # fmt: skip
+    effects = [row for row in rows if row[:4] == ["novices", "tiny", "actions", "none"]]
+    assert len(effects) == 1  # and not two that nothing tells apart
+    assert len({tuple(row) for row in rows_below(text, "Team sizes")}) == 2 * 2 * 3
+    assert "(population 'everybody')](figures/team-size.png)" in text
+    assert {"everybody", "novices"} <= set(words_in(several, "categories"))
+    assert "| default | attention | tiny |" in text.split("## Sensitivity")[1]
+
+
+def test_nothing_that_somebody_else_claims_is_in_a_report(several: Report, tmp_path: Path) -> None:
+    theirs = ("paper", "24.48", "12.35", "25.94", "3.86", "31.685", "Algorithm 1")
+    compared = report_of(tmp_path, SEVERAL + PUBLISHED, 1)
+    for report, allowed in ((several, ()), (compared, ("claim", "published", "earlier study"))):
+        written = [report.text, *(each.text for each in report.pictures)]
+        written += [words for each in report.pictures for words in words_in(report, each.name)]
+        for words in (*theirs, "claim", "published", "earlier study"):
+            assert any(words in text for text in written) == (words in allowed), words
+    (row,) = [row for row in rows_below(compared.text, "Headline") if row[:2] == ["actions against none", "everybody"]]
+    assert row[4:] == ["-400.0", "better, in a single pool"]
+    assert "More interventions for *novices* than for *everybody*" in compared.text
+    assert "attention in an earlier study, over all team sizes" in words_in(compared, "benefit")
+    assert "attention in an earlier study: 2.5" in words_in(compared, "categories")
+
+
+def test_few_pools_are_said_to_be_few(small_study: tuple[Study, Path, dict], several: Report) -> None:
+    for summary, text in (
+        (several.summary, several.text),
+        (small_study[2], (small_study[1] / "report.md").read_text()),
+    ):
+        assert "**Few pools.** All conditions: fewer than 10 pools" in text
+        saved = summary["headline"]["actions_vs_none"]
+        assert saved["high"] - saved["low"] > 10  # percentage points, of two or three pools
+
+
+def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
+    least = TINY.replace("draws = 2", "draws = 1").replace("trials = 2", "trials = 1").replace("[1, 2]", "[1]", 1)
+    report = report_of(tmp_path, least, 1)
+    assert report.summary["cells"][0]["human_actions_per_person"]["sd"] is None
+    assert "## Team sizes" in report.text
+    assert {each.name for each in report.pictures if each.figure()} >= {"team-size", "belief"}
+
+
+def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
+    """All conditions of the paper, on a task that takes no time; `make study` has them on the paper's tasks."""
+    paper = read("paper", repeats=1)
+    conditions = tuple(replace(c, instances=("tiny",), humans=(1, 2)) for c in paper.conditions)
+    tiny = Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")
+    study = replace(paper, instances=(("tiny", tiny),), conditions=conditions, pool=2, draws=1, trials=1)
+    assert run_study(study, tmp_path) == []
+    report = Report.of(study, tmp_path)
+    for title in (
+        "Headline",
+        "Which of the claims of the paper hold",
+        "Team sizes",
+        "Does the benefit decline with the number of people?",
+        "Kinds of people",
+        "Which reading comes nearest to the interventions of the paper",
+        "Sensitivity",
+        "One episode",
+    ):
+        assert f"\n## {title}\n" in report.text
+    assert "24.48" in report.text
+    assert [each.name for each in report.pictures] == ["team-size", "benefit", "categories", "trade-off", "belief"]
+    assert len(report.summary["readings"]) == 3 * (2 * 3 * 2 + 2 + 1)
+
+
+def test_the_pages_figures_are_those_of_the_record() -> None:
+    record = json.loads((ROOT / "bench" / "records" / "study.json").read_text())["headline"]["instances"]
+    page = (ROOT / "docs" / "study.md").read_text().split("saves, reduced |")[1]
+    for key in ("actions_vs_none", "actions_vs_reactive", "interventions_vs_reactive"):
+        cells = [interval(record[instance][key]) for instance in ("paper", "paper-fixed")]
+        assert f"| {key.replace('_vs_', ', against ')} | {' | '.join(cells)} |" in page
