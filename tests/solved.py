@@ -8,7 +8,7 @@ import numpy as np
 from conftest import KITTING, table_of
 from hypothesis import settings
 from hypothesis import strategies as st
-from test_mdp import GRID
+from test_qmdp import GRID
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost_to_go

@@ -47,9 +47,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     table = cost_to_go(load("domains/kitting/paper.pddl"))
     rows = []
     for name, beta in (("ann", 2.0), ("bob", 0.4), ("cy", 1.2)):
-        crowd = Pool.sample(table, 1, seed=3, population=Population(beta=(beta, beta), sigma=(0.0, 0.0)))
+        alike = Pool.sample(table, 1, seed=3, population=Population(beta=(beta, beta), sigma=(0.0, 0.0)))
         trace: list[dict[str, Any]] = []
-        simulate(crowd, "reactive", humans=1, episodes=8, seed=3, trace=trace)
+        simulate(alike, "reactive", humans=1, episodes=8, seed=3, trace=trace)
         rows += [row | {"person": name} for row in trace]
     (tmp_path / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     return tmp_path

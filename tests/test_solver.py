@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from solved import NAMES, by_hand, few, problem, seeds, solution_of, some_beliefs
-from test_mdp import GRID, make
+from test_qmdp import GRID, make
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices

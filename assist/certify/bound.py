@@ -140,8 +140,8 @@ def upper_bound(
     travel : Travel, optional
         The way between them; that of the setting unless given.
     window : int, optional
-        Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a crowd, for
-        as long as `CROWD` people would still be at work without a robot, but at most `LONGEST` times that.
+        Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a large
+        team, for as long as `MANY` people would still be at work without a robot, but at most `LONGEST` times that.
     gap : float
         Relative gap to which each person's problem is solved.
     time_limit : float, optional

@@ -39,7 +39,7 @@ SAMPLE = 2048
 NEGLIGIBLE = 0.01
 """Prices after the last one above this, in cost units, are left out."""
 
-CROWD = 5
+MANY = 5
 """Prices are looked for while more people than these would be at work without a robot."""
 
 LONGEST = 6
@@ -161,7 +161,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(LONGEST * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > CROWD).sum()))
+    return max(math.ceil(2 * shortest), int((working > MANY).sum()))
 
 
 def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: Tell) -> Floats:
@@ -184,8 +184,8 @@ def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: 
         else:
             # A subgradient step, for each price as long as its past ones have been short (AdaGrad: Duchi, Hazan and
             # Singer, 2011): where two persons need the robot every now and then, a price has far to go on a slight
-            # slope. Relative to how many robots are busy: a crowd's first steps, with dozens, would leave all others
-            # too short.
+            # slope. Relative to how many robots are busy: a large team's first steps, with dozens, would leave all
+            # others too short.
             slope = (busy - 1) / np.maximum(busy, 1)
             past += slope**2
             price = np.maximum(0.0, price + STEP * slope / np.sqrt(past + 1e-12))

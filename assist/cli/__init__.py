@@ -8,15 +8,15 @@ options        types and options that several commands share
 console        JSON, tables and errors out
 progress       how far a command is
 task           the task that people are assisted in, or were recorded in
-person         one person's problem, and the options that describe it
 population     from whom people are drawn
+person         one person's problem, and the options that describe it
 travel         the way between people's places
 team           a team, and the options that describe it
 policies       team policies by name, or of one's own
 summaries      episodes as a table
-log            the options that say how a log is read, and people estimated
 solutions      records of `solve` as a table
 bounds         one person's problem between two bounds, as a table
+log            the options that say how a log is read, and people estimated
 commands       the commands, each loaded when it is used
 """
 

@@ -133,8 +133,8 @@ def test_people_who_are_never_helped_have_the_same_values_from_equations_as_from
     h = np.where(tiny_choices.goal, 0.0, tiny_choices.h + np.random.default_rng(0).normal(0, 1, len(tiny_choices)))
     pomdp = AssistPOMDP.of(HumanModel.own(tiny_choices, Human(1.0, 0.7, 1.0, h)))
     never = np.zeros(len(tiny_choices), dtype=np.int64)
-    mdp = importlib.import_module("assist.person.qmdp")  # and not the function of that name
-    solved = mdp.evaluate(pomdp, never, tolerance=1e-9)
-    monkeypatch.setattr(mdp, "DIRECT", 0)
-    swept = mdp.evaluate(pomdp, never, tolerance=1e-9)
+    module = importlib.import_module("assist.person.qmdp")  # and not the function of that name
+    solved = module.evaluate(pomdp, never, tolerance=1e-9)
+    monkeypatch.setattr(module, "DIRECT", 0)
+    swept = module.evaluate(pomdp, never, tolerance=1e-9)
     np.testing.assert_allclose(solved, swept, atol=1e-8)

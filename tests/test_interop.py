@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from conftest import KITTING, invoke
 from scipy.sparse import csr_array
-from test_mdp import make
-from test_vectors import lockers, problems
+from test_alpha_vectors import lockers, problems
+from test_qmdp import make
 
 from assist.interop import PolicyFileError, read_policy, to_pomdp_py, write_pomdp, write_pomdpx
 from assist.interop.observed import FORBIDDEN, Observed, action_names

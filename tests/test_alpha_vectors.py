@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from conftest import DOMAINS, table_of
-from test_mdp import GRID, make
+from test_qmdp import GRID, make
 
 from assist.people.belief import Grid
 from assist.people.choices import Choices
