@@ -15,7 +15,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, resource_tracker
 from typing import Any, TypeVar
 
 from . import processes
@@ -77,6 +77,8 @@ def _in_processes(
         return
     from pebble import ProcessExpired, ProcessPool
 
+    # Started by the first worker otherwise, in the thread that starts all of them, where it lets Ctrl-C through again.
+    resource_tracker.ensure_running()
     others = set(active_children())
     pool = ProcessPool(
         max_workers=min(jobs, len(items)),
