@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from click.testing import CliRunner, Result
 from conftest import KITTING
 
 TINY = f"""
@@ -46,12 +45,6 @@ def write(folder: Path, text: str = TINY) -> Path:
     file = folder / "small.toml"
     file.write_text(text)
     return file
-
-
-def in_process(*arguments: object) -> Result:
-    from assist.cli import main
-
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import kitassist
-from studies import TINY, contents, in_process, write
+from conftest import invoke, kitassist
+from studies import TINY, contents, write
 
 from assist.study.cells import carry_out
 from assist.study.protocol import read
@@ -37,8 +37,8 @@ def test_a_killed_study_resumes_to_the_same_bytes(small_study: tuple[Study, Path
     assert 0 < before < (whole / "episodes.jsonl").read_text().count("\n")
     with episodes.open("a") as stream:  # as a line that was being written
         stream.write(episodes.read_text().splitlines()[0][:70])
-    assert in_process(*arguments).exit_code == 2
-    result = in_process(*arguments, "--resume")
+    assert invoke(*arguments).exit_code == 2
+    result = invoke(*arguments, "--resume")
     assert result.exit_code == 0, result.stderr
     assert contents(out) == contents(whole)
     assert {f.name: f.read_bytes() for f in (out / "figures").iterdir()} == {
@@ -147,7 +147,7 @@ def test_results_of_nobody_knows_what_are_neither_continued_nor_replaced(
         (results / "study.json").unlink()
     else:
         (results / "study.json").write_bytes(content)
-    result = in_process("study", "--protocol", study.file, "--out", results, "--resume")
+    result = invoke("study", "--protocol", study.file, "--out", results, "--resume")
     assert result.exit_code == 2
     assert result.stderr.startswith(f"{results}/{what}")
     assert result.stderr.count("\n") == 1
@@ -179,7 +179,7 @@ def test_a_policy_that_fails_is_named_with_its_line_and_words(tmp_path: Path, bo
 def test_a_policy_that_fails_is_named_and_stops_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def faulty(team):\n    raise RuntimeError('out of ideas')\n")
     file = write(tmp_path, TINY.replace('policies = ["attention"]', 'policies = ["mine.py:faulty"]'))
-    result = in_process("study", "--protocol", file, "--out", tmp_path / "out", "--repeats", 1, "--json")
+    result = invoke("study", "--protocol", file, "--out", tmp_path / "out", "--repeats", 1, "--json")
     assert (result.exit_code, result.stdout) == (1, "")
     lines = result.stderr.splitlines()
     assert (
@@ -202,7 +202,7 @@ def test_the_command_refuses_what_makes_no_sense(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[object, ...], code: int, words: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    result = in_process("study", *arguments)
+    result = invoke("study", *arguments)
     assert (result.exit_code, result.stdout) == (code, "")
     assert words in result.stderr
     assert not list(tmp_path.iterdir())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +18,13 @@ from .options import (
     NUMBER,
     OUTPUT_FOLDER,
     SEED,
+    Command,
     Option,
     lapse_option,
     max_states_option,
     scale_option,
     seconds_option,
+    with_options,
 )
 from .progress import progress_bar, status_line
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from ..learning.people import People
 
 
-def log_options(command: Callable[..., None]) -> Callable[..., None]:
+def log_options(command: Command) -> Command:
     """Add the options that say what a log is and how people are estimated; `people_of` takes them all."""
     options: tuple[Option[Any], ...] = (
         click.option(
@@ -66,9 +67,7 @@ def log_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option("--jobs", type=JOBS, help="Processors to use; all unless given."),
         click.option("--seed", type=SEED, default=0, show_default=True, help="Of the check of the model."),
     )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return with_options(command, options)
 
 
 def people_of(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -94,6 +94,13 @@ def _identity(path: Path) -> Any:
     except OSError:
         return os.path.realpath(path)
     return status.st_dev, status.st_ino
+
+
+def with_options(command: Command, options: Sequence[Option[Any]]) -> Command:
+    """Add options to a command, in the order in which its help has them."""
+    for option in reversed(options):
+        command = option(command)
+    return command
 
 
 def range_option(name: str, default: Range, text: str) -> Option[Command]:

@@ -11,7 +11,7 @@ import click
 
 from planner import CostToGo, Instance
 
-from .options import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option
+from .options import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
 from .population import population_of, population_options
 from .progress import progress_bar
 from .task import one_instance
@@ -46,9 +46,7 @@ def person_options(command: Command) -> Command:
         ),
         click.option("--seed", type=SEED, default=0, show_default=True, help="Of the misconception."),
     )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return with_options(command, options)
 
 
 def person_problem(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
-from .options import INPUT_FILE, Command, Option, Range, range_option
+from .options import INPUT_FILE, Command, Option, Range, range_option, with_options
 
 if TYPE_CHECKING:
     from ..people.human import Mixture, Population
@@ -22,17 +22,15 @@ def population_options(whose: str = "people's", influence: str = "them") -> Call
     """Add the options that `population_of` takes, but for the range of sigma, which one person does not have."""
 
     def add(command: Command) -> Command:
-        options: tuple[Option[Command], ...] = (
+        options: tuple[Option[Any], ...] = (
+            range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise."),
+            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence}."),
             click.option(
                 "--population", "population_file", type=INPUT_FILE, metavar="FILE",
                 help="Draw people from what `fit --population` has written, in place of ranges.",
             ),
-            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence}."),
-            range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise."),
         )  # fmt: skip
-        for option in options:
-            command = option(command)
-        return command
+        return with_options(command, options)
 
     return add
 

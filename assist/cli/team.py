@@ -10,7 +10,7 @@ import click
 from planner import Instance, LimitError
 
 from .console import EXIT_FAILED, fail
-from .options import SEED, Command, Option, Range, megabytes_option, range_option
+from .options import SEED, Command, Option, Range, megabytes_option, range_option, with_options
 from .person import model_options
 from .population import population_of, population_options
 from .progress import stages
@@ -38,9 +38,7 @@ def team_options(command: Command) -> Command:
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
         megabytes_option("MB for policies.", default=4000.0),
     )  # fmt: skip
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return with_options(command, options)
 
 
 class Team(NamedTuple):

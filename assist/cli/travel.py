@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import INPUT_FILE, NUMBER, Command
+from .options import INPUT_FILE, NUMBER, Command, Option, with_options
 
 if TYPE_CHECKING:
     from ..team.settings import Setting
@@ -17,16 +17,15 @@ if TYPE_CHECKING:
 
 def travel_options(command: Command) -> Command:
     """Add the options that say how far it is; two are of the setting, `travel_of` takes the third."""
-    for option in (
+    options: tuple[Option[Any], ...] = (
+        click.option("--c-move", type=NUMBER, default=0.5, show_default=True, help="Cost of a distance of 1."),
+        click.option("--travel-time", type=NUMBER, default=0.0, show_default=True, help="Steps for a distance of 1."),
         click.option(
             "--distances", type=INPUT_FILE, metavar="FILE",
             help="Distances between the K places and the base, which comes last (JSON list of lists); 1 unless given.",
         ),
-        click.option("--travel-time", type=NUMBER, default=0.0, show_default=True, help="Steps for a distance of 1."),
-        click.option("--c-move", type=NUMBER, default=0.5, show_default=True, help="Cost of a distance of 1."),
-    ):  # fmt: skip
-        command = option(command)
-    return command
+    )  # fmt: skip
+    return with_options(command, options)
 
 
 def travel_of(setting: Setting, humans: int, distances: Path | None) -> Travel:
