@@ -11,11 +11,12 @@ import importlib.util
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from planner.errors import MissingExtraError
-from planner.storage import atomic
+from planner.storage import atomic, remove_unfinished
 from planner.workers import outcomes
 
 from ..plots import style
@@ -133,9 +134,13 @@ def _draw_all(pictures: Sequence[Picture], folder: Path, jobs: int) -> None:
         for picture in pictures:
             _draw(picture, folder)
         return
-    for _, outcome in outcomes(_draw, pictures, (folder,), jobs=jobs):
-        if isinstance(outcome, Exception):
-            raise outcome
+    try:
+        with closing(outcomes(_draw, pictures, (folder,), jobs=jobs)) as drawn:
+            for _, outcome in drawn:
+                if isinstance(outcome, Exception):
+                    raise outcome
+    finally:
+        remove_unfinished([folder])  # by processes that were stopped
 
 
 def _draw(picture: Picture, folder: Path) -> None:
