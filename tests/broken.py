@@ -160,7 +160,9 @@ class Fuzzer:
                     + text[at:]
                 )
             case 7:
-                return text.decode(errors="replace").encode(self._one(["utf-16", "utf-8-sig", "utf-32", "cp037"]))
+                return text.decode(errors="replace").encode(
+                    self._one(["utf-16", "utf-8-sig", "utf-32", "cp037"]), errors="replace"
+                )
             case 8:
                 return text.replace(self._one(words), self._one(NUMBERS).encode(errors="surrogateescape"), 1)
             case 9:
