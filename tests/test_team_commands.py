@@ -46,6 +46,10 @@ def silent(team):
 
 
 silent.uses_belief = False
+
+
+def leaves(team):
+    raise SystemExit(0)
 """
 
 
@@ -75,6 +79,7 @@ def test_a_policy_of_ones_own_is_simulated_and_bounded_beside_others(own: Path, 
     ("function", "code", "words"),
     [
         ("oops", 1, "own.py:16: KeyError: 'oops'"),
+        ("leaves", 1, "SystemExit: 0"),  # which must not end the command as if all were well
         ("elsewhere", 1, "own.py:19: step 0: the policy goes to person 7 in a team of 2"),
         ("missing", 1, "own.py: has no function 'missing'"),
         ("none", 2, "--policy"),  # a name of the package's
@@ -94,7 +99,11 @@ def test_faults_of_own_policies_are_said_in_one_line(
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("def f(:\n", "broken.py:1: SyntaxError: "), ("import os\n1 / 0\n", "broken.py:2: ZeroDivisionError: division")],
+    [
+        ("def f(:\n", "broken.py:1: SyntaxError: "),
+        ("raise SystemExit(0)\n", "broken.py:1: SystemExit: 0"),
+        ("import os\n1 / 0\n", "broken.py:2: ZeroDivisionError: division"),
+    ],
 )
 def test_a_file_that_cannot_be_run_is_named_with_its_line(tmp_path: Path, text: str, words: str) -> None:
     (tmp_path / "broken.py").write_text(text)

@@ -91,7 +91,7 @@ class OwnPolicy:
         sys.modules[module_name] = module
         try:
             spec.loader.exec_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PolicyError(_described(error, file)) from error
         function = getattr(module, name, None)
         if not callable(function):
@@ -113,7 +113,7 @@ class OwnPolicy:
         """Choose as the function does."""
         try:
             return self.function(team)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise PolicyError(_described(error, self.file)) from error
 
 
@@ -123,7 +123,7 @@ def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
     return ((folder or Path()) / path, function) if colon else None
 
 
-def _described(error: Exception, file: Path) -> str:
+def _described(error: Exception | SystemExit, file: Path) -> str:
     """Say in one line what went wrong, and where in the user's file."""
     line = error.lineno if isinstance(error, SyntaxError) else None
     for frame in traceback.extract_tb(error.__traceback__):
