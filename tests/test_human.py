@@ -161,6 +161,18 @@ def test_perceived_cost_to_go_is_a_lasting_misconception(sealed: Table) -> None:
     np.testing.assert_array_equal(perceived_cost_to_go(choices, 0.0, np.random.default_rng(4)), choices.h)
 
 
+def test_who_is_mistaken_about_actions_sees_each_outcome_for_itself(sealed: Table) -> None:
+    choices = Choices.of(sealed)
+    h = perceived_cost_to_go(choices, 0.5, np.random.default_rng(4), "action")
+    eps = np.random.default_rng(4).standard_normal(choices.targets.shape)
+    for x, slot in np.argwhere(choices.applicable).tolist():
+        after = choices.targets[x, slot]
+        assert h[x, slot] == (0.0 if choices.goal[after] else choices.h[after] + 0.5 * eps[x, slot])
+    np.testing.assert_array_equal(
+        perceived_cost(choices, h)[choices.applicable], (choices.costs + h)[choices.applicable]
+    )
+
+
 def test_population_draws_from_its_ranges(tiny_choices: Choices) -> None:
     people = Population().sample(tiny_choices, 300, np.random.default_rng(0))
     for name, (low, high) in {"beta": (0.1, 3.0), "theta": (0.5, 0.95), "sigma": (0.1, 1.0)}.items():

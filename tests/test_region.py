@@ -177,7 +177,15 @@ def test_the_command_gives_bounds_and_a_file(tmp_path: Path) -> None:
     again = Solution.load(out)
     assert again.lower == record["lower"]
     with np.load(out) as arrays:
-        assert len(arrays["values"]) == len(arrays["task_states"]) == 21
+        found = dict(arrays)
+    assert len(found["values"]) == len(found["task_states"]) == 21
+    for name in ("lower", "corner", "policy.pomdp.model.lapse", "policy.pomdp.robot_actions"):
+        np.savez(out, **{**found, name: np.array(["text"])})
+        with pytest.raises(ArchiveError, match=f"'{name}' is of the kind <U4"):
+            Solution.load(out)
+    np.savez(out, **{**found, "policy.pomdp.robot_actions": found["policy.pomdp.robot_actions"][:1]})
+    with pytest.raises(ArchiveError, match="expected a saved Solution"):
+        Solution.load(out)
 
 
 def test_the_command_cuts_down_what_is_too_large() -> None:

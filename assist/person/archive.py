@@ -14,6 +14,7 @@ from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import storage
 
@@ -44,7 +45,7 @@ def load(file: Path, cls: type[T]) -> T:
         return _unpack(cls, found, "")
     except KeyError as error:
         raise ArchiveError(f"{file}: no array {error}; expected a saved {cls.__name__}") from None
-    except (ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, IndexError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise ArchiveError(f"{file}: {error}; expected a saved {cls.__name__}") from None
 
 
@@ -72,9 +73,17 @@ def _unpack(cls: Any, arrays: Mapping[str, Any], prefix: str) -> Any:
         if is_dataclass(hint):
             parts[name] = _unpack(hint, arrays, f"{key}.")
         elif hint in (int, float, str):
-            parts[name] = arrays[key].item()
+            parts[name] = _of_kind(arrays[key], str if hint is str else np.float64, key).item()
         elif get_origin(hint) is tuple:
             parts[name] = tuple(arrays[key].tolist())
+        elif get_origin(hint) is np.ndarray:
+            parts[name] = _of_kind(arrays[key], get_args(get_args(hint)[1])[0], key)
         else:
             parts[name] = arrays[key]
     return cls(**parts)
+
+
+def _of_kind(array: NDArray[Any], kind: Any, key: str) -> NDArray[Any]:
+    if not np.can_cast(array.dtype, kind, "same_kind"):
+        raise ValueError(f"array {key!r} is of the kind {array.dtype}, not {np.dtype(kind)}")
+    return array
