@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -126,9 +126,22 @@ def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
 def _records(file: Path) -> list[Record]:
     records = read_records(file)
     for number, record in enumerate(records, start=1):
-        if not all(isinstance(record.get(field), str) for field in ("instance", "status")):
+        if not _is_record(record):
             raise DamagedFileError(file, number, "expected a record of `kitassist solve`; choose another folder")
     return records
+
+
+def _is_record(record: Mapping[str, Any]) -> bool:
+    """Whether what stands in a file has the form of what `solve` wrote, so that it can be shown."""
+    error, plan = record.get("error", 0), record.get("plan", 0)
+    return (
+        all(isinstance(record.get(field), str) for field in ("instance", "domain", "status"))
+        and all(record.get(field, "") is None or isinstance(record.get(field), int | float)
+                for field in ("cost", "states", "transitions", "dead_ends", "max_cost_to_go", "verified"))
+        and isinstance(record.get("seconds"), dict)
+        and (error is None or (isinstance(error, dict) and {"file", "line", "message"} <= set(error)))
+        and (plan is None or (isinstance(plan, list) and all(isinstance(action, str) for action in plan)))
+    )  # fmt: skip
 
 
 def _free_place(instance: Instance, taken: set[str]) -> str:
