@@ -209,3 +209,10 @@ def test_model_parameters_are_checked(tiny_choices: Choices) -> None:
         HumanModel.exact(tiny_choices, lapse=1.0)
     with pytest.raises(ValueError, match="eta"):
         HumanModel.exact(tiny_choices, eta=float("nan"))
+
+
+def test_a_lapse_is_uniform_over_what_each_state_offers() -> None:
+    p = np.array([[0.5, 0.5, 0.0], [1.0, 0.0, 0.0]])
+    applicable = np.array([[True, True, True], [True, True, False]])
+    expected = 0.9 * p + 0.1 * np.array([[1 / 3, 1 / 3, 1 / 3], [1 / 2, 1 / 2, 0.0]])
+    np.testing.assert_allclose(lapse(p, applicable, 0.1), expected, atol=1e-15)
