@@ -15,3 +15,10 @@ from .human import Human as Human
 from .human import HumanModel as HumanModel
 from .human import Mixture as Mixture
 from .human import Population as Population
+from .terms import NOTHING_YET as NOTHING_YET
+from .terms import TERMS as TERMS
+from .terms import Situation as Situation
+from .terms import Term as Term
+from .terms import Vocabulary as Vocabulary
+from .terms import features as features
+from .terms import goals_met as goals_met
