@@ -1,15 +1,17 @@
 """A folder of results: the records of instances, their tables and plans, and what these were made from.
 
 Beside `results.jsonl` stands `fingerprints`, with a line of JSON for each record: the `fingerprint` of what the answer
-depends on (both files' contents, the options that matter, the versions of the programs), the `place` of the instance's
-table and plan, and the size of each. A record is kept by a later run only while all of that is as it was.
+depends on (both files' contents, the options that matter, the programs that search and check), the `place` of the
+instance's table and plan, the size of each, and a digest of the `record` itself. A record is kept by a later run only
+while all of that is as it was.
 """
 
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
+import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +63,7 @@ class Results:
         self.records: dict[str, Record] = {
             name: record
             for name, record in before.items()
-            if name not in current or (name in lines and self._holds(lines[name], current[name]))
+            if name not in current or (name in lines and self._holds(record, lines[name], current[name]))
         }
         self._lines: dict[str, dict[str, Any]] = {name: lines[name] for name in self.records if name in lines}
         taken = {line["place"] for line in self._lines.values()}
@@ -85,7 +87,7 @@ class Results:
     def add(self, record: Record) -> None:
         """Add a record whose table and plan have been saved."""
         line = self._lines[record["instance"]]
-        line["files"] = self._sizes(line)
+        line |= {"files": self._sizes(line), "record": _digest(record)}
         append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept
         append_record(self._folder / RESULTS, record)
         self.records[record["instance"]] = record
@@ -101,8 +103,9 @@ class Results:
         """Remove what stopped processes have left half-written."""
         remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
 
-    def _holds(self, line: dict[str, Any], current: str | None) -> bool:
-        return current is not None and line.get("fingerprint") == current and line.get("files") == self._sizes(line)
+    def _holds(self, record: Record, line: dict[str, Any], current: str | None) -> bool:
+        is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
+        return current is not None and all(line.get(name) == value for name, value in is_now.items())
 
     def _sizes(self, line: dict[str, Any]) -> dict[str, int]:
         files = saved_files(self._folder / line["place"])
@@ -118,9 +121,21 @@ def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
         files = fast_downward.digest(instance)
     except OSError:
         return None
-    version = importlib.metadata.version("kitassist")
-    what = (files, version, str(instance.domain), options.max_states, options.verify)
+    what = (files, _programs(), str(instance.domain), options.max_states, options.verify)
     return hashlib.sha256(repr(what).encode()).hexdigest()
+
+
+@cache
+def _programs() -> str:
+    """Name the programs that find an answer: a search that was changed has another name without being given one."""
+    found = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        found.update(hashlib.sha256(file.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def _digest(record: Record) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def _records(file: Path) -> list[Record]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from click.testing import CliRunner, Result
 from conftest import KITTING, write_instance
 
 from assist.cli import main
-from planner import Instance
+from planner import Instance, results
 from planner.results import Results
 from planner.solving import SolveOptions, solve_instance
 
@@ -53,8 +54,12 @@ def test_a_changed_problem_is_solved_again(tmp_path: Path, instance: Instance) -
     assert next(out.rglob("*.plan")).read_text().endswith("; cost = 3 (unit cost)\n")
 
 
-@pytest.mark.parametrize("change", ["nothing", "comment", "domain", "other domain", "states", "time", "no file"])
-def test_what_an_answer_depends_on(change: str, tmp_path: Path, instance: Instance) -> None:
+@pytest.mark.parametrize(
+    "change", ["nothing", "comment", "domain", "other domain", "states", "time", "no file", "record", "search"]
+)
+def test_what_an_answer_depends_on(
+    change: str, tmp_path: Path, instance: Instance, monkeypatch: pytest.MonkeyPatch
+) -> None:
     solved(tmp_path / "out", instance)
     asked, options = instance, OPTIONS
     match change:
@@ -71,6 +76,15 @@ def test_what_an_answer_depends_on(change: str, tmp_path: Path, instance: Instan
             options = replace(OPTIONS, time_limit=100.0, memory_limit=5000.0)
         case "no file":
             instance.problem.unlink()
+        case "record":  # still one in form
+            records = tmp_path / "out" / "results.jsonl"
+            records.write_text(records.read_text().replace('"cost": 6', '"cost": 7'))
+        case "search":
+            shutil.copytree(Path(results.__file__).parent, programs := tmp_path / "planner")
+            with (programs / "sweep.py").open("a") as file:
+                file.write("# changed\n")
+            monkeypatch.setattr(results, "__file__", str(programs / "results.py"))
+            monkeypatch.setattr(results, "_programs", results._programs.__wrapped__)
     again = set() if change not in ("nothing", "time") else {str(instance.problem)}
     assert kept(tmp_path / "out", asked, options=options) == again
 
