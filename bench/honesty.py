@@ -1,12 +1,12 @@
 """The price of honesty: what one person's help is worth with optimal suggestions only, and with all.
 
     python bench/honesty.py [--quick] [--instances a,b] [--gammas ...] [--costs ...] [--sigmas ...] [--etas ...]
-                            [--gap G] [--time-limit S]
+                            [--gap G] [--time-limit S] [--record FILE]
 
 A case is a kitting instance, a population's range of theta, the rate eta at which suggestions move it, gamma,
-c_suggest, and the sigma of the person's misconception, which the robot knows. Printed is a Markdown table: the bounds
-of both values in the initial state, the price (how much less optimal suggestions are worth), its share of the return,
-and whether it is proven that there is one.
+c_suggest, and the sigma of the person's misconception, which the robot knows. Printed is a table, which `--record`
+writes for the documentation: the bounds of both values in the initial state, the price (how much less optimal
+suggestions are worth), its share of the return, and whether it is proven that there is one.
 
 Optimal suggestions are among all of them, so that whatever policy is found for them is one for all as well, and what
 no policy with all of them exceeds, none with some does: each pair of bounds is tightened by the other.
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import click
 import numpy as np
+from tables import Columns, cell, record_option, write_record
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost_to_go
@@ -28,6 +29,12 @@ from assist.person.solver import solve
 from planner import Instance, load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
+COLUMNS: Columns = {
+    name: cell(name)
+    for name in (
+        "task", "theta", "eta", "gamma", "c_suggest", "sigma", "optimal", "all", "price", "of the return", "proven",
+    )
+}  # fmt: skip
 THETAS = ((0.05, 0.5), (0.5, 0.95))
 
 
@@ -40,12 +47,14 @@ THETAS = ((0.05, 0.5), (0.5, 0.95))
 @click.option("--sigmas", default="0,0.5,1", show_default=True)
 @click.option("--gap", default=5e-4, show_default=True, help="Stop at this relative gap.")
 @click.option("--time-limit", default=10.0, show_default=True, help="Seconds for each search at the most.")
+@record_option
 def main(
-    quick: bool, instances: str, etas: str, gammas: str, costs: str, sigmas: str, gap: float, time_limit: float
-) -> None:
+    quick: bool, instances: str, etas: str, gammas: str, costs: str, sigmas: str, gap: float, time_limit: float,
+    record: Path | None,
+) -> None:  # fmt: skip
     """Print the table."""
-    print("| instance | theta | eta | gamma | c_suggest | sigma | optimal | all | price | of the return | proven |")
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    print(*COLUMNS, sep=" | ")
+    rows = []
     values = [[float(value) for value in values.split(",")] for values in (etas, gammas, costs, sigmas)]
     if quick:
         values = [[0.2], [0.95], [0.2], [0.5]]
@@ -67,12 +76,15 @@ def main(
             least, most = max(all_lower - some_upper, 0.0), all_upper - some_lower
             # The return is negative: the smallest share is that of the lowest value with optimal suggestions.
             shares = 100 * least / -some_lower, 100 * most / -some_upper
-            print(
-                f"| {name} | {theta[0]:g} to {theta[1]:g} | {eta:g} | {gamma:g} | {c_suggest:g} | {sigma:g} "
-                f"| {some_lower:.3f} to {some_upper:.3f} | {all_lower:.3f} to {all_upper:.3f} "
-                f"| {least:.3f} to {most:.3f} | {shares[0]:.2f} to {shares[1]:.2f} % | {'yes' if least else 'no'} |",
-                flush=True,
-            )
+            rows.append(
+                {"task": name, "theta": f"{theta[0]:g} to {theta[1]:g}", "eta": f"{eta:g}", "gamma": f"{gamma:g}",
+                 "c_suggest": f"{c_suggest:g}", "sigma": f"{sigma:g}",
+                 "optimal": f"{some_lower:.3f} to {some_upper:.3f}", "all": f"{all_lower:.3f} to {all_upper:.3f}",
+                 "price": f"{least:.3f} to {most:.3f}", "of the return": f"{shares[0]:.2f} to {shares[1]:.2f} %",
+                 "proven": "yes" if least else "no"}
+            )  # fmt: skip
+            print(*rows[-1].values(), sep=" | ", flush=True)
+    write_record(record, COLUMNS, rows)
 
 
 if __name__ == "__main__":

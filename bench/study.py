@@ -3,9 +3,9 @@
     python bench/study.py [--pools N] [--humans K] [--people N] [--instance NAME] [--out DIR] [--record FILE] [--check]
 
 All conditions of the paper's protocol are carried out, and the whole report is written: claims, readings, kinds of
-people, pictures. Printed are the figures of the headline. `--record` writes what was found as JSON, `--check` compares
-it with `bench/records/study.json`, which the default run has made: what a change does to the study is seen before it is
-published.
+people, pictures. Printed are the figures of the headline. `--record` writes what was found, with the table of the
+documentation, `--check` compares it with `bench/records/study.json`, which the default run has made: what a change does
+to the study is seen before it is published.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import json
 import math
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
+from tables import Columns, cell, record_option, write_record
 
 from assist.study import Study, read, run_study, write_report
 
@@ -27,6 +28,8 @@ RECORD = Path(__file__).resolve().parent / "records" / "study.json"
 RELATIVE = 1e-6  # processors differ in the last digits
 KEPT = ("headline", "decline", "contrasts", "readings")
 EXPECTED = ("## Headline", "## Which of the claims of the paper hold", "## Kinds of people", "## Which reading comes")
+SAVED = {"actions, against none": "actions_vs_none", "actions, against reactive": "actions_vs_reactive",
+         "interventions, against reactive": "interventions_vs_reactive"}  # fmt: skip
 PICTURES = ("team-size", "benefit", "categories", "trade-off", "belief")
 
 
@@ -42,6 +45,17 @@ def reduced(pools: int, humans: int, people: int, instance: str | None) -> Study
         for condition in study.conditions
     )
     return replace(study, pool=people, conditions=conditions, instances=instances)
+
+
+def columns(headline: dict[str, Any]) -> Columns:
+    """Show what is saved on each instance, with its interval; a row is the name of a saving."""
+
+    def saved(instance: str) -> Callable[[dict[str, Any]], str]:
+        figures = headline["instances"][instance]
+        return lambda row: "{mean:.1f} ({low:.1f} to {high:.1f})".format(**figures[SAVED[row["saving"]]])
+
+    instances = {f"{instance}.pddl": saved(instance) for instance in headline["instances"]}
+    return {"attention switching saves, reduced": cell("saving"), **instances}
 
 
 def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
@@ -66,7 +80,7 @@ def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
 @click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the report.")
-@click.option("--record", type=click.Path(path_type=Path, dir_okay=False), help="Write what was found.")
+@record_option
 @click.option("--check", is_flag=True, help="Compare what was found with the record.")
 def main(
     pools: int, humans: int, people: int, instance: str | None, jobs: int, out: Path | None, record: Path | None,
@@ -92,9 +106,10 @@ def main(
             print(f"{key}: {found['mean']:.1f} %")
     found = {name: summary[name] for name in KEPT}
     if record:
-        record.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        write_record(record, columns(found["headline"]), ({"saving": saving} for saving in SAVED), **found)
     if check:
-        wrong = list(differences(found, json.loads(RECORD.read_text(encoding="utf-8"))))
+        recorded = json.loads(RECORD.read_text(encoding="utf-8"))
+        wrong = list(differences(found, {name: recorded[name] for name in KEPT}))
         if wrong:
             sys.exit(f"{len(wrong)} figures differ from {RECORD.name}; the first: {wrong[0]}")
         print(f"all figures are those of {RECORD.name}")

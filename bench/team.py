@@ -7,7 +7,8 @@
     python bench/team.py fluid      many robots, each for so many people
     python bench/team.py joint      tiny teams whose whole problem can be solved
 
-Each prints a table and writes it as JSON, and all but `settings` and `joint` draw a picture, into --out.
+Each prints a table and writes it as JSON, and all but `settings` and `joint` draw a picture, into --out; --record
+writes the table that the documentation shows.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from tables import Columns, cell, record_option, write_record
 
 from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
@@ -60,6 +62,40 @@ SETTINGS = [
     (2, 0.5, 0.5, 1.0, False), (4, 0.5, 0.5, 1.0, False), (6, 0.5, 0.5, 1.0, False), (4, 0.2, 0.2, 2.0, False),
     (4, 0.5, 0.5, 2.0, False), (12, 0.5, 0.5, 1.0, False), (4, 0.5, 0.2, 1.0, True), (6, 0.2, 0.2, 1.0, True),
 ]  # fmt: skip
+
+# What the documentation shows.
+LATENCY: Columns = {
+    "people": cell("humans", ","), "attention, ms": cell("attention", ".3f"), "priority, ms": cell("priority", ".3f"),
+}  # fmt: skip
+RATE: Columns = {
+    "people in a team": cell("humans", ","), **{name: cell(name, ".2f") for name in ("none", "attention", "priority")},
+}  # fmt: skip
+GAP: Columns = {
+    "instance": cell("instance"), "c_suggest": cell("c_suggest", "g"), "gamma": cell("gamma", "g"),
+    "people": cell("humans"), "bound": cell("upper", ".2f"), "priority": cell("priority", ".2f", "stderr"),
+    "gap": lambda row: f"**{row['gap %']:.2f} %**", "solver": cell("left to solver %", ".2f"),
+    "attention": cell("attention gap %", ".2f"), "reactive": cell("reactive gap %", ".2f"),
+    "nobody": cell("none gap %", ".2f"), "if seen": cell("if beta, theta seen %", ".2f"),
+}  # fmt: skip
+JOINT: Columns = {
+    "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"), "pool": cell("seed"),
+    "nobody helped": cell("none", ".2f"), "attention": cell("attention", ".3f", "attention stderr"),
+    "priority": cell("priority", ".3f", "priority stderr"),
+    "the whole problem": lambda row: f"{row['joint lower']:.3f} to {row['joint upper']:.3f}",
+    "bound": cell("bound", ".3f"), **{f"{name} below": lambda row, name=name: _apart(row[name], row) for name in NAMES},
+    "bound above": lambda row: _apart(row["bound"], row),
+}  # fmt: skip
+SETTINGS_SHOWN: Columns = {
+    "K": cell("K"), "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"),
+    "travel time": cell("travel time", "g"), "places": cell("places"), "attention": cell("attention", ".2f"),
+    "priority ahead": cell("priority ahead", ".3f", "stderr"), "in percent": cell("percent", ".2f"),
+    "ahead of attention-never": cell("ahead of attention-never", ".2f", "its stderr"),
+}  # fmt: skip
+FLUID: Columns = {
+    "robots": cell("robots"), "people": cell("people"), "a robot serves": cell("serves"),
+    "return per robot": cell("value per robot", ".2f"),
+    "gap": lambda row: f"{row['gap %']:.2f} ± {row['stderr %']:.2f} %",
+}  # fmt: skip
 
 out_option = click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/team"), show_default=True
@@ -94,6 +130,21 @@ def write(out: Path, name: str, rows: list[dict[str, Any]], title: str) -> None:
     (out / f"{name}.json").write_text(json.dumps(rows, indent=2))
 
 
+def side_by_side(rows: list[dict[str, Any]], figure: str) -> list[dict[str, Any]]:
+    """Give one figure of all policies for each size of the first instance's teams."""
+    found: dict[int, dict[str, Any]] = {}
+    for row in rows:
+        if row["instance"] == rows[0]["instance"]:
+            found.setdefault(row["humans"], {"humans": row["humans"]})[row["policy"]] = row[figure]
+    return list(found.values())
+
+
+def _apart(value: float, row: dict[str, Any]) -> str:
+    """Say how far a value is from that of the whole problem, of which bounds are known."""
+    ends = sorted(100 * abs(value - whole) / abs(whole) for whole in (row["joint lower"], row["joint upper"]))
+    return f"{ends[0]:.2f} to {ends[1]:.2f} %"
+
+
 def draw(out: Path, name: str, width: float, plot: Any) -> None:
     """Draw one picture of one pair of axes."""
     figure = Figure(figsize=(width, 4.2), layout="constrained")
@@ -120,7 +171,8 @@ def watched(policy: TeamPolicy, at: int, seen: list[TeamState]) -> TeamPolicy:
 @instance_option
 @click.option("--repeat", type=click.IntRange(min=1), default=51, show_default=True, help="The median counts.")
 @out_option
-def latency(instances: tuple[str, ...], repeat: int, out: Path) -> None:
+@record_option
+def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | None) -> None:
     """Time one decision of a team in its fifth step; all people share one model."""
     rows = []
     for name in instances:
@@ -140,6 +192,7 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path) -> None:
                      "us per person": 1e6 * statistics.median(times) / humans, "peak MB so far": round(peak)}
                 )  # fmt: skip
     write(out, "latency", rows, "One decision")
+    write_record(record, LATENCY, side_by_side(rows, "ms"))
 
     def plot(axis: Axes) -> None:
         for label in ("attention", "priority"):
@@ -158,7 +211,8 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path) -> None:
 @click.option("--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="The median counts.")
 @click.option("--jobs", type=click.IntRange(min=1), default=os.cpu_count(), show_default=True, help="Threads.")
 @out_option
-def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path) -> None:
+@record_option
+def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path, record: Path | None) -> None:
     """Simulate teams of several sizes, belief updates included."""
     rows = []
     for name in instances:
@@ -183,6 +237,7 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path) -> None:
                      "of processor time": statistics.median(processor)}
                 )  # fmt: skip
     write(out, "rate", rows, "Simulation")
+    write_record(record, RATE, side_by_side(rows, "million person-steps/s"))
 
     def plot(axis: Axes) -> None:
         for label in ("none", "attention", "priority"):
@@ -208,9 +263,10 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path) -> None:
 @click.option("--gap", type=float, default=5e-4, show_default=True)
 @click.option("--c-suggest", type=float, default=1.0, show_default=True)
 @out_option
+@record_option
 def gap(
     instances: tuple[str, ...], gammas: tuple[float, ...], sizes: tuple[int, ...], own: int, seed: int,
-    time_limit: float, gap: float, c_suggest: float, out: Path,
+    time_limit: float, gap: float, c_suggest: float, out: Path, record: Path | None,
 ) -> None:  # fmt: skip
     """Certify policies of teams of several sizes."""
     rows = []
@@ -238,6 +294,7 @@ def gap(
                      "seconds": found.seconds}
                 )  # fmt: skip
                 write(out, "gap", rows, "Certified gap")
+    write_record(record, GAP, rows)
 
     def plot(axis: Axes) -> None:
         for name, style in zip(instances, ("-", "--", ":"), strict=False):
@@ -262,7 +319,8 @@ def gap(
 @seeds_option
 @click.option("--episodes", type=click.IntRange(min=2), default=2000, show_default=True, help="Of each pool.")
 @out_option
-def settings(instance: str, seeds: int, episodes: int, out: Path) -> None:
+@record_option
+def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path | None) -> None:
     """Compare the own policy with Algorithm 1 on the same people with the same luck, people drawn from the prior."""
     rows = []
     for humans, c_suggest, c_move, travel_time, line in SETTINGS:
@@ -292,13 +350,15 @@ def settings(instance: str, seeds: int, episodes: int, out: Path) -> None:
              "its stderr": float(never.std(ddof=1) / np.sqrt(len(never)))}
         )  # fmt: skip
     write(out, "settings", rows, f"priority against attention, {instance}")
+    write_record(record, SETTINGS_SHOWN, rows)
 
 
 @main.command()
 @click.option("--time-limit", type=float, default=20.0, show_default=True, help="Seconds for each joint problem.")
 @click.option("--episodes", type=click.IntRange(min=2), default=100_000, show_default=True)
 @out_option
-def joint(time_limit: float, episodes: int, out: Path) -> None:
+@record_option
+def joint(time_limit: float, episodes: int, out: Path, record: Path | None) -> None:
     """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare."""
     choices, population = choices_of("tiny"), Population(sigma=(0.5, 1.0))
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
@@ -314,16 +374,22 @@ def joint(time_limit: float, episodes: int, out: Path) -> None:
         setting = Setting(gamma=0.95, c_suggest=c_suggest, c_move=c_move)
         pool = Pool(setting, tuple(people), tuple(qmdp(pomdp) for pomdp in pomdps), np.arange(2))
         whole, relaxed = joint_bounds(pool, gap=1e-3, time_limit=time_limit), upper_bound(pool)
-        certified = {name: relaxed.certify(pool.policy(name), name, episodes=episodes) for name in NAMES}
+        certified = {name: relaxed.certify(pool.policy(name), name, episodes=episodes) for name in (*NAMES, "none")}
         row: dict[str, Any] = {"c_suggest": c_suggest, "c_move": c_move, "seed": seed}
         for name in NAMES:
             row |= {name: certified[name].value, f"{name} stderr": certified[name].value_stderr}
-        row |= {"joint lower": whole.lower, "joint upper": whole.upper, "bound": relaxed.upper}
+        row |= {
+            "none": certified["none"].value,
+            "joint lower": whole.lower,
+            "joint upper": whole.upper,
+            "bound": relaxed.upper,
+        }
         for name in NAMES:
             row[f"{name} below joint %"] = 100 * (whole.lower - certified[name].value) / abs(whole.lower)
         row["bound above joint %"] = 100 * (relaxed.upper - whole.upper) / abs(whole.upper)
         rows.append(row)
     write(out, "joint", rows, "The whole problem of two people, tiny.pddl, gamma .95")
+    write_record(record, JOINT, rows)
 
 
 @main.command()
@@ -332,7 +398,8 @@ def joint(time_limit: float, episodes: int, out: Path) -> None:
 @click.option("--episodes", type=click.IntRange(min=2), default=40_000, show_default=True, help="Robots simulated.")
 @click.option("--time-limit", type=float, default=120.0, show_default=True)
 @out_option
-def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: Path) -> None:
+@record_option
+def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: Path, record: Path | None) -> None:
     """Let m robots serve any of m times so many people, and compare with the bound, which is the same for all m."""
     pool = pool_of(instance, per_robot, 0, knowledge="exact")
     found = upper_bound(pool, gap=5e-4, time_limit=time_limit)
@@ -346,6 +413,7 @@ def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: 
         values = _pooled(pool, priority, robots, robots * per_robot, max(50, episodes // (4 * robots)))
         rows.append(_fluid_row(robots, "anybody", values / robots, found.upper, per_robot))
     write(out, "fluid", rows, f"{per_robot} people for each robot, {instance}")
+    write_record(record, FLUID, rows)
 
     def plot(axis: Axes) -> None:
         mine = rows[1:]
