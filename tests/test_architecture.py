@@ -26,11 +26,12 @@ ROOMS = {
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
+    "assist.drawing": "subject profile scene layout svg picture frames files",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": "advice problem roster assistant",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
-        bounds solve simulate policy bound export log fit study commands""",
+        bounds solve simulate policy bound export draw log fit study commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
@@ -46,7 +47,11 @@ LONGER = {"assist/person/hsvi.py"}
 ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
 ORDER.remove("planner")
 # With all that is in them.
-MAY_READ_PDDL = (*(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")), "assist.cli")
+MAY_READ_PDDL = (
+    *(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")),
+    "assist.drawing",
+    "assist.cli",
+)
 ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.arrays", "planner.storage", "planner.workers"}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 

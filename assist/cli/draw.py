@@ -1,0 +1,72 @@
+"""The command `draw`: a state, a plan or an episode as a picture, a strip or an animation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from planner import load
+from planner.storage import each_record
+
+from .console import EXIT_FAILED, fail, print_json
+from .options import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option, separate_files
+from .task import one_instance
+
+
+@click.command()
+@instance_argument
+@domain_option
+@click.option("--plan", type=INPUT_FILE, help="A plan: an action a line, as `solve --out` writes it.")
+@click.option("--trace", type=INPUT_FILE, help="Actions of people (JSON Lines), as `simulate --trace` writes them.")
+@click.option("--episode", metavar="E", help="Which episode of the trace; its first unless given.")
+@click.option("--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="About, in pixels.")
+@click.option("--out", type=OUTPUT_FILE, required=True, help="The file to write: .svg, .png, .gif or .html.")
+@json_option
+def draw(
+    instance: str, domain: str | None, plan: Path | None, trace: Path | None, episode: str | None, width: int,
+    out: Path, as_json: bool,
+) -> None:  # fmt: skip
+    """Draw a task, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations."""
+    from ..drawing.files import FORMATS, require, save
+    from ..drawing.frames import Frame, FramesError, episode_frames, plan_frames
+    from ..drawing.picture import Artist
+    from ..drawing.profile import ProfileError
+
+    if out.suffix not in FORMATS:
+        raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")
+    if plan and trace:
+        raise click.UsageError("--plan and --trace: expected one of them")
+    if episode is not None and not trace:
+        raise click.UsageError("--episode: expected --trace as well")
+    separate_files({"--out": out}, {"--plan": plan, "--trace": trace})
+    require(out.suffix)
+    found = one_instance(instance, domain)
+    try:
+        artist = Artist(load(found))
+        if plan:
+            lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
+            rows = plan_frames(artist, [line.lower() for line in lines if line])
+        elif trace:
+            records = list(each_record(trace))
+            damaged = next((record for record in records if isinstance(record, Exception)), None)
+            if damaged is not None:
+                raise damaged
+            rows = episode_frames(artist, [record for record in records if isinstance(record, dict)], episode)
+        else:
+            rows = [(Frame(tuple(artist.subject.initial), "Start"),)]
+    except UnicodeDecodeError:
+        fail(f"{plan}: not a text file in UTF-8", EXIT_FAILED)
+    except FramesError as error:
+        fail(f"{plan or trace}: {error}", EXIT_FAILED)
+    except ProfileError as error:
+        fail(str(error), EXIT_FAILED)
+    frames = save(artist, rows, out, width=width)
+    record = {
+        "instance": str(found.problem), "domain": str(found.domain), "out": str(out), "people": len(rows),
+        "frames": frames, "bytes": out.stat().st_size,
+    }  # fmt: skip
+    if as_json:
+        print_json(record)
+    else:
+        click.echo(f"{out}: {frames} frame{'s'[: frames > 1]}, {record['bytes']:,} bytes")

@@ -1,0 +1,13 @@
+from .files import save as save
+from .frames import Frame as Frame
+from .frames import FramesError as FramesError
+from .frames import draw_frames as draw_frames
+from .frames import draw_strip as draw_strip
+from .frames import episode_frames as episode_frames
+from .frames import plan_frames as plan_frames
+from .picture import Artist as Artist
+from .picture import Picture as Picture
+from .picture import draw as draw
+from .profile import Look as Look
+from .profile import Profile as Profile
+from .profile import ProfileError as ProfileError

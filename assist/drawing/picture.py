@@ -1,0 +1,182 @@
+"""A state of a task as a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from planner import Task
+
+from . import svg
+from .layout import GAP, TAG, Arranger, Layout, tag_rows, tag_width
+from .profile import Profile
+from .scene import Node, Scene, arrange
+from .subject import Subject
+
+MARGIN = 12.0
+WIDTH = 760.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawing.
+
+    Attributes
+    ----------
+    svg : str
+        A whole SVG document with a style of its own, light or dark as the reader prefers.
+    text : str
+        What it shows, in words.
+    width, height : float
+        Its natural size in pixels.
+    """
+
+    svg: str
+    text: str
+    width: float
+    height: float
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+
+class Artist:
+    """Draws the states of one task.
+
+    Parameters
+    ----------
+    task : Task
+    profile : Profile, optional
+        What drawings look like; `drawing.toml` beside the domain, or found out from the task, unless given.
+
+    Raises
+    ------
+    ProfileError
+        The domain's `drawing.toml` cannot be used.
+    """
+
+    def __init__(self, task: Task, profile: Profile | None = None) -> None:
+        self.subject = Subject.of(task)
+        self.profile = Profile.of(self.subject) if profile is None else profile
+        self._arranger = Arranger({} if self.profile.guessed else self._room())
+        self._placed = lru_cache(maxsize=256)(self._lay_out)
+
+    def draw(
+        self,
+        values: Sequence[int] | None = None,
+        *,
+        width: float = WIDTH,
+        acted: Collection[str] = (),
+        hint: Collection[str] = (),
+        goal: bool = True,
+        theme: svg.Theme | None = "auto",
+    ) -> Picture:
+        """Draw a state.
+
+        Parameters
+        ----------
+        values : sequence of int, shape (variables,), optional
+            The state; the initial one unless given.
+        width : float
+            About how wide the picture is to be, in pixels.
+        acted, hint : collection of str
+            Objects to point out: with which something was done, and with which it might be.
+        goal : bool
+            Whether the goal is listed below.
+        theme : "auto", "light", "dark" or None
+            Colours; None for a page that brings the style sheet.
+        """
+        scene, layout = self._placed(tuple(self.subject.initial if values is None else values), width)
+        across = max(layout.width, min(width, 320.0))
+        parts = svg.draw_layout(layout, MARGIN, MARGIN, acted, hint)
+        below, high = self._below(scene, across, MARGIN + layout.height + 2 * GAP, goal)
+        parts += below
+        description = self.text(scene)
+        document = svg.document(
+            parts, across + 2 * MARGIN, high + MARGIN, f"{self.subject.task.name}: a state", description, theme
+        )
+        return Picture(document, description, across + 2 * MARGIN, high + MARGIN)
+
+    def scene(self, values: Sequence[int] | None = None) -> Scene:
+        """Arrange a state without drawing it."""
+        return arrange(self.subject, self.profile, self.subject.initial if values is None else values)
+
+    def layout(self, values: Sequence[int], width: float = WIDTH) -> Layout:
+        """Lay out a state."""
+        return self._placed(tuple(values), width)[1]
+
+    def text(self, scene: Scene) -> str:
+        """Say in words what a picture shows."""
+        done = [text for text, so in scene.goal if so]
+        left = [text for text, so in scene.goal if not so]
+        words = [f"{'; '.join([*scene.said, *scene.also])}." if scene.said or scene.also else ""]
+        words.append(f"Goal: {len(done)} of {len(scene.goal)} done.")
+        if left:
+            words.append(f"Open: {'; '.join(left)}.")
+        return " ".join(filter(None, words))
+
+    def say(self, action: str) -> str:
+        """Say a ground action in words."""
+        name, *arguments = action.strip("()").split()
+        template, parameters = self.profile.words.get(name), self.subject.parameters.get(name, ())
+        if template is None:
+            return " ".join([name, ", ".join(arguments)]).strip()
+        said = dict(zip(parameters, arguments, strict=False))
+        return " ".join(said.get(word, word) for word in template.split(" "))
+
+    def _lay_out(self, values: tuple[int, ...], width: float) -> tuple[Scene, Layout]:
+        scene = self.scene(values)
+        return scene, self._arranger.layout(scene, width)
+
+    def _below(self, scene: Scene, width: float, top: float, goal: bool) -> tuple[list[str], float]:
+        """Draw what is said in words below the boxes; give where it ends."""
+        parts, y = [], top
+        done = sum(so for _, so in scene.goal)
+        lists: list[tuple[str, list[tuple[str, bool | None]]]] = [("Also", [(text, None) for text in scene.also])]
+        if goal:
+            lists.append((f"Goal: {done} of {len(scene.goal)}", list(scene.goal)))
+        for title, tags in lists:
+            if not tags:
+                continue
+            parts.append(svg.text(MARGIN, y + 12, title, "ka-title"))
+            placed, (_, high) = tag_rows([(text, bool(so)) for text, so in tags], width, MARGIN, y + 20)
+            for (text, so, x, tag_y), (_, known) in zip(placed, tags, strict=True):
+                if known is None:
+                    parts.append(svg.rectangle(x, tag_y, tag_width(text) - 8, TAG, "ka-mark", 5))
+                    parts.append(svg.text(x + 8, tag_y + 15, text, "ka-small"))
+                else:
+                    parts += svg.tag(text, so, x, tag_y, tag_width(text))
+            y += 20 + high + GAP
+        return parts, y - GAP if parts else top - 2 * GAP
+
+    def _room(self) -> dict[str, list[Node]]:
+        """Say of each place what may come to be there."""
+        room: dict[str, dict[str, Node]] = {}
+        nodes = {name: Node(name, name, self.profile.look(self.subject, name)) for name in self.subject.objects}
+        nodes |= {f"#{name}": Node(f"#{name}", look.title or name, look) for name, look in self.profile.things.items()}
+        for fact in sorted(self.subject.changing | self.subject.constant):
+            rule = self.profile.places.get(fact[0])
+            if rule is not None and rule.how != "on":
+                what, where = rule.of(fact)
+                room.setdefault(where, {})[what] = nodes[what]
+        return {where: list(found.values()) for where, found in room.items()}
+
+
+def draw(task: Task, values: Sequence[int] | None = None, *, width: float = WIDTH) -> Picture:
+    """Draw a state of a task.
+
+    Parameters
+    ----------
+    task : Task
+    values : sequence of int, shape (variables,), optional
+        The state; the initial one unless given.
+    width : float
+        About how wide the picture is to be, in pixels.
+
+    Raises
+    ------
+    ProfileError
+        The domain's `drawing.toml` cannot be used.
+    """
+    return Artist(task).draw(values, width=width)

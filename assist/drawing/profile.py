@@ -1,0 +1,256 @@
+"""What a domain's drawings look like: read from `drawing.toml` beside `domain.pddl`, or found out from the task.
+
+The file says of types how their objects look, and of predicates where these put what:
+
+    [types]
+    slot = {shape = "slot", in = "kit", holds = 1}   # where objects of this type are unless a fact says otherwise
+    [things]
+    kit = {title = "Kit"}                            # what is drawn without being an object
+    [places]
+    in-slot = "?1 in ?2"                             # ?1 is drawn within ?2, as with `at`; `on` stacks
+    [marks]
+    shut = "?1 shut"                                 # a word on an object
+    [links]
+    road = "?1 to ?2, length"                        # written on ?1, with a function's value
+    [colours]
+    belongs = "?1 as ?2"                             # ?1 has the colour of ?2
+    [words]
+    place = "Put ?i into ?s"                         # how an action is said
+    [hide]
+    predicates = ["slot-free"]                       # what the picture says already
+
+Where several facts place the same object, the predicate that comes first in the file counts.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .subject import Atom, Subject, atom
+
+FILE = "drawing.toml"
+SHAPES = (
+    "chip",
+    "crate",
+    "slot",
+    "panel",
+    "block",
+    "ball",
+    "person",
+    "robot",
+    "van",
+    "tray",
+    "locker",
+    "parcel",
+    "part",
+)
+"""How an object can look."""
+
+
+class ProfileError(ValueError):
+    """A `drawing.toml` that cannot be used; the message says where and why."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """How objects of a type look, or a thing that is no object.
+
+    Attributes
+    ----------
+    shape : str
+        One of `SHAPES`.
+    title : str or None
+        What is written on it; an object's name unless given.
+    inside : str or None
+        Where it is unless a fact says otherwise.
+    holds : int or None
+        How many objects it has room for at a time; room is left for them when there are fewer.
+    high : int
+        How many objects there is room for on top of each other.
+    parts : tuple of pair of str and Look
+        Places within each of them, by name.
+    hidden : bool
+    """
+
+    shape: str = "chip"
+    title: str | None = None
+    inside: str | None = None
+    holds: int | None = None
+    high: int = 1
+    parts: tuple[tuple[str, Look], ...] = ()
+    hidden: bool = False
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a predicate says in a picture: `what` is `how` with regard to `where`.
+
+    Attributes
+    ----------
+    what, where : int or str
+        The place of an argument, counted from 1, or a name.
+    how : str
+        "in" or "at", "on", "to", "as"; or empty, where `where` is a word.
+    part : str or None
+        The place within `where`.
+    """
+
+    what: int | str
+    how: str
+    where: int | str
+    part: str | None = None
+
+    def of(self, fact: Atom) -> tuple[str, str]:
+        """Give what a fact relates; a part of an object is `object#part`, a thing `#thing`."""
+        what, where = (fact[end] if isinstance(end, int) else f"#{end}" for end in (self.what, self.where))
+        return what, where if self.part is None else f"{where}#{self.part}"
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What a domain's drawings look like.
+
+    Attributes
+    ----------
+    types, things : dict of str to Look
+    places, links, colours, marks : dict of str to Rule
+        By predicate.
+    words : dict of str to str
+        How an action is said, its parameters with their question marks.
+    hidden : frozenset of str
+        Predicates that are not shown.
+    guessed : bool
+        Whether it was found out from the task.
+    """
+
+    types: dict[str, Look] = field(default_factory=dict)
+    things: dict[str, Look] = field(default_factory=dict)
+    places: dict[str, Rule] = field(default_factory=dict)
+    marks: dict[str, Rule] = field(default_factory=dict)
+    links: dict[str, Rule] = field(default_factory=dict)
+    colours: dict[str, Rule] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+    hidden: frozenset[str] = frozenset()
+    guessed: bool = False
+
+    @classmethod
+    def of(cls, subject: Subject) -> Profile:
+        """Read the file beside the task's domain; where there is none, find out what is placed where.
+
+        Raises
+        ------
+        ProfileError
+        """
+        file = subject.task.instance.domain.parent / FILE
+        return read(file, subject) if file.is_file() else guess(subject)
+
+    def look(self, subject: Subject, name: str) -> Look:
+        """Give how an object looks."""
+        return next((self.types[kind] for kind in subject.types(name) if kind in self.types), Look())
+
+
+def read(file: Path, subject: Subject) -> Profile:
+    """Read a `drawing.toml`, and check it against the domain.
+
+    Raises
+    ------
+    ProfileError
+    """
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ProfileError(f"{file}: {error}") from None
+    tables = ("types", "things", "places", "marks", "links", "colours", "words", "hide")
+    for name, table in content.items():
+        if name not in tables or not isinstance(table, dict):
+            raise ProfileError(f"{file}: [{name}] is not expected; there are {', '.join(f'[{t}]' for t in tables)}")
+    things = {name: _look(file, f"things.{name}", value) for name, value in content.get("things", {}).items()}
+    arities = {fact[0]: len(fact) - 1 for fact in (*subject.constant, *subject.changing)}
+    rules: dict[str, dict[str, Rule]] = {}
+    for table, pattern in PATTERNS.items():
+        rules[table] = {}
+        for predicate, text in content.get(table, {}).items():
+            found = re.fullmatch(pattern, text) if isinstance(text, str) else None
+            if found is None:
+                raise ProfileError(
+                    f"{file}: {table}.{predicate}: {text!r}; expected something like {EXAMPLES[table]!r}"
+                )
+            what, how, where, part = (found.groupdict().get(group) for group in ("what", "how", "where", "part"))
+            assert what is not None
+            rule = Rule(_end(what), how or "", _end(where or ""), part)
+            for end in (rule.what, rule.where if table == "places" else 1):
+                if isinstance(end, str) and end not in things:
+                    raise ProfileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
+                if isinstance(end, int) and end > arities.get(predicate, end):
+                    raise ProfileError(
+                        f"{file}: {table}.{predicate}: ?{end}; the predicate has {arities[predicate]} arguments"
+                    )
+            rules[table][predicate] = rule
+    return Profile(
+        types={name: _look(file, f"types.{name}", value) for name, value in content.get("types", {}).items()},
+        things=things,
+        words={name: str(text) for name, text in content.get("words", {}).items()},
+        hidden=frozenset(content.get("hide", {}).get("predicates", ())),
+        places=rules["places"],
+        marks=rules["marks"],
+        links=rules["links"],
+        colours=rules["colours"],
+    )
+
+
+PATTERNS = {
+    "places": r"(?P<what>\?\d|[\w-]+) (?P<how>in|at|on) (?P<where>\?\d|[\w-]+)(?:\.(?P<part>[\w-]+))?",
+    "marks": r"(?P<what>\?\d|[\w-]+) (?P<where>.+)",
+    "links": r"(?P<what>\?\d) (?P<how>to) (?P<where>\?\d)(?:, (?P<part>[\w-]+))?",
+    "colours": r"(?P<what>\?\d) (?P<how>as) (?P<where>\?\d)",
+}
+EXAMPLES = {"places": "?1 in ?2", "marks": "?1 shut", "links": "?1 to ?2, length", "colours": "?1 as ?2"}
+
+
+def _end(text: str) -> int | str:
+    return int(text[1:]) if re.fullmatch(r"\?\d", text) else text
+
+
+def _look(file: Path, where: str, value: Any) -> Look:
+    kinds = {"shape": str, "title": str, "in": str, "holds": int, "high": int, "parts": dict, "hidden": bool}
+    if not isinstance(value, dict):
+        raise ProfileError(f"{file}: {where}: expected a table such as {{shape = 'crate'}}")
+    for name, one in value.items():
+        if name not in kinds or not isinstance(one, kinds[name]):
+            raise ProfileError(f"{file}: {where}: '{name} = {one!r}' is not expected; there are {', '.join(kinds)}")
+    shape = value.get("shape", "part" if ".parts." in where else "panel" if where.startswith("things") else "chip")
+    if shape not in SHAPES:
+        raise ProfileError(f"{file}: {where}: shape {shape!r}; there are {', '.join(SHAPES)}")
+    parts = tuple((name, _look(file, f"{where}.parts.{name}", part)) for name, part in value.get("parts", {}).items())
+    high, hidden = value.get("high", 1), value.get("hidden", False)
+    return Look(shape, value.get("title"), value.get("in"), value.get("holds"), high, parts, hidden)
+
+
+def guess(subject: Subject) -> Profile:
+    """Find out what is placed where.
+
+    A variable whose values are facts that share one object says where this object is, or how it is: its facts with
+    two arguments place it at the other one, those with one are marks on it.
+    """
+    votes: Counter[tuple[str, int]] = Counter()
+    for variable in subject.task.variables:
+        facts = [one for fact in variable.facts if (one := atom(fact)) in subject.changing and one]
+        if len(facts) > 1:
+            shared = set.intersection(*(set(fact[1:]) for fact in facts))
+            if len(shared) == 1:
+                name = next(iter(shared))
+                votes.update({(fact[0], fact.index(name, 1)): 1 for fact in facts if len(fact) == 3})
+    places = {}
+    for predicate in sorted({predicate for predicate, _ in votes}):
+        first, second = votes[predicate, 1], votes[predicate, 2]
+        places[predicate] = Rule(1, "in", 2) if first >= second else Rule(2, "in", 1)
+    unary = sorted({fact[0] for fact in subject.changing if len(fact) == 2})
+    ends = [places[fact[0]].of(fact) for fact in subject.changing | subject.constant if fact[0] in places]
+    moving, places_of = ({subject.objects.get(pair[end]) for pair in ends} for end in (0, 1))
+    types = {kind: Look("crate" if kind in moving else "panel") for kind in sorted(filter(None, places_of))}
+    return Profile(types=types, places=places, marks={name: Rule(1, "", name) for name in unary}, guessed=True)

@@ -1,0 +1,234 @@
+"""A state as a tree: what is in what and on what, what is wanted where, and what is left to say in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from .profile import Look, Profile, Rule
+from .subject import Atom, Subject, Wanted
+
+
+@dataclass
+class Node:
+    """An object, a thing that is no object, or a place within one, with what is there.
+
+    Attributes
+    ----------
+    key : str
+        An object's name, `#thing`, `object#part`, or `##heading`.
+    title : str
+    look : Look
+    marks : list of str
+    wants : list of pair of str and bool
+        What the goal wants here, and whether it is so.
+    notes : list of str
+        What it is connected with.
+    inside, on : list of Node
+    done : bool or None
+        Whether all that the goal says of it holds; None where it says nothing.
+    colour : int or None
+    """
+
+    key: str
+    title: str
+    look: Look
+    marks: list[str] = field(default_factory=list)
+    wants: list[tuple[str, bool]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    inside: list[Node] = field(default_factory=list)
+    on: list[Node] = field(default_factory=list)
+    done: bool | None = None
+    colour: int | None = None
+
+    @property
+    def is_object(self) -> bool:
+        """Whether it is an object of the task."""
+        return "#" not in self.key
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A state, arranged.
+
+    Attributes
+    ----------
+    roots : list of Node
+        What is nowhere else.
+    also : list of str
+        What holds and is not drawn.
+    goal : list of pair of str and bool
+        What is wanted, in words, and whether it is so.
+    said : list of str
+        All that is drawn, in words.
+    """
+
+    roots: list[Node]
+    also: list[str]
+    goal: list[tuple[str, bool]]
+    said: list[str]
+
+
+HEADING = Look(shape="panel")
+
+
+def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
+    """Arrange a state.
+
+    Parameters
+    ----------
+    subject : Subject
+    profile : Profile
+    values : sequence of int, shape (variables,)
+    """
+    facts = subject.facts(values)
+    nodes = _nodes(subject, profile)
+    order = {name: number for number, name in enumerate(nodes)}
+    placed = _places(subject, profile, facts, nodes)
+    for key in sorted(placed, key=order.__getitem__):
+        how, where = placed[key]
+        (nodes[where].on if how == "on" else nodes[where].inside).append(nodes[key])
+    for predicate, rule in profile.marks.items():
+        for fact in sorted(facts):
+            if (
+                fact[0] == predicate
+                and (key := rule.of(fact)[0] if isinstance(rule.what, int) else f"#{rule.what}") in nodes
+            ):
+                nodes[key].marks.append(str(rule.where))
+    _colour(profile, facts, nodes)
+    goal = [(say_wanted(profile, wanted), subject.holds(wanted, facts, values)) for wanted in subject.goal]
+    for wanted, (_, done) in zip(subject.goal, goal, strict=True):
+        _want(profile, wanted, done, nodes)
+    _connect(subject, profile, facts, nodes)
+    shown = {*profile.places, *profile.marks, *profile.links, *profile.colours, *profile.hidden}
+    also = sorted(" ".join(fact) for fact in facts & subject.changing if fact[0] not in shown)
+    said = [_say(placed, nodes[key]) for key in nodes if key in placed or nodes[key].marks]
+    if profile.guessed:
+        said = sorted(" ".join(fact) for fact in facts & subject.changing if " ".join(fact) not in also)
+    return Scene(_roots(subject, nodes, placed), also, goal, said)
+
+
+def say_wanted(profile: Profile, wanted: Wanted) -> str:
+    """Say a part of the goal in words."""
+    if wanted.atom is None:
+        return wanted.text
+    predicate = wanted.atom[0]
+    rule = None if profile.guessed else profile.places.get(predicate) or profile.marks.get(predicate)
+    if rule is None:
+        return f"{'not ' * wanted.negated}{' '.join(wanted.atom)}"
+    what, where = (end if "#" not in end else end.replace("#", " ").strip() for end in _ends(rule, wanted.atom))
+    middle = f"{'not ' * wanted.negated}{rule.how} " if rule.how else "not " * wanted.negated
+    return f"{what} {middle}{where}"
+
+
+def _ends(rule: Rule, fact: Atom) -> tuple[str, str]:
+    if rule.how:
+        return rule.of(fact)
+    return (fact[rule.what] if isinstance(rule.what, int) else f"#{rule.what}"), str(rule.where)
+
+
+def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
+    """Give a node for each thing, object and part, in the order in which they are drawn."""
+    nodes = {}
+    for name, look in profile.things.items():
+        nodes[f"#{name}"] = Node(f"#{name}", look.title or name, look)
+    for name in subject.objects:
+        look = profile.look(subject, name)
+        if look.hidden:
+            continue
+        nodes[name] = Node(name, look.title or name, look)
+        for part, of_part in look.parts:
+            key = f"{name}#{part}"
+            nodes[key] = Node(key, of_part.title or part, of_part)
+            nodes[name].inside.append(nodes[key])
+    return nodes
+
+
+def _places(
+    subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]
+) -> dict[str, tuple[str, str]]:
+    """Say of each node in or on which other one it is; never in a circle."""
+    placed: dict[str, tuple[str, str]] = {}
+
+    def put(what: str, how: str, where: str) -> None:
+        at: str | None = where
+        while at is not None and at != what:
+            at = placed[at][1] if at in placed else at.split("#")[0] or None if at.find("#") > 0 else None
+        if what in nodes and where in nodes and what not in placed and at is None:
+            placed[what] = how, where
+
+    by_predicate: dict[str, list[Atom]] = {}
+    for fact in sorted(facts):
+        by_predicate.setdefault(fact[0], []).append(fact)
+    for predicate, rule in profile.places.items():
+        for fact in by_predicate.get(predicate, ()):
+            what, where = rule.of(fact)
+            put(what, rule.how, where)
+    for name in subject.objects:
+        inside = profile.look(subject, name).inside
+        if inside is not None:
+            put(name, "in", f"#{inside}")
+    return placed
+
+
+def _colour(profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
+    pairs = sorted(rule.of(fact) for name, rule in profile.colours.items() for fact in facts if fact[0] == name)
+    leaders = {leader for _, leader in pairs}
+    number = {key: count for count, key in enumerate(key for key in nodes if key in leaders)}
+    for what, leader in pairs:
+        if what in nodes and leader in nodes:
+            nodes[what].colour = nodes[leader].colour = number[leader]
+
+
+def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) -> None:
+    """Write a part of the goal where it is to be: at the place, or on what is to be changed."""
+    if wanted.atom is None:
+        return
+    rule = profile.places.get(wanted.atom[0]) or profile.marks.get(wanted.atom[0])
+    if rule is None:
+        return
+    what, where = _ends(rule, wanted.atom)
+    if what in nodes:
+        nodes[what].done = done and nodes[what].done is not False
+    text = nodes[what].title if what in nodes else what
+    if rule.how in ("in", "at") and where in nodes:
+        nodes[where].wants.append((f"{'no ' * wanted.negated}{text}", done))
+    elif what in nodes:
+        name = nodes[where].title if where in nodes else where
+        nodes[what].wants.append((f"{'not ' * wanted.negated}{f'{rule.how} ' * bool(rule.how)}{name}", done))
+
+
+def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
+    """Write on each node with what it is connected, and how far that is."""
+    for predicate, rule in profile.links.items():
+        for fact in sorted(fact for fact in facts if fact[0] == predicate):
+            what, where = Rule(rule.what, rule.how, rule.where).of(fact)
+            if what in nodes and where in nodes:
+                length = "" if rule.part is None else subject.numbers.get((rule.part, *fact[1:]), "")
+                nodes[what].notes.append(f"{where} {length}".strip())
+
+
+def _roots(subject: Subject, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]) -> list[Node]:
+    """Give what is nowhere else; small objects of one type under one heading."""
+    roots: list[Node] = []
+    headings: dict[str, Node] = {}
+    for key, node in nodes.items():
+        if key in placed or key.find("#") > 0:
+            continue
+        small = node.is_object and node.look.shape not in ("panel", "person", "robot")
+        if small and not node.inside and not node.notes:
+            kind = subject.objects[key]
+            heading = headings.setdefault(kind, Node(f"##{kind}", f"Elsewhere: {kind}", HEADING))
+            heading.inside.append(node)
+        else:
+            roots.append(node)
+    return [*roots, *headings.values()]
+
+
+def _say(placed: dict[str, tuple[str, str]], node: Node) -> str:
+    words = []
+    if node.key in placed:
+        how, where = placed[node.key]
+        words.append(f"{how} {where.replace('#', ' ').strip()}")
+    name = node.key.replace("#", " ").strip()
+    return f"{name} {', '.join([*words, *node.marks])}"

@@ -1,0 +1,224 @@
+"""What there is to draw of a task: its objects and their types, which facts hold in a state, and what is wanted.
+
+A fact is a tuple of words, the predicate first. Types and parameters come from the PDDL files; where these are gone, or
+the problem was built in Python, the grounded task says what it can.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner import Packing, Successors, Task
+from planner.expressions import Expression
+from planner.pddl import PDDLError
+from planner.replay import derived
+from planner.source import Source
+
+Atom = tuple[str, ...]
+"""A predicate and its arguments."""
+
+CONNECTIVES = ("and", "or", "not", "imply", "exists", "forall")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A part of the goal.
+
+    Attributes
+    ----------
+    atom : tuple of str, or None
+        None where it is more than one fact; then it holds where `variable` has `value`.
+    negated : bool
+    text : str
+        In PDDL.
+    variable, value : int
+    """
+
+    atom: Atom | None
+    negated: bool
+    text: str
+    variable: int = -1
+    value: int = -1
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What there is to draw of a task.
+
+    Attributes
+    ----------
+    task : Task
+    objects : dict of str to str
+        The type of each object, in the order of the files.
+    supertypes : dict of str to str
+    parameters : dict of str to tuple of str
+        Of each action, with their question marks.
+    constant : frozenset of Atom
+        What holds in all states.
+    changing : frozenset of Atom
+        What may hold and may not.
+    numbers : dict of Atom to str
+        Values of functions.
+    goal : tuple of Wanted
+    """
+
+    task: Task
+    objects: dict[str, str]
+    supertypes: dict[str, str]
+    parameters: dict[str, tuple[str, ...]]
+    constant: frozenset[Atom]
+    changing: frozenset[Atom]
+    numbers: dict[Atom, str]
+    goal: tuple[Wanted, ...]
+
+    @classmethod
+    def of(cls, task: Task) -> Subject:
+        """Read what there is to draw."""
+        files = [task.instance.domain, task.instance.problem]
+        try:
+            source = Source.of(task.instance) if all(file.is_file() for file in files) else None
+        except PDDLError:  # the files have changed since
+            source = None
+        changing = {a for v in task.variables if "dummy(" not in "".join(v.facts) for f in v.facts if (a := atom(f))}
+        parts = () if source is None else _part(source.problem, ":init")
+        stated = {tuple(map(str, part.parts)) for part in parts if part.head != "="}
+        constant = frozenset(stated - changing)
+        equal = (part.parts[1:] for part in parts if part.head == "=")
+        numbers = {tuple(map(str, what.parts)): str(value) for what, value in equal}
+        if source is None:
+            objects = dict.fromkeys(_named(task, changing), "object")
+            return cls(task, objects, {}, {}, constant, frozenset(changing), numbers, _grounded_goal(task))
+        typed = [*_typed(_part(source.domain, ":constants")), *_typed(_part(source.problem, ":objects"))]
+        objects = {name: kind if kind != "object" else _kind(name, constant) for name, kind in typed}
+        return cls(
+            task=task,
+            objects=objects,
+            supertypes=dict(_typed(_part(source.domain, ":types"))),
+            parameters={str(action.parts[1]): _parameters(action) for action in source.domain.lists(":action")},
+            constant=constant,
+            changing=frozenset(changing),
+            numbers=numbers,
+            goal=_goal(source.problem, task),
+        )
+
+    @property
+    def initial(self) -> list[int]:
+        """The values of the initial state."""
+        return derived(self.task, self.task.initial)
+
+    def facts(self, values: Sequence[int]) -> frozenset[Atom]:
+        """Give all that holds in a state, the constant facts included."""
+        found = (atom(variable.facts[value]) for variable, value in zip(self.task.variables, values, strict=True))
+        return self.constant | {one for one in found if one and one in self.changing}
+
+    def holds(self, wanted: Wanted, facts: frozenset[Atom], values: Sequence[int]) -> bool:
+        """Tell whether a part of the goal is reached."""
+        if wanted.atom is None:
+            return values[wanted.variable] == wanted.value
+        return (wanted.atom in facts) != wanted.negated
+
+    def types(self, name: str) -> Iterator[str]:
+        """Give an object's type and those above it, the closest first."""
+        kind, seen = self.objects.get(name, "object"), set[str]()
+        while kind and kind not in seen:
+            yield kind
+            seen.add(kind)
+            kind = self.supertypes.get(kind, "")
+
+    def follow(self, plan: Sequence[str], values: Sequence[int] | None = None) -> list[list[int]]:
+        """Give the values of the states that a plan passes through, the first one included.
+
+        Raises
+        ------
+        ValueError
+            An action that is unknown, or not applicable where its turn comes.
+        """
+        packing = Packing.of(self.task)
+        successors = Successors(self.task, packing)
+        states = [list(self.initial if values is None else values)]
+        for step, action in enumerate(plan):
+            _, actions, after = successors.choices(packing.pack([states[-1]]))
+            number = self.task.action_index.get(action.lower(), self.task.action_index.get(action))
+            place = np.flatnonzero(actions == (-1 if number is None else number))
+            if not len(place):
+                what = "no action of the task" if number is None else "not applicable"
+                can = ", ".join(self.task.actions[a] for a in actions) or "no actions"
+                raise ValueError(f"step {step}: {action} is {what}; applicable are {can}")
+            states.append(packing.unpack(after[place])[0].tolist())
+        return states
+
+
+def atom(fact: str) -> Atom | None:
+    """Read a fact of a grounded task; None where it is that something does not hold."""
+    found = re.fullmatch(r"Atom ([^(]+)\((.*)\)", fact)
+    return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
+
+
+def _part(whole: Expression, head: str) -> tuple[Expression, ...]:
+    section = whole.section(head)
+    return () if section is None else section.parts[1:]
+
+
+def _typed(parts: tuple[Expression, ...]) -> Iterator[tuple[str, str]]:
+    """Give the names of a typed list, each with its type."""
+    names: list[str] = []
+    words = iter(parts)
+    for part in words:
+        if part.word != "-":
+            names.append(str(part))
+            continue
+        kind = next(words, None)
+        shown = "object" if kind is None else kind.word or next(iter(kind.words[1:]), "object")
+        yield from ((name, shown) for name in names)
+        names = []
+    yield from ((name, "object") for name in names)
+
+
+def _kind(name: str, constant: frozenset[Atom]) -> str:
+    """Give the type of an object where there are no types: what is said of it for all time."""
+    return min((fact[0] for fact in constant if fact[1:] == (name,)), default="object")
+
+
+def _parameters(action: Expression) -> tuple[str, ...]:
+    found = {str(a): b for a, b in zip(action.parts, action.parts[1:], strict=False)}.get(":parameters")
+    return () if found is None else tuple(name for name, _ in _typed(found.parts))
+
+
+def _named(task: Task, changing: set[Atom]) -> list[str]:
+    words = {word for fact in changing for word in fact[1:]}
+    return sorted(words | {word for action in task.actions for word in action.strip("()").split()[1:]})
+
+
+def _goal(problem: Expression, task: Task) -> tuple[Wanted, ...]:
+    """Read the goal from the file where it is a list of facts, and from the grounded task elsewhere."""
+    section = _part(problem, ":goal")
+    waiting, found = list(section), []
+    while waiting:
+        part = waiting.pop(0)
+        if part.head == "and":
+            waiting[:0] = part.parts[1:]
+            continue
+        inner = part.parts[1] if part.head == "not" and len(part.parts) > 1 else part
+        if inner.head in (*CONNECTIVES, "="):
+            return _grounded_goal(task, " ".join(map(str, section)))
+        if inner.parts:
+            found.append(Wanted(tuple(map(str, inner.parts)), part.head == "not", str(part)))
+    return tuple(found)
+
+
+def _grounded_goal(task: Task, whole: str = "the goal") -> tuple[Wanted, ...]:
+    found = []
+    for variable, value in task.goal:
+        fact = task.variables[variable].facts[value]
+        one = atom(fact.removeprefix("Negated"))
+        if one is None or one[0].startswith("new-axiom"):
+            found.append(Wanted(None, False, whole, variable, value))
+        else:
+            negated = fact.startswith("Negated")
+            text = f"({' '.join(one)})"
+            found.append(Wanted(one, negated, f"(not {text})" if negated else text))
+    return tuple(found)

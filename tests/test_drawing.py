@@ -1,0 +1,249 @@
+"""Drawings: every object is there, the goal is marked as it is, the same state gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner
+from conftest import DOMAINS, KITTING
+from PIL import Image
+
+from assist.cli import main
+from assist.drawing import Artist, Profile, ProfileError, draw, draw_frames, draw_strip, episode_frames, plan_frames
+from assist.drawing.files import page
+from assist.drawing.subject import Subject
+from planner import load
+from planner.fast_downward import optimal_plan
+
+SVG = "{http://www.w3.org/2000/svg}"
+INSTANCES = [
+    "kitting/paper", "kitting/costs/ways", "stations/two-benches", "lockers/two-lockers", "gripper/balls-03",
+    "blocks/blocks-4", "delivery/three-parcels", "depot/two-boxes",
+]  # fmt: skip
+
+
+@cache
+def artist(name: str) -> Artist:
+    return Artist(load(DOMAINS / f"{name}.pddl"))
+
+
+def objects_in(svg: str) -> list[str]:
+    return [
+        node.attrib["data-object"]
+        for node in ElementTree.fromstring(svg).iter(f"{SVG}g")
+        if "data-object" in node.attrib
+    ]
+
+
+def written_on(svg: str, name: str) -> list[str]:
+    node = next(n for n in ElementTree.fromstring(svg).iter(f"{SVG}g") if n.attrib.get("data-object") == name)
+    return [text.text or "" for text in node.iter(f"{SVG}text")]
+
+
+@pytest.mark.parametrize("guessed", [False, True])
+@pytest.mark.parametrize("name", INSTANCES)
+def test_every_object_appears_once_in_every_state_of_a_plan(name: str, guessed: bool) -> None:
+    drawn = artist(name)
+    if guessed:
+        from assist.drawing.profile import guess
+
+        drawn = Artist(drawn.subject.task, guess(drawn.subject))
+    plan = optimal_plan(drawn.subject.task.sas)
+    assert plan is not None
+    for values in drawn.subject.follow(plan):
+        picture = drawn.draw(values)
+        assert sorted(objects_in(picture.svg)) == sorted(drawn.subject.objects)
+        root = ElementTree.fromstring(picture.svg)
+        assert root.attrib["role"] == "img"
+        assert root.find(f"{SVG}title") is not None
+        assert root.findtext(f"{SVG}desc") == picture.text
+        for rectangle in root.iter(f"{SVG}rect"):  # nothing is drawn outside
+            for start, size, whole in (("x", "width", picture.width), ("y", "height", picture.height)):
+                assert float(rectangle.attrib[start]) >= 0
+                assert float(rectangle.attrib[start]) + float(rectangle.attrib[size]) <= whole + 0.1
+
+
+@pytest.mark.parametrize("name", INSTANCES)
+def test_the_goal_is_marked_as_the_grounded_task_has_it(name: str) -> None:
+    drawn = artist(name)
+    task = drawn.subject.task
+    plan = optimal_plan(task.sas)
+    assert plan is not None
+    for values in drawn.subject.follow(plan):
+        scene = drawn.scene(values)
+        reached = sum(values[variable] == value for variable, value in task.goal)
+        assert sum(done for _, done in scene.goal) == reached  # none of these goals has a part that always holds
+        below = drawn.draw(values).svg.rpartition("Goal: ")[2]
+        assert below.startswith(f"{reached} of {len(task.goal)}<")
+        assert below.count('class="ka-tick"') == reached
+        assert below.count('class="ka-ring"') == len(task.goal) - reached
+
+
+def test_things_are_drawn_where_they_are() -> None:
+    drawn = artist("kitting/paper")
+    start = drawn.draw().svg
+    assert written_on(start, "box-a") == ["box-a", "hammer", "pliers"]
+    assert written_on(start, "slot-1") == ["slot-1", "hammer"]  # what is wanted there
+    after = drawn.draw(drawn.subject.follow(["(fetch box-a)", "(place pliers slot-1 box-a)"])[-1]).svg
+    assert written_on(after, "box-a") == ["box-a", "hammer"]
+    assert written_on(after, "slot-1") == ["slot-1", "hammer", "pliers"]
+    assert "ka-done" not in re.search(r'<g class="([^"]*)" data-object="pliers"', after)[1]  # type: ignore[index]
+
+
+def test_towers_stand_on_each_other() -> None:
+    drawn = artist("blocks/blocks-5")
+    tops = {
+        node.attrib["data-object"]: float(node[0].attrib["y"])
+        for node in ElementTree.fromstring(drawn.draw().svg).iter(f"{SVG}g")
+        if "data-object" in node.attrib
+    }
+    assert tops["c"] < tops["b"] < tops["a"]
+    assert tops["a"] == tops["d"] > tops["e"]
+
+
+@pytest.mark.parametrize("name", ["stations/two-benches", "depot/two-boxes"])
+def test_the_same_state_gives_the_same_bytes(name: str) -> None:
+    again = Artist(load(DOMAINS / f"{name}.pddl"))
+    again.draw(width=400)  # what was drawn before does not matter
+    assert again.draw().svg == artist(name).draw().svg == draw(again.subject.task).svg
+
+
+def test_what_words_say() -> None:
+    drawn = artist("kitting/paper")
+    assert drawn.say("(place hammer slot-1 box-a)") == "Put hammer into slot-1"
+    assert artist("depot/two-boxes").say("(lift box-a box-b)") == "lift box-a, box-b"
+    assert drawn.draw().text.startswith("box-a in storage; ")
+    assert "Goal: 3 of 7 done. Open: hammer in slot-1;" in drawn.draw().text
+
+
+def test_goals_that_are_no_list_of_facts(tmp_path: Path) -> None:
+    shutil.copy(KITTING / "domain.pddl", tmp_path)
+    text = (KITTING / "tiny.pddl").read_text().replace(":strips", ":adl")
+    goal = (
+        "(:goal (and (forall (?c - container) (in-storage ?c)) (or (in-slot hammer slot-1) (in-slot hammer slot-2))))))"
+    )
+    (tmp_path / "p.pddl").write_text(text[: text.index("(:goal")] + goal[:-1])
+    drawn = Artist(load(tmp_path / "p.pddl"))
+    states = drawn.subject.follow(["(fetch box-a)", "(place hammer slot-2 box-a)", "(return box-a)"])
+    assert not all(done for _, done in drawn.scene(states[2]).goal)
+    assert all(done for _, done in drawn.scene(states[3]).goal)
+
+
+def test_tasks_whose_files_are_gone_are_drawn(tmp_path: Path) -> None:
+    for file in ("domain.pddl", "tiny.pddl"):
+        shutil.copy(KITTING / file, tmp_path)
+    task = load(tmp_path / "tiny.pddl")
+    shutil.rmtree(tmp_path)
+    assert {"box-a", "hammer", "slot-1"} <= set(objects_in(draw(task).svg))
+
+
+def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
+    for file in ("domain.pddl", "tiny.pddl"):
+        shutil.copy(KITTING / file, tmp_path)
+    task = load(tmp_path / "tiny.pddl")
+    for text, words in {
+        "[places]\nin-slot = 'somewhere'": "places.in-slot: 'somewhere'; expected something like '?1 in ?2'",
+        "[places]\nin-slot = '?1 in kit'": "'kit' is not among [things]",
+        "[places]\nin-slot = '?3 in ?2'": "?3; the predicate has 2 arguments",
+        "[types]\nslot = {shape = 'hexagon'}": "shape 'hexagon'; there are chip,",
+        "[colors]\n": "[colors] is not expected",
+        "nothing": "drawing.toml: ",
+    }.items():
+        (tmp_path / "drawing.toml").write_text(text)
+        with pytest.raises(ProfileError, match=re.escape(words)):
+            Profile.of(Subject.of(task))
+    result = CliRunner().invoke(main, ["draw", str(tmp_path / "tiny.pddl"), "--out", str(tmp_path / "a.svg")])
+    assert (result.exit_code, result.output.count("\n")) == (1, 1)
+    assert not (tmp_path / "a.svg").exists()
+
+
+PLAN = [
+    "(fetch box-a)", "(place hammer slot-1 box-a)", "(return box-a)", "(fetch box-b)", "(place wrench slot-2 box-b)",
+    "(return box-b)",
+]  # fmt: skip
+TRACE = [
+    {"person": "ann", "episode": "one", "step": 0, "action": "(fetch box-b)", "suggestion": "(fetch box-a)"},
+    {"person": "bob", "episode": "one", "step": 0, "action": "(fetch box-a)", "suggestion": None},
+    {"person": "ann", "episode": "one", "step": 1, "action": "(return box-b)", "suggestion": "(return box-b)"},
+    {"person": "ann", "episode": "two", "step": 0, "action": "(fetch box-a)", "suggestion": None},
+]
+
+
+def test_strips_and_animations_have_a_frame_for_each_step() -> None:
+    drawn = artist("kitting/tiny")
+    frames = plan_frames(drawn, PLAN)
+    strip = draw_strip(drawn, frames)
+    assert len(re.findall('class="ka-step"', strip.svg)) == len(PLAN) + 1
+    assert objects_in(strip.svg).count("hammer") == len(PLAN) + 1
+    pictures = draw_frames(drawn, frames)
+    assert len({(p.width, p.height) for p in pictures}) == 1
+    assert [p.text for p in pictures][1] == "Step 2 of 6: Put hammer into slot-1"
+    html = page(drawn, draw_frames(drawn, frames, theme=None))
+    assert html.count("<figure") == len(PLAN) + 1
+    assert not re.search(r"(src|href)=|url\(|https?://(?!www\.w3\.org/2000/svg)", html)
+
+
+def test_an_episode_shows_the_robot_and_what_it_said() -> None:
+    rows = episode_frames(artist("kitting/tiny"), TRACE)
+    assert [len(row) for row in rows] == [3, 3]
+    first, second, _ = rows[0]
+    assert (first.robot, first.advice) == (True, "robot: Fetch box-a onto the platform (not followed)")
+    assert second.advice == "robot: Return box-b to storage (followed)"
+    assert rows[1][1].done == "has finished"
+    strip = draw_strip(artist("kitting/tiny"), rows).svg
+    assert strip.count("ka-here") == 2 + 1
+    assert strip.count("ka-said") == 2 + 1  # and the rule
+
+
+def test_draw_writes_every_format(tmp_path: Path) -> None:
+    (tmp_path / "a.plan").write_text("\n".join([*PLAN, "; cost = 6"]))
+    (tmp_path / "t.jsonl").write_text("".join(json.dumps(row) + "\n" for row in TRACE))
+    run = CliRunner().invoke
+    command = ["draw", str(KITTING / "tiny.pddl"), "--json", "--out"]
+    for ending in ("svg", "png", "gif", "html"):
+        result = run(main, [*command, str(tmp_path / f"a.{ending}"), "--plan", str(tmp_path / "a.plan")])
+        assert json.loads(result.stdout)["frames"] == len(PLAN) + 1, result.output
+    with Image.open(tmp_path / "a.gif") as film, Image.open(tmp_path / "a.png") as strip:
+        assert film.n_frames == len(PLAN) + 1  # type: ignore[attr-defined]
+        assert len(strip.convert("L").getcolors(2**16) or ()) > 50  # not an empty sheet: letters have soft edges
+    result = run(main, [*command, str(tmp_path / "e.svg"), "--trace", str(tmp_path / "t.jsonl"), "--episode", "two"])
+    assert (json.loads(result.stdout)["people"], json.loads(result.stdout)["frames"]) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "words"),
+    [
+        (["--out", "a.bmp"], 2, "expected a name that ends in .svg, .png, .gif, .html"),
+        (["--out", "a.svg", "--episode", "1"], 2, "expected --trace as well"),
+        (
+            ["--out", "a.svg", "--plan", "bad.plan"],
+            1,
+            "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable",
+        ),
+        (["--out", "a.svg", "--trace", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the trace has one, two"),
+    ],
+)
+def test_what_draw_refuses(
+    options: list[str], code: int, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.plan").write_text("(place hammer slot-1 box-a)\n")
+    Path("t.jsonl").write_text("".join(json.dumps(row) + "\n" for row in TRACE))
+    result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), *options])
+    assert (result.exit_code, words in result.output) == (code, True), result.output
+    assert not Path("a.svg").exists()
+
+
+def test_png_without_its_extra_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "resvg_py", None)
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    result = CliRunner().invoke(main, ["draw", str(KITTING / "tiny.pddl"), "--out", str(tmp_path / "a.png")])
+    assert result.exit_code == 1
+    assert "[plots]" in result.output
