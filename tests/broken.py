@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import shutil
@@ -18,6 +20,7 @@ from assist.cli import main
 
 ROOT = Path(__file__).parent.parent
 KITTING = ROOT / "domains" / "kitting"
+WITH_COSTS = ROOT / "domains" / "delivery", "one-parcel.pddl"
 STUDY = """
 title = "small"
 seed = 3
@@ -27,7 +30,7 @@ humans = [1, 2]
 pool = 3
 draws = 1
 trials = 1
-policies = ["none", "reactive", "attention"]
+policies = ["none", "reactive", "attention", "mine.py:quiet"]
 
 [setting]
 c_suggest = 0.2
@@ -39,8 +42,10 @@ beta = [0.1, 3.0]
 name = "first"
 """
 MINE = """
+import numpy as np
+
 def quiet(team):
-    return None
+    return team.act(np.full(len(team.x), -1), team.first_optimal())
 """
 ARGUMENTS: dict[str, list[str]] = {
     "solve": ["problem.pddl", "--verify", "1", "--out", "out", "--json"],
@@ -68,6 +73,13 @@ VALUES: tuple[Any, ...] = (
 POLICIES = (
     "", "def quiet(", "quiet = 3", "def quiet(): pass", "def quiet(team): return 1", "def quiet(team): return 'a', 'b'",
     "def quiet(team): raise KeyError('oops')", "def quiet(team): team.x[:] = 0", "import nosuch", "1/0", "\0", "\ufeff",
+    *(
+        f"import numpy as np\ndef quiet(team):\n  n = len(team.x)\n  return team.act({person}, {robot})"
+        for person in ("np.full(n, 99)", "np.full(n, -2)", "np.zeros(n)", "0", "None", "np.zeros(n + 1, int)",
+                       "np.zeros(n, int)", "np.full(n, 2**62)", "team.x[:, 0]")
+        for robot in ("team.first_optimal()", "team.first_optimal() + 99", "-team.first_optimal()", "[[0]]",
+                      "team.first_optimal() / 0", "team.q_values()")
+    ),
     "def quiet(team): return (99, 99)", "def quiet(team): return (float('nan'), 0)", "raise SystemExit(0)",
     "def quiet(team): raise SystemExit(0)", "class quiet:\n  def __init__(self, *a): raise RuntimeError",
 )  # fmt: skip
@@ -182,6 +194,10 @@ class Fuzzer:
         return text != before
 
     def _pddl(self, folder: Path) -> Input:
+        if self.rng.random() < 0.4:
+            where, problem = WITH_COSTS
+            shutil.copy(where / "domain.pddl", folder / "domain.pddl")
+            shutil.copy(where / problem, folder / "problem.pddl")
         file = folder / self._one(["domain.pddl", "problem.pddl"])
         self._spoil_file(file)
         command = self._one([name for name in ("solve", "solve", *self.commands) if name not in ("study", "bound")])
@@ -207,21 +223,42 @@ class Fuzzer:
     def _log(self, folder: Path) -> Input:
         file = folder / "log.jsonl"
         rows = [json.loads(line) for line in file.read_text().splitlines()]
+        if self.rng.random() < 0.35:
+            return self._csv(rows, folder)
         broken = False
         if self.rng.random() < 0.5:
             broken = self._spoil_file(file) and not _is_json_lines(file)
         else:
-            row = self._one(rows)
-            key = self._one(["person", "episode", "step", "action", "suggestion"])
-            match int(self.rng.integers(3)):
-                case 0:
-                    row.pop(key)
-                case 1:
-                    row[key] = self._one(VALUES)
-                case _:
-                    row[key] = self._one(rows)[key]
+            self._spoil_row(rows, VALUES)
             file.write_text("".join(json.dumps(row) + "\n" for row in rows), errors="surrogatepass")
         return Input("logs", "fit", ("fit", *ARGUMENTS["fit"]), broken)
+
+    def _csv(self, rows: list[dict[str, Any]], folder: Path) -> Input:
+        """The log as CSV, under its own ending or another one."""
+        file = folder / self._one(["log.csv", "log.txt"])
+        whole = self.rng.random() < 0.5
+        if not whole:
+            self._spoil_row(rows, [*VALUES, *NUMBERS, *",;\t\n\r", '"', '"a"b'])
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, list(rows[0]), delimiter=self._one([",", ";", "\t"]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        file.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape", newline="")
+        broken = whole and self._spoil_file(file) and not _is_utf8(file.read_bytes())
+        arguments = [file.name if word == "log.jsonl" else word for word in ARGUMENTS["fit"]]
+        return Input("logs", "fit", ("fit", *arguments), broken)
+
+    def _spoil_row(self, rows: list[dict[str, Any]], values: Sequence[Any]) -> None:
+        """Remove or change a value of a record."""
+        row = self._one(rows)
+        key = self._one(["person", "episode", "step", "action", "suggestion"])
+        match int(self.rng.integers(3)):
+            case 0:
+                row.pop(key)
+            case 1:
+                row[key] = self._one(values)
+            case _:
+                row[key] = self._one(rows)[key]
 
     def _json(self, folder: Path) -> Input:
         name, option = self._one([("population.json", "--population"), ("distances.json", "--distances")])
@@ -233,7 +270,9 @@ class Fuzzer:
             document = json.loads(file.read_text())
             self._spoil_value(document)
             file.write_text(json.dumps(document))
-        return Input("JSON", "simulate", ("simulate", *ARGUMENTS["simulate"], option, name), broken)
+        takers = ("simulate", "bound", *(("policy", "export") if name == "population.json" else ()))
+        command = self._one([taker for taker in takers if taker in self.commands])
+        return Input("JSON", command, (command, *ARGUMENTS[command], option, name), broken)
 
     def _spoil_value(self, document: Any) -> None:
         """Change, remove or repeat something within a document."""
@@ -273,37 +312,80 @@ class Fuzzer:
             arguments = [word for word in ARGUMENTS[command] if word not in ("--policy", "attention")]
             broken = text in ("", "\0", "\ufeff", "1/0", "quiet = 3", "def quiet(", "import nosuch")
             return Input("policies", command, (command, *arguments, "--policy", "mine.py:quiet"), broken)
-        file = folder / "policy.npz"
-        shutil.copy(self.sound / "policy.npz", file)
+        file = folder / self._one(["policy.npz", "table.npz"])
+        shutil.copy(
+            self.sound / "policy.npz" if file.stem == "policy" else next((self.sound / "out").glob("*.npz")), file
+        )
         broken = False
         if self.rng.random() < 0.5:
             broken = self._spoil_file(file) and not file.read_bytes().startswith(b"PK")
         else:
-            with np.load(file) as arrays:
-                found = {name: arrays[name] for name in arrays.files}
-            name = self._one(list(found))
-            match int(self.rng.integers(4)):
-                case 0:
-                    del found[name]
-                case 1:
-                    found[name] = np.array(["text"])
-                case 2:
-                    found[name] = found[name][..., :0] if found[name].ndim else found[name][None]
-                case _:
-                    found[name] = np.full_like(found[name], np.nan if found[name].dtype.kind == "f" else -1)
-            np.savez(file, **found)
-        return Input("policies", "load", ("load", "policy.npz"), broken)
+            self._spoil_arrays(file, np.savez)
+        return Input("policies", "load", ("load", file.name), broken)
+
+    def _spoil_arrays(self, file: Path, save: Callable[..., None]) -> None:
+        """Remove an array of an archive, or put something else in its place, as another version may have it."""
+        with np.load(file) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+        name = self._one(list(found))
+        match int(self.rng.integers(6)):
+            case 0:
+                del found[name]
+            case 1:
+                found[name] = np.array(["text"])
+            case 2:
+                found[name] = found[name][..., :0] if found[name].ndim else found[name][None]
+            case 3:
+                found[name] = np.full_like(found[name], np.nan if found[name].dtype.kind == "f" else 1).astype(
+                    self._one([found[name].dtype, np.int8, np.float32, np.complex128])
+                )
+            case 4:
+                found[f"{name}2"] = found.pop(name)
+            case _:
+                found[name] = found[name].T if found[name].ndim > 1 else found[name][..., None]
+        save(file, **found)
 
     def _results(self, folder: Path) -> Input:
         command = self._one(["solve", "solve", "study" if "study" in self.commands else "solve"])
         files = sorted(path for path in (folder / ARGUMENTS[command][-2]).rglob("*") if path.is_file())
         files = [path for path in files if path.suffix in ("", ".jsonl", ".json", ".npz", ".plan")]
         file = self._one(files)
-        if self.rng.random() < 0.15:
+        chance = self.rng.random()
+        if chance < 0.15:
             file.unlink()
+        elif chance < 0.4:
+            self._of_another_version(file)
         else:
             self._spoil_file(file)
         return Input("results", command, (command, *ARGUMENTS[command], "--resume"))
+
+    def _of_another_version(self, file: Path) -> None:
+        """Change a file of results as a version might that calls something by another name, or has it not, or more."""
+        if file.suffix == ".npz":
+            self._spoil_arrays(file, np.savez)
+            return
+        text = file.read_text()
+        lines = [text] if file.suffix == ".json" else text.splitlines()
+        try:
+            records = [json.loads(line) for line in lines]
+        except ValueError:  # a plan
+            file.write_text("; made by version 0\n" + text)
+            return
+        inner: Any = records[0]
+        while (deeper := [value for value in inner.values() if isinstance(value, dict) and value]) and (
+            self.rng.random() < 0.5
+        ):
+            inner = self._one(deeper)
+        key, other = self._one(list(inner)), self._one(["name", "version", "schema"])
+        for record in records if inner is records[0] else [inner]:
+            match int(self.rng.integers(3)):
+                case 0:
+                    record.pop(key, None)
+                case 1:
+                    record[other] = record.pop(key, None)
+                case _:
+                    record[other] = 0
+        file.write_text("".join(json.dumps(record) + "\n" for record in records))
 
     def check(self, made: Input, folder: Path, done: dict[str, Any]) -> list[str]:
         """Say what is wrong with how an input ended."""
@@ -347,6 +429,14 @@ def _is_json(text: bytes) -> bool:
     try:
         json.loads(text.decode("utf-8-sig"), parse_constant=refuse)
     except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _is_utf8(text: bytes) -> bool:
+    try:
+        text.decode()
+    except ValueError:
         return False
     return True
 

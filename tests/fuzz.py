@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 from broken import ARGUMENTS, Fuzzer, Input
 from click.testing import CliRunner
 
@@ -98,13 +99,21 @@ def without_processes() -> None:
 
 
 def load(file: str) -> None:
-    """What a program does with a saved policy; its one kind of error is said in one line."""
+    """What a program does with a saved policy or table; their own kinds of error are said in one line."""
     from assist.person.archive import ArchiveError
     from assist.person.solver import Solution
+    from planner import open_table
+    from planner.errors import DamagedFileError
 
     try:
-        Solution.load(Path(file))
-    except (ArchiveError, OSError) as error:
+        if file == "policy.npz":
+            Solution.load(Path(file))
+        else:
+            table = open_table(Path(file))
+            table.lookup(range(len(table)))
+            values = table.values(range(len(table)))
+            table.facts[np.arange(values.shape[1]), values[table.initial]].tolist()
+    except (ArchiveError, DamagedFileError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(1)
 
