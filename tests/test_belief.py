@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from assist.people.belief import Grid, ImpossibleObservationError, update
+from assist.people.belief import Grid, ImpossibleObservationError, Spread, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
-from assist.people.human import Human, HumanModel, Population
+from assist.people.human import Human, HumanModel, Mixture, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from planner import Table
@@ -85,8 +85,14 @@ def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: Table,
 
 
 def test_without_lapses_an_impossible_observation_is_an_error() -> None:
-    with pytest.raises(ImpossibleObservationError, match="lapse rate"):
-        update(np.full((1, 3, 4), 1 / 12), np.zeros((1, 3, 4)), np.zeros((1, 4), dtype=int), np.zeros((1, 4)))
+    likelihood = np.array([[[1.0, 0.0]], [[0.0, 1.0]], [[0.0, 0.0]]])
+    belief, nowhere = np.array([[[0.5, 0.5]], [[1.0, 0.0]], [[0.5, 0.5]]]), np.zeros((3, 2))
+    message = r"row 1: the observation has probability 0 under the belief \[\[1.0, 0.0\]\]; a lapse rate above 0"
+    with pytest.raises(ImpossibleObservationError, match=message):
+        update(belief, likelihood, nowhere.astype(int), nowhere)
+    likelihood[1] = np.nan
+    with pytest.raises(ImpossibleObservationError, match="row 1: the observation has probability nan"):
+        update(belief, likelihood, nowhere.astype(int), nowhere)
 
 
 def test_watching_an_expert_and_a_novice(tiny_choices: Choices) -> None:
@@ -126,11 +132,101 @@ def test_sharing_keeps_theta(theta: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("beta", "theta"), [([1.0, 0.5], [0, 1]), ([], [0, 1]), ([1.0], [0.5]), ([1.0], [0.1, 1]), ([-1.0], [0, 1])]
+    ("beta", "theta", "message"),
+    [
+        ([1.0, 0.5], [0, 1], "beta: expected one or more ascending"),
+        ([1.0, 1.0], [0, 1], "beta: expected one or more ascending"),
+        ([], [0, 1], "beta: expected one or more ascending"),
+        ([[1.0]], [0, 1], "beta: expected one or more ascending"),
+        ([-1.0], [0, 1], "values from 0 upwards"),
+        ([1.0], [0.5], "theta: expected two or more ascending"),
+        ([1.0], [[0, 1]], "theta: expected two or more ascending"),
+        ([1.0], [0, 0.5, 0.5, 1], "theta: expected two or more ascending"),
+        ([1.0], [0.1, 1], "theta: expected a grid from 0 to 1"),
+        ([1.0], [0, 0.9], "theta: expected a grid from 0 to 1"),
+    ],
 )
-def test_a_grid_is_checked(beta: list[float], theta: list[float]) -> None:
-    with pytest.raises(ValueError, match="expected"):
+def test_a_grid_is_checked(beta: list[float], theta: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}|{message}, because|{message}$"):
         Grid(np.array(beta), np.array(theta, dtype=float))
+
+
+def test_the_smallest_grid_and_its_arrays() -> None:
+    grid = Grid(np.array([0.0]), np.array([0.0, 1.0]))
+    assert grid.shape == (1, 2)
+    for array in (grid.beta, grid.theta):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.5
+
+
+def test_a_regular_grid_has_the_middles_of_equal_cells() -> None:
+    population = Population(beta=(1.0, 4.0))
+    grid = Grid.regular(population, betas=3, thetas=5)
+    assert grid.beta.tolist() == [1.5, 2.5, 3.5]
+    assert grid.theta.tolist() == [0, 0.25, 0.5, 0.75, 1]
+    assert Grid.regular(population).shape == (6, 10)
+    assert Grid.regular(Population(beta=(2.0, 2.0))).beta.tolist() == [2]
+    two = Mixture((Population(beta=(0.0, 1.0)), Population(beta=(2.0, 3.0))), (0.5, 0.5))
+    assert Grid.regular(two, betas=3).beta.tolist() == [0.5, 1.5, 2.5]
+
+
+def test_shares_by_hand() -> None:
+    low, weight = GRID.shares([0.0, 0.15, 0.3, 0.4, 0.7, 1.0, -0.2, 1.2])
+    assert low.tolist() == [0, 0, 1, 1, 2, 2, 0, 2]
+    np.testing.assert_allclose(weight, [0, 0.5, 0, 0.25, 0, 1, 0, 1], atol=1e-15)
+    assert low.dtype == np.int64
+
+
+@pytest.mark.parametrize(
+    ("beta", "expected"),
+    [((0.2, 1.0), [0.5, 0.5, 0]), ((1.0, 2.5), [0, 0.5, 0.5]), ((0.0, 3.0), [1 / 3, 1 / 3, 1 / 3]),
+     ((1.2, 1.6), [0, 1, 0]), ((0.3, 0.5), [1, 0, 0]), ((2.6, 9.0), [0, 0, 1])],
+)  # fmt: skip
+def test_a_prior_of_beta_by_hand(beta: tuple[float, float], expected: list[float]) -> None:
+    """Uniform over the grid's values 0.2, 1 and 2.5 in the range; over the nearest to its middle, where none is."""
+    prior = GRID.prior(Population(beta=beta))
+    np.testing.assert_allclose(prior.sum(axis=1), expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("theta", "expected"),
+    [((0.3, 0.7), [0, 1 / 2, 1 / 2, 0]), ((0.0, 0.7), [3 / 14, 1 / 2, 2 / 7, 0]), ((0.4, 0.4), [0, 0.75, 0.25, 0]),
+     ((1.0, 1.0), [0, 0, 0, 1]), ((0.4, 0.6), [0, 1 / 2, 1 / 2, 0]), ((0.1, 0.5), [1 / 6, 17 / 24, 1 / 8, 0])],
+)  # fmt: skip
+def test_a_prior_of_theta_by_hand(theta: tuple[float, float], expected: list[float]) -> None:
+    """Each piece of the range between two of 0, 0.3, 0.7 and 1 is shared like its middle."""
+    prior = GRID.prior(Population(theta=theta))
+    np.testing.assert_allclose(prior.sum(axis=0), expected, atol=1e-15)
+    np.testing.assert_allclose(prior, np.outer(prior.sum(axis=1), expected), atol=1e-15)
+
+
+def test_a_prior_of_a_mixture_is_the_mixture_of_priors() -> None:
+    novices, experts = Population(beta=(0.2, 0.2), theta=(0.0, 0.0)), Population(beta=(2.5, 2.5), theta=(1.0, 1.0))
+    prior = GRID.prior(Mixture((novices, experts), (0.25, 0.7500005)))  # shares as somebody wrote them down
+    assert prior.sum() == pytest.approx(1, abs=1e-15)
+    assert prior[0, 0] == pytest.approx(0.25, abs=1e-6)
+    assert prior[2, 3] == pytest.approx(0.75, abs=1e-6)
+
+
+def test_where_a_distribution_lies() -> None:
+    values = np.array([1.0, 2.0, 4.0, 8.0])
+    assert Spread.of(values, np.array([0.25, 0.25, 0.25, 0.25])) == Spread(3.75, 1.0, 8.0)
+    assert Spread.of(values, np.array([0.04, 0.02, 0.9, 0.04])) == Spread(0.04 + 0.04 + 3.6 + 0.32, 2.0, 4.0)
+    assert Spread.of(values, np.array([0.05, 0.45, 0.45, 0.05])) == Spread(0.05 + 0.9 + 1.8 + 0.4, 1.0, 4.0)
+    # 0.95 in six portions, which add up to a little less
+    assert Spread.of(np.arange(7.0), np.array([0.3, 0.2, 0.15, 0.1, 0.1, 0.1, 0.05])).high == 5
+    nobody = Spread.of(values, np.array([0.5, np.nan, 0.25, 0.25]))
+    assert np.isnan([nobody.mean, nobody.low, nobody.high]).all()
+
+
+def test_updates_by_hand() -> None:
+    """Two people: one whose trust moves half way up the grid, one whose stays; chances 0.2 and 0.6 of what they did."""
+    belief = np.array([[[0.5, 0.5]], [[0.25, 0.75]]])
+    likelihood = np.array([[[0.2, 0.6]], [[0.6, 0.2]]])
+    low, weight = np.array([[0, 0], [0, 0]]), np.array([[0.5, 1.0], [0.0, 1.0]])
+    after = update(belief, likelihood, low, weight)
+    np.testing.assert_allclose(after, [[[0.125, 0.875]], [[0.5, 0.5]]], atol=1e-15)
+    np.testing.assert_array_equal(belief, [[[0.5, 0.5]], [[0.25, 0.75]]])
 
 
 def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Choices) -> None:

@@ -22,7 +22,7 @@ from assist.people.decision import (
     perceived_value,
     trust,
 )
-from assist.people.human import HumanModel, Population
+from assist.people.human import Human, HumanModel, Mixture, Population
 from planner import Table, load, sweep
 
 ALL = np.ones(3, dtype=bool)
@@ -179,10 +179,76 @@ def test_population_draws_from_its_ranges(tiny_choices: Choices) -> None:
         values = np.array([getattr(human, name) for human in people])
         assert low <= values.min() < low + 0.1 * (high - low)
         assert high - 0.1 * (high - low) < values.max() <= high
-    with pytest.raises(ValueError, match=r"theta range \(0.5, 1.2\): expected 0 <= low <= high <= 1"):
-        Population(theta=(0.5, 1.2))
-    with pytest.raises(ValueError, match="beta range"):
-        Population(beta=(1.0, float("inf")))
+
+
+def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None:
+    """Beta, theta and sigma one after the other, then what they are mistaken about."""
+    population = Population(beta=(1.0, 2.0), theta=(0.2, 0.4), sigma=(0.5, 0.7), noise="action")
+    person, other = population.sample(tiny_choices, 2, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    assert (person.beta, person.theta, person.sigma) == (
+        rng.uniform(1, 2),
+        rng.uniform(0.2, 0.4),
+        rng.uniform(0.5, 0.7),
+    )
+    np.testing.assert_array_equal(person.h, perceived_cost_to_go(tiny_choices, person.sigma, rng, "action"))
+    assert other.beta == rng.uniform(1, 2)
+    with pytest.raises(ValueError, match="read-only"):
+        person.h[0, 0] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"theta": (0.5, 1.2)}, r"theta range \(0.5, 1.2\): expected 0 <= low <= high <= 1$"),
+        ({"beta": (1.0, float("inf"))}, r"beta range \(1, inf\): expected 0 <= low <= high$"),
+        ({"beta": (float("nan"), 1.0)}, r"beta range \(nan, 1\): expected"),
+        ({"sigma": (-0.1, 1.0)}, r"sigma range \(-0.1, 1\): expected 0 <= low <= high$"),
+        ({"sigma": (0.2, 0.1)}, r"sigma range \(0.2, 0.1\): expected 0 <= low <= high$"),
+        ({"noise": "both"}, "noise 'both': expected 'state' or 'action'$"),
+    ],
+)
+def test_populations_that_cannot_be(ranges: dict[str, tuple[float, float]], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        Population(**ranges)  # type: ignore[arg-type]
+
+
+def test_ranges_may_be_a_point_and_reach_their_ends(tiny_choices: Choices) -> None:
+    one = Population(beta=(0.0, 0.0), theta=(1.0, 1.0), sigma=(0.0, 0.0)).sample(
+        tiny_choices, 1, np.random.default_rng(0)
+    )[0]
+    assert (one.beta, one.theta, one.sigma) == (0, 1, 0)
+    np.testing.assert_array_equal(one.h, tiny_choices.h)
+
+
+def test_a_mixture_draws_from_each_part_by_its_share(tiny_choices: Choices) -> None:
+    parts = (
+        Population(beta=(0.1, 0.2), theta=(0.6, 0.7), sigma=(0.3, 0.4)),
+        Population(beta=(1.0, 2.0), theta=(0.5, 0.9), sigma=(0.0, 0.2)),
+        Population(beta=(0.3, 0.4), theta=(0.1, 0.2), sigma=(0.9, 1.0)),
+    )
+    mixture = Mixture(parts, (0.7500005, 0.25, 0.0))  # within rounding of 1
+    assert (mixture.beta, mixture.theta, mixture.sigma) == ((0.1, 2.0), (0.1, 0.9), (0.0, 1.0))
+    drawn = mixture.sample(tiny_choices, 400, np.random.default_rng(0))
+    novices = sum(person.beta <= 0.2 for person in drawn)
+    assert len(drawn) == 400
+    assert novices == pytest.approx(300, abs=4 * np.sqrt(400 * 0.75 * 0.25))
+    assert sum(1 <= person.beta <= 2 and person.sigma <= 0.2 for person in drawn) == 400 - novices
+
+
+@pytest.mark.parametrize(
+    ("count", "shares", "message"),
+    [
+        (0, (), "0 parts, 0 shares: expected one share for each part"),
+        (2, (1.0,), "2 parts, 1 shares: expected one share for each part"),
+        (2, (1.5, -0.5), "the shares add up to 1; expected numbers of 0 or more"),
+        (2, (0.5, 0.6), "the shares add up to 1.1; expected numbers of 0 or more that add up to 1$"),
+        (1, (0.9,), "the shares add up to 0.9;"),
+    ],
+)
+def test_mixtures_that_cannot_be(count: int, shares: tuple[float, ...], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        Mixture((Population(),) * count, shares)
 
 
 SWITCH = """
@@ -204,11 +270,37 @@ def test_standing_still_is_the_only_choice_where_nothing_can_be_done(tmp_path: P
     assert (choices.targets[stuck, 0], choices.costs[stuck, 0]) == (stuck, 1)
 
 
-def test_model_parameters_are_checked(tiny_choices: Choices) -> None:
-    with pytest.raises(ValueError, match="lapse"):
-        HumanModel.exact(tiny_choices, lapse=1.0)
-    with pytest.raises(ValueError, match="eta"):
-        HumanModel.exact(tiny_choices, eta=float("nan"))
+@pytest.mark.parametrize("lapse", [1.0, -0.1, float("nan")])
+def test_a_lapse_that_cannot_be(tiny_choices: Choices, lapse: float) -> None:
+    with pytest.raises(ValueError, match=f"^lapse {lapse:g}: expected 0 <= lapse < 1$"):
+        HumanModel.exact(tiny_choices, lapse=lapse)
+
+
+@pytest.mark.parametrize(
+    ("eta", "scale"),
+    [(-0.1, 1.0), (float("inf"), 1.0), (float("nan"), 1.0), (0.2, 0.0), (0.2, -1.0), (0.2, float("inf"))],
+)
+def test_trust_that_cannot_be(tiny_choices: Choices, eta: float, scale: float) -> None:
+    message = f"^eta {eta:g}, utility_scale {scale:g}: expected eta >= 0, scale > 0$"
+    with pytest.raises(ValueError, match=message):
+        HumanModel.exact(tiny_choices, eta=eta, utility_scale=scale)
+
+
+def test_a_model_is_of_the_task_or_of_the_person(tiny_choices: Choices) -> None:
+    person = Human(1.0, 0.6, 0.5, perceived_cost_to_go(tiny_choices, 0.5, np.random.default_rng(0)))
+    known = {"eta": 0.0, "lapse": 0.0, "utility_scale": 2.5}
+    for model, h in (
+        (HumanModel.exact(tiny_choices, **known), tiny_choices.h),
+        (HumanModel.own(tiny_choices, person, **known), person.h),
+    ):
+        assert model.choices is tiny_choices
+        assert (model.eta, model.lapse, model.utility_scale) == (0.0, 0.0, 2.5)
+        expected = tiny_choices.costs + h[tiny_choices.targets]
+        np.testing.assert_array_equal(model.q[tiny_choices.applicable], expected[tiny_choices.applicable])
+        with pytest.raises(ValueError, match="read-only"):
+            model.q[0, 0] = 0.0
+    for model in (HumanModel.exact(tiny_choices), HumanModel.own(tiny_choices, person)):
+        assert (model.eta, model.lapse, model.utility_scale) == (0.2, 1e-3, 1.0)
 
 
 def test_a_lapse_is_uniform_over_what_each_state_offers() -> None:
