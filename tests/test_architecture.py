@@ -29,9 +29,10 @@ ROOMS = {
     "assist.drawing": "subject profile scene layout svg picture frames files",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
-    "assist.live": "advice problem roster assistant",
+    "assist.live": """advice problem roster assistant course journal session access simulated service limits
+        web server""",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
-        bounds solve simulate policy bound export draw log fit study commands""",
+        bounds solve simulate policy bound export draw log fit study serve commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

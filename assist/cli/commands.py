@@ -13,6 +13,7 @@ COMMANDS = {
     "export": "Write the problem of assisting one person, for other solvers.",
     "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",
     "policy": "Solve the problem of assisting one person, with a lower and an upper bound on what can be reached.",
+    "serve": "Run the assistant live: what people do comes in over HTTP, whom to help and how goes out.",
     "simulate": "Simulate a team of people and a robot that assists them.",
     "solve": "Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.",
     "study": "Run a whole study: pools of people, teams, policies, conditions; then write its report.",

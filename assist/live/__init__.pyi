@@ -2,5 +2,10 @@ from .advice import Advice as Advice
 from .advice import PersonState as PersonState
 from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
+from .course import AbsentError as AbsentError
+from .course import Event as Event
+from .journal import JournalError as JournalError
 from .problem import InapplicableError as InapplicableError
 from .problem import UnknownError as UnknownError
+from .session import Outlook as Outlook
+from .session import Session as Session

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from ..people.belief import Grid, Spread
 from ..people.decision import Floats
@@ -36,6 +38,12 @@ class Reason:
     theta: float
     theta_interval: tuple[float, float]
 
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Reason:
+        """Read what `dataclasses.asdict` made, and JSON may have kept."""
+        values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in plain.items()}
+        return cls(**values)
+
 
 @dataclass(frozen=True)
 class Advice:
@@ -57,6 +65,14 @@ class Advice:
     suggestion: str | None
     reason: Reason | None
     arrived: bool
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> Advice:
+        """Read what `dataclasses.asdict` made, and JSON may have kept."""
+        reason = plain["reason"]
+        return cls(
+            plain["person"], plain["suggestion"], None if reason is None else Reason.of(reason), plain["arrived"]
+        )
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ from ..team.policies import POLICIES, named
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
-from .problem import InapplicableError, Part, Problem, digest
+from .problem import InapplicableError, Part, Problem, digest, population_of
 from .roster import Record, Roster, Step
 
 FORMAT = "kitassist team 1"
@@ -299,6 +299,19 @@ class Assistant:
             self._step += 1
         return self._advice
 
+    def follow(self, advice: Advice, step: int) -> None:
+        """Take note of advice that has been given already, in place of asking for it; with it the team's `step`."""
+        self._advice, self._step = advice, step
+        if advice.person is not None:
+            record = self._team.known(advice.person)
+            self._location, self._under_way = record.place, not advice.arrived
+            if advice.arrived:
+                self._suggest(record, advice.suggestion)
+
+    def elapse(self) -> None:
+        """Take note that time has passed in which nobody acted, so that `recommend` decides once more."""
+        self._advice = None
+
     def arrived(self, person: str | None = None) -> None:
         """Take note of where the robot is: with somebody, or at its base."""
         self._location = BASE if person is None else self._team.known(person).place
@@ -367,6 +380,11 @@ class Assistant:
             person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names, self._suggestion(k),
             float(choices.h[row]), len(record.steps), part.policy.pomdp.grid, self._team.belief[k].copy(),
         )  # fmt: skip
+
+    @property
+    def step(self) -> int:
+        """How many decisions there have been."""
+        return self._step
 
     @property
     def robot(self) -> str | None:
@@ -449,7 +467,7 @@ class Assistant:
                 raise ValueError("the policy was a function; expected it as `policy`")
             team = cls(
                 tasks[0] if tasks else None, policy=policy or saved["policy"], setting=Setting(**saved["setting"]),
-                population=_population(saved["population"]), distance=saved["distance"],
+                population=population_of(saved["population"]), distance=saved["distance"],
             )  # fmt: skip
             team._restore(saved, {digest(task): task for task in tasks})
         except (KeyError, TypeError, ValueError) as error:
@@ -463,7 +481,7 @@ class Assistant:
                 if task is None:
                     raise ValueError(f"the task of {one['person']} is not among the {len(tasks)} that were given")
                 enter = self.begin if number else self.join
-                enter(one["person"], task, population=_population(episode["population"]))
+                enter(one["person"], task, population=population_of(episode["population"]))
                 record = self._team.by_name[one["person"]]
                 for step in episode["steps"]:
                     self._suggest(record, step["suggestion"])
@@ -474,22 +492,8 @@ class Assistant:
         self._location = BASE if saved["robot"] is None else self._team.by_name[saved["robot"]].place
         advice = saved["advice"]
         if advice is not None:
-            reason = advice["reason"]
-            if reason is not None:
-                intervals = {name: tuple(reason[name]) for name in ("beta_interval", "theta_interval")}
-                reason = Reason(**(reason | intervals))
-            self._advice = Advice(**(advice | {"reason": reason}))
+            self._advice = Advice.of(advice)
 
     def _suggest(self, record: Record, suggestion: str | None) -> None:
         k = record.place
         self._team.robot[k] = record.problem.robot(int(self._team.model[k]), int(self._team.x[k]), suggestion)
-
-
-def _population(plain: dict[str, Any]) -> Population | Mixture:
-    if "parts" in plain:
-        return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
-    return _ranges(plain)
-
-
-def _ranges(plain: dict[str, Any]) -> Population:
-    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"])

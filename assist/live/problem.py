@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import TypeGuard, cast
+from typing import Any, TypeGuard, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,3 +180,14 @@ def digest(task: CostToGo | Policy) -> str:
     else:
         content.update(cast(CostToGo, task).task.sas.encode())
     return content.hexdigest()[:32]
+
+
+def population_of(plain: dict[str, Any]) -> Population | Mixture:
+    """Read a population that `dataclasses.asdict` made, and JSON may have kept."""
+    if "parts" in plain:
+        return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
+    return _ranges(plain)
+
+
+def _ranges(plain: dict[str, Any]) -> Population:
+    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"])

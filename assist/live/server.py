@@ -1,0 +1,214 @@
+"""A process that serves a session: listens, says where, lets simulated people act, and ends when it is told to."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import signal
+import socket
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import uvicorn
+
+from planner import CostToGo
+
+from ..people.human import Mixture, Population
+from ..team.settings import Setting
+from .access import Access
+from .course import AbsentError, Event
+from .journal import JournalError
+from .limits import LARGEST
+from .problem import InapplicableError
+from .service import BusyError, Service
+from .session import Session
+from .simulated import SimulatedPerson
+from .web import make_app
+
+PATIENCE = 2
+"""Seconds for connections to end by themselves."""
+
+ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+
+
+def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.socket:
+    """Take a port; another one (0 for any) if it is taken and one is given.
+
+    Raises
+    ------
+    OSError
+        It cannot be had.
+    """
+    try:
+        return socket.create_server(
+            (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=1024
+        )
+    except OSError as error:
+        if otherwise is not None and error.errno == errno.EADDRINUSE:
+            return listen(host, otherwise)
+        raise OSError(error.errno, error.strerror, f"{host}, port {port}") from None
+
+
+def address(listening: socket.socket) -> str:
+    """Give what all addresses of a service begin with."""
+    host, port = listening.getsockname()[:2]
+    if host in ("0.0.0.0", "::"):  # every network: those who come need a name of this machine
+        host = socket.gethostname()
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+@dataclass
+class Seats:
+    """Simulated people, and how fast they are.
+
+    Attributes
+    ----------
+    people : mapping of str to SimulatedPerson
+    pace : float
+        Seconds between two of their actions, on the average.
+    """
+
+    people: Mapping[str, SimulatedPerson] = field(default_factory=dict)
+    pace: float = 3.0
+
+    async def fill(self, service: Service, *, alone: bool) -> None:
+        """Let them act until they have finished; where real people are expected, from when the first has come."""
+        if not alone:
+            await service.visited.wait()
+        await asyncio.gather(*(self._work(service, name, person) for name, person in self.people.items()))
+
+    async def _work(self, service: Service, name: str, person: SimulatedPerson) -> None:
+        while True:
+            await asyncio.sleep(self.pace * float(person.rng.gamma(4.0, 0.25)))
+            with suppress(AbsentError, InapplicableError, BusyError, JournalError):  # they try again
+                action = await asyncio.to_thread(_chosen, service.session, name, person)
+                if action is None:
+                    return
+                await service.report(Event("acted", name, action))
+
+
+def _chosen(session: Session, name: str, person: SimulatedPerson) -> str | None:
+    """Let somebody choose; None if they have finished."""
+    with session.lock:  # tasks that are asked on demand are one thread's at a time
+        seen = session.person(name)
+        task, state = session.place(name)
+        if seen["finished"]:
+            return None
+        return person.act(task, state, seen["applicable"], None if seen["paused"] else seen["suggestion"])
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn's, which leaves signals to the process and says when it listens."""
+
+    ready: Callable[[], None]
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave them alone."""
+        yield
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen."""
+        await super().startup(sockets)
+        if not self.should_exit:
+            self.ready()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is served.
+
+    Attributes
+    ----------
+    tasks : mapping of str to CostToGo
+    folder : Path
+        Where the session is kept: its journal, and the secret from which links follow.
+    people : sequence of str
+        Who is there when a session begins; one that goes on has its own.
+    policy : str
+    setting : Setting
+    population : Population or Mixture
+        Of whom people are taken to be, and simulated ones drawn.
+    simulated : sequence of str
+        Whose seats simulated people take.
+    pace, seed
+        As in `Seats` and `SimulatedPerson`.
+    tick : float
+        Seconds without an event after which time is taken to have elapsed.
+    """
+
+    tasks: Mapping[str, CostToGo]
+    folder: Path
+    people: Sequence[str]
+    policy: str
+    setting: Setting
+    population: Population | Mixture
+    simulated: Sequence[str]
+    pace: float
+    seed: int
+    tick: float
+
+    def session(self) -> Session:
+        """Open the session; at its very beginning people come."""
+        session = Session(
+            self.tasks, self.folder / "journal.jsonl", policy=self.policy, setting=self.setting,
+            population=self.population,
+        )  # fmt: skip
+        if not session.outlook().events:
+            for outcome in session.report([Event("joined", person) for person in self.people]):
+                if isinstance(outcome, Exception):
+                    session.close()
+                    raise outcome
+        return session
+
+    def seats(self) -> Seats:
+        """Draw simulated people."""
+        eta, scale = self.setting.eta, self.setting.utility_scale
+        people = {
+            name: SimulatedPerson(self.population, eta=eta, utility_scale=scale, seed=self.seed + number)
+            for number, name in enumerate(self.simulated)
+        }
+        return Seats(people, self.pace)
+
+
+def serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[str, ...]], None]) -> None:
+    """Serve a session until a signal ends it.
+
+    Parameters
+    ----------
+    plan : Plan
+    listening : socket
+    ready : callable
+        Called with the links and who is there when the first request can come.
+    """
+    logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
+    asyncio.run(_serve(plan, listening, ready))
+
+
+async def _serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[str, ...]], None]) -> None:
+    access = Access.kept(plan.folder / "secret", address(listening))
+    service = Service(plan.session(), access, tick=plan.tick)
+    # No access log: addresses of pages have tokens in them.
+    server = _Server(
+        uvicorn.Config(
+            make_app(service), log_config=None, access_log=False, lifespan="on", proxy_headers=False,
+            server_header=False, timeout_graceful_shutdown=PATIENCE, timeout_keep_alive=75, ws_max_size=LARGEST,
+            ws_per_message_deflate=False, backlog=1024,
+        )
+    )  # fmt: skip
+    server.ready = lambda: ready(access, service.session.people)
+    loop = asyncio.get_running_loop()
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            loop.add_signal_handler(number, setattr, server, "should_exit", True)
+    filling = asyncio.create_task(plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people)))
+    try:
+        await server.serve([listening])
+    finally:
+        filling.cancel()
+        with suppress(asyncio.CancelledError):
+            await filling

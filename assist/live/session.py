@@ -1,0 +1,360 @@
+"""A live session: people act, the robot is advised, and nothing that was acknowledged is ever lost.
+
+`Session` is a `Course` with a `Journal` and a lock: any thread may report what has happened. An event is on the disk
+before it is acknowledged, and seen by others only then; events that come together share one wait for the disk. What
+could not be recorded has not happened. Opened again on the same journal, a session is where it was: the same states,
+beliefs, bit for bit, suggestions and answers.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from planner import CostToGo, LimitError
+from planner.errors import DamagedFileError, ResultsExistError
+
+from ..people.human import Mixture, Population
+from ..team.settings import Setting
+from ..team.state import PolicyError, TeamPolicy
+from .advice import Advice
+from .course import Course, Event
+from .journal import Journal, JournalError
+from .problem import InapplicableError, digest
+
+FORMAT = "kitassist session 1"
+"""Of journals."""
+
+Refused = (ValueError, LimitError, PolicyError)
+"""What is wrong with an event, as against with the program."""
+
+Outcome = dict[str, Any] | Exception
+"""What has come of an event: what whoever reported it sees now, or why it has not happened."""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What there is to see of a session beside its people.
+
+    Attributes
+    ----------
+    events : int
+        How many there have been.
+    paused : bool
+        Whether the robot says nothing.
+    robot : dict
+        Where it is to be, and what it says there.
+    recent : list of dict
+        The last events, the oldest first.
+    """
+
+    events: int
+    paused: bool
+    robot: dict[str, Any]
+    recent: list[dict[str, Any]]
+
+
+class Session:
+    """People at work, live, and the robot that assists them.
+
+    Parameters
+    ----------
+    tasks : CostToGo, or mapping of str to CostToGo
+        By name; the first is that of everybody for whom no other is named.
+    journal : Path
+        The file in which the session is kept, and from which it goes on.
+    policy : str or callable
+        A team policy, as in `Assistant`.
+    setting : Setting, optional
+    population : Population or Mixture, optional
+    clock : callable
+        Seconds from any beginning, never less than before. No result depends on it.
+
+    Attributes
+    ----------
+    changed : callable or None
+        Called with those for whom something has changed, after it is on the disk, while the session is locked.
+
+    Raises
+    ------
+    ResultsExistError
+        The journal is of a session that runs, or of one with other tasks or settings.
+    DamagedFileError
+        It was changed by somebody else.
+    OSError
+        It cannot be written.
+    """
+
+    def __init__(
+        self,
+        tasks: CostToGo | Mapping[str, CostToGo],
+        journal: Path,
+        *,
+        policy: str | TeamPolicy = "attention",
+        setting: Setting | None = None,
+        population: Population | Mixture | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._tasks = dict(tasks) if isinstance(tasks, Mapping) else {"task": tasks}
+        self._options: dict[str, Any] = {"policy": policy, "setting": setting, "population": population}
+        self._clock = clock
+        self.changed: Callable[[set[str]], None] | None = None
+        self.lock = threading.RLock()
+        self._journal = Journal(journal)
+        try:
+            self._resume()
+            if not len(self._journal):
+                self._journal.append([_line(self._header())])
+        except BaseException:
+            self._journal.close()
+            raise
+        self._began = clock() - self._last
+
+    def _header(self) -> dict[str, Any]:
+        desk = self._course.desk
+        return {
+            "format": FORMAT,
+            "policy": desk.policy if isinstance(desk.policy, str) else None,
+            "setting": asdict(desk.setting),
+            "population": asdict(desk.population),
+            "tasks": {name: digest(task) for name, task in self._tasks.items()},
+        }
+
+    def _resume(self) -> None:
+        """Let all happen again that is in the journal."""
+        course, answers, last = Course(self._tasks, **self._options), dict[tuple[str, str], int](), 0.0
+        self._course = course
+        for number, (begin, record) in enumerate(self._journal, start=1):
+            if begin == 0:
+                self._check(record)
+                continue
+            try:
+                if record["n"] != course.count + 1:
+                    raise ValueError(f"event {record['n']}; expected {course.count + 1}")
+                course.again(record)
+                last = record["time"]
+            except (KeyError, TypeError, AttributeError, ValueError) as error:
+                raise DamagedFileError(self._journal.file, number, f"cannot have happened: {error}") from error
+            if "id" in record:
+                answers[record.get("person", ""), record["id"]] = begin
+        self._answers, self._last = answers, last
+
+    def _check(self, header: dict[str, Any]) -> None:
+        expected = json.loads(_line(self._header()))
+        for name, value in expected.items():
+            if header.get(name) != value:
+                raise ResultsExistError(
+                    f"{self._journal.file}: the session there has {_shown(name, header.get(name), value)}; "
+                    "expected the same, or another folder"
+                )
+
+    def close(self) -> None:
+        """Let go of the journal."""
+        with self.lock:
+            self._journal.close()
+
+    # What happens.
+
+    def report(self, events: Sequence[Event]) -> list[Outcome]:
+        """Let events happen, one after the other, and wait until those that can be are on the disk.
+
+        Returns
+        -------
+        list
+            For each what whoever it is about sees after it (`person`, or `robot` where it is about nobody), or the
+            exception that says why it has not happened: an `UnknownError`, `AbsentError`, `InapplicableError`, another
+            ValueError, a `LimitError`, or a `JournalError`, where the disk is full.
+        """
+        with self.lock:
+            try:
+                self._journal.check()
+            except JournalError as error:
+                return [self._known(event) or error for event in events]
+            outcomes: list[Outcome | tuple[str, str]] = []
+            lines: list[bytes] = []
+            records: dict[tuple[str, str], dict[str, Any]] = {}
+            answered: list[tuple[tuple[str, str], int]] = []
+            touched: set[str] = set()
+            for event in events:
+                key = (event.person or "", event.id or "")
+                if event.id and key in records:
+                    outcomes.append(_same(event, records[key]))
+                    continue
+                try:
+                    outcome = self._known(event) or self._happen(event, records, lines, touched)
+                except Refused as error:
+                    outcome = error
+                outcomes.append(outcome)
+                if event.id and key in records:
+                    answered.append((key, len(lines) - 1))
+            return self._commit(outcomes, lines, answered, touched)
+
+    def _happen(
+        self,
+        event: Event,
+        records: dict[tuple[str, str], dict[str, Any]],
+        lines: list[bytes],
+        touched: set[str],
+    ) -> Outcome:
+        record = self._course.happen(event, self._clock() - self._began)
+        if record is None:
+            return self._course.robot()
+        answer = self._course.robot() if event.person is None else self._course.person(event.person)
+        if event.kind == "arrived":
+            answer = self._course.robot()
+        if event.id:
+            record["answer"] = answer
+            records[event.person or "", event.id] = record
+        lines.append(_line(record))
+        touched |= self._course.touched(record)
+        return answer
+
+    def _known(self, event: Event) -> Outcome | None:
+        """Give the answer of an event that has happened already."""
+        begin = self._answers.get((event.person or "", event.id)) if event.id else None
+        return None if begin is None else _same(event, self._journal.at(begin))
+
+    def _commit(
+        self, outcomes: list[Any], lines: list[bytes], answered: list[tuple[tuple[str, str], int]], touched: set[str]
+    ) -> list[Outcome]:
+        if lines:
+            try:
+                begins = self._journal.append(lines)
+            except JournalError as error:
+                self._resume()  # what is not on the disk has not happened
+                return [outcome if isinstance(outcome, Exception) else error for outcome in outcomes]
+            self._answers.update((key, begins[number]) for key, number in answered)
+            if self.changed is not None:
+                self.changed(touched)
+        return outcomes
+
+    def _one(self, event: Event) -> dict[str, Any]:
+        outcome = self.report([event])[0]
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def join(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
+        """Let somebody come, or come back to what they left; give what they see, as all that follow do."""
+        return self._one(Event("joined", person, task=task, id=id))
+
+    def leave(self, person: str, *, id: str | None = None) -> dict[str, Any]:
+        """Let somebody go."""
+        return self._one(Event("left", person, id=id))
+
+    def begin(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
+        """Let somebody begin the next task, the same again unless named."""
+        return self._one(Event("began", person, task=task, id=id))
+
+    def observe(
+        self,
+        person: str,
+        action: str,
+        *,
+        id: str | None = None,
+        followed: bool | None = None,
+        seen: int | None = None,
+    ) -> dict[str, Any]:
+        """Take note of what somebody did; what is not listed is as in `Event`."""
+        return self._one(Event("acted", person, action, followed, seen, id=id))
+
+    def undo(self, person: str, *, id: str | None = None) -> dict[str, Any]:
+        """Take somebody's last action back, as if it had not been observed."""
+        return self._one(Event("undone", person, id=id))
+
+    def arrived(self, person: str | None = None, *, id: str | None = None) -> dict[str, Any]:
+        """Take note of where the robot is: with somebody, or at its base; give where it is to go next."""
+        return self._one(Event("arrived", person, id=id))
+
+    def elapse(self) -> dict[str, Any]:
+        """Take note that time has passed in which nobody acted; give where the robot is to go."""
+        return self._one(Event("elapsed"))
+
+    def pause(self, paused: bool = True) -> dict[str, Any]:
+        """Let the robot say nothing, or speak again; people can go on acting."""
+        return self._one(Event("paused" if paused else "resumed"))
+
+    # What is seen. All of it is on the disk.
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Who is there, in the order in which they first came."""
+        with self.lock:
+            return self._course.desk.people
+
+    def recommend(self) -> Advice:
+        """Give what was decided after the last event: to whom the robot goes, what it suggests, and why."""
+        with self.lock:
+            return self._course.advice
+
+    def person(self, person: str) -> dict[str, Any]:
+        """Give what somebody sees, as the service sends it.
+
+        Raises
+        ------
+        AbsentError
+        """
+        with self.lock:
+            self._course.require(person)
+            return self._course.person(person)
+
+    def entry(self, person: str) -> dict[str, Any]:
+        """Give what the operator sees of somebody, beliefs included.
+
+        Raises
+        ------
+        AbsentError
+        """
+        with self.lock:
+            self._course.require(person)
+            return self._course.entry(person)
+
+    def outlook(self) -> Outlook:
+        """Give what there is to see beside the people."""
+        with self.lock:
+            course = self._course
+            return Outlook(course.count, course.paused, course.robot(), list(course.recent))
+
+    def log(self) -> list[dict[str, Any]]:
+        """Give everybody's actions as `fit` reads them."""
+        with self.lock:
+            return self._course.log()
+
+    def place(self, person: str) -> tuple[CostToGo, int]:
+        """Give somebody's task, and the state in which it is."""
+        with self.lock:
+            self._course.require(person)
+            return self._course.task_of(person), self._course.desk.person(person).state
+
+    def beliefs(self) -> dict[str, bytes]:
+        """Give what is believed of everybody who is there, to the bit."""
+        with self.lock:
+            desk = self._course.desk
+            return {person: desk.person(person).belief.tobytes() for person in desk.people}
+
+
+def _line(record: Mapping[str, Any]) -> bytes:
+    return json.dumps(record, separators=(",", ":"), default=str).encode() + b"\n"
+
+
+def _same(event: Event, record: Mapping[str, Any]) -> Outcome:
+    """Answer what was reported before under the same id."""
+    if record["event"] != event.kind:
+        return InapplicableError(f"the id {event.id!r} stands for something else that has happened; expected a new one")
+    answer: dict[str, Any] = record["answer"]
+    return answer
+
+
+def _shown(name: str, found: Any, expected: Any) -> str:
+    """Say which part differs, in few words."""
+    with suppress(AttributeError):
+        for part, value in expected.items():
+            if found.get(part) != value:
+                return f"{name} {part} {str(found.get(part))[:60]}, not {str(value)[:60]}"
+    return f"{name} {str(found)[:60]}, not {str(expected)[:60]}"

@@ -1,0 +1,61 @@
+"""A running service and its clients, for tests: the command as a user starts it, with short names for requests."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+from conftest import KITTING, ROOT
+
+TINY = KITTING / "tiny.pddl"
+
+
+@dataclass
+class Served:
+    """A service that runs: its process, what it printed when it was ready, and a client for whoever asks."""
+
+    process: subprocess.Popen[str]
+    url: str
+    links: dict[str, str]
+    operator: str
+
+    def token(self, person: str | None = None) -> str:
+        return (self.operator if person is None else self.links[person]).rsplit("/", 1)[1]
+
+    def ask(self, method: str, path: str, person: str | None = None, **more: Any) -> httpx.Response:
+        headers = {"Authorization": f"Bearer {self.token(person)}"}
+        return httpx.request(method, self.url + path, headers=headers, timeout=30, **more)
+
+    def end(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
+        """End it; give its exit code and what it said on stderr."""
+        self.process.send_signal(number)
+        _, said = self.process.communicate(timeout=30)
+        return self.process.returncode, said
+
+
+@contextmanager
+def served(*options: object, instance: Path = TINY, **more: Any) -> Iterator[Served]:
+    command = [str(Path(sys.executable).with_name("kitassist")), "serve", str(instance), "--port", "0"]
+    process = subprocess.Popen(
+        [*command, *map(str, options)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"}, **more,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line, process.communicate()[1]
+        said = json.loads(line)
+        yield Served(process, said["url"], said["join"], said["operator"])
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()

@@ -1,0 +1,48 @@
+"""The command `serve`, as a user starts it: links, actions, the end, and going on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from pathlib import Path
+
+from serving import served
+
+from assist import fit, read_log
+from planner import Table
+
+
+def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, tiny: Table) -> None:
+    options = ("--humans", 2, "--data", tmp_path, "--c-suggest", 0.1)
+    with served(*options) as service:
+        assert list(service.links) == ["person-1", "person-2"]
+        seen = service.ask("GET", "/api/people/person-1", "person-1").json()
+        assert seen["applicable"] == ["(fetch box-a)", "(fetch box-b)"]
+        assert (seen["cost_to_go"], seen["steps"], seen["finished"]) == (6.0, 0, False)
+        first = service.ask(
+            "POST", "/api/people/person-1/actions", "person-1", json={"action": "(fetch box-a)", "id": "1"}
+        )
+        assert (first.status_code, first.json()["steps"], first.json()["cost_to_go"]) == (200, 1, 5.0)
+        team = service.ask("GET", "/api/team").json()
+        links = service.links, service.operator
+        begun = time.monotonic()
+        code, said = service.end(signal.SIGTERM)
+        assert (code, time.monotonic() - begun < 5) == (0, True)
+        tokens = [link.rsplit("/", 1)[1] for link in (*service.links.values(), service.operator)]
+        assert not any(token in said for token in tokens)
+    with served(*options) as service:
+        assert [link.rsplit("/", 2)[1:] for link in (*service.links.values(), service.operator)] == [
+            link.rsplit("/", 2)[1:] for link in (*links[0].values(), links[1])
+        ]
+        again = service.ask(
+            "POST", "/api/people/person-1/actions", "person-1", json={"action": "(fetch box-a)", "id": "1"}
+        )
+        assert again.json() == first.json()
+        after = service.ask("GET", "/api/team").json()
+        assert [person["belief"] for person in after["people"]] == [person["belief"] for person in team["people"]]
+        assert after["people"][0]["steps"] == 1
+        log = service.ask("GET", "/api/log").text
+    (tmp_path / "log.jsonl").write_text(log)
+    assert [json.loads(line)["action"] for line in log.splitlines()] == ["(fetch box-a)"]
+    assert fit(tiny, read_log(str(tmp_path / "log.jsonl")))["person-1"].actions == 1
