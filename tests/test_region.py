@@ -82,6 +82,15 @@ def test_a_part_has_the_choices_of_the_task() -> None:
     np.testing.assert_array_equal(part.local(part.states), np.arange(len(part.states)))
     outside = np.setdiff1d(np.arange(len(table)), part.states)
     assert (part.local(outside) == -1).all()
+    assert part.local(np.array([len(table), part.states[0]])).tolist() == [-1, 0]  # a number beyond all of them
+
+
+def test_a_part_numbers_its_states_as_it_met_them() -> None:
+    part = Region.of(table_of(INSTANCES["paper-fixed"]), states=10)
+    assert part.states[0] == part.known.initial
+    assert part.local(part.states[::-1]).tolist() == list(range(len(part.states)))[::-1]
+    last = int(part.states.max())
+    assert part.local(np.array([last, last + 1])).tolist() == [int(part.states.argmax()), -1]
 
 
 def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:

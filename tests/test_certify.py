@@ -1,0 +1,270 @@
+"""What a certificate is made of, on a graph so small that it can be worked out by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import graph_task
+
+from assist.certify import certificate, prices
+from assist.certify.bound import TeamBound, certify, upper_bound
+from assist.certify.certificate import PORTION, Certificate, horizon, returns
+from assist.certify.prices import ROUNDS, Kind, kinds_of, search
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.person.solver import solve
+from assist.team.attention import NoAssistance
+from assist.team.pool import Pool, policy_bytes
+from assist.team.settings import Setting
+from assist.team.state import TeamAction, TeamState
+from assist.team.subproblem import AWAY, HERE, Layout, Visits
+from planner import LimitError, sweep
+
+# From 3 over 2 and 1 to the goal 0, each step for 1; the way back is open, too, and from 2 to 3 it costs 4.
+CHOICES = Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)))
+SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_episodes() -> Iterator[None]:
+    """Any prices will do here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prices, "SAMPLE", 100)
+        yield
+
+
+@pytest.fixture(scope="module")
+def pool() -> Pool:
+    return Pool.sample(CHOICES, 2, seed=1, setting=SETTING)
+
+
+@pytest.fixture(scope="module")
+def strangers() -> Pool:
+    """Three people whom the robot cannot tell apart."""
+    setting = replace(SETTING, knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05)
+    return Pool.sample(CHOICES, 3, seed=1, setting=setting, population=Population(beta=(0.1, 0.5)))
+
+
+@pytest.fixture(scope="module")
+def bound(strangers: Pool) -> TeamBound:
+    return upper_bound(strangers, window=4, gap=1e-6)
+
+
+def test_where_episodes_are_cut_off() -> None:
+    assert horizon(0.5) == 21  # 2^-21 is the first power below half a millionth
+    for gamma in (0.9, 0.99):
+        assert gamma ** horizon(gamma) <= 1e-6 * (1 - gamma) < gamma ** (horizon(gamma) - 1)
+
+
+def test_what_an_episode_that_is_cut_off_could_still_cost(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After two steps nobody is at the goal; each could pay 4 for the way, .1 for a word and .2 for coming."""
+    monkeypatch.setattr(certificate, "BEYOND", 0.9)
+    assert horizon(0.5) == 2
+    travel = SETTING.travel(2)
+    found = returns(pool, NoAssistance(), (0, 1), travel, episodes=2000, seed=0)
+    later = 2 * (4 + 0.1 + 0.2) * 0.25 / 0.5
+    paid = {1.5 + 1.5, 1.5 + 3.0, 3.0 + 3.0}  # 1 in the first step, then 1 or, by who goes back, 4
+    assert {round(-value - later, 9) for value in found} == paid
+    done = Pool.sample(Choices.of(sweep(graph_task([(1, 0, 1)]))), 2, seed=1, setting=SETTING)
+    np.testing.assert_allclose(returns(done, "none", (0, 1), travel, episodes=3, seed=0), -2.0)
+
+
+def test_no_episodes_begin_after_the_time_limit(pool: Pool) -> None:
+    travel, count = SETTING.travel(2), PORTION + 100
+    whole = returns(pool, "none", (0, 1), travel, episodes=count, seed=4)
+    assert whole.shape == (count,)
+    np.testing.assert_array_equal(returns(pool, "none", (0, 1), travel, episodes=count, seed=4, time_limit=1e9), whole)
+    short = returns(pool, "none", (0, 1), travel, episodes=count, seed=4, time_limit=1e-9)
+    np.testing.assert_array_equal(short, whole[:PORTION])
+
+
+def test_a_certificate_by_hand() -> None:
+    found = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-11.0, slack=0.6)
+    assert found == Certificate(2, "mine", -12.0, 2 / math.sqrt(3), -11.0, 100 / 12, 5.0, 3)
+    nothing = Certificate.of("mine", np.zeros(2), humans=1, upper=0.5, slack=0.1)
+    assert (nothing.gap_percent, nothing.slack_percent) == (0, 0)
+
+
+class Attended:
+    """Stands for people of whom, at every price, this share is attended to at each step."""
+
+    def __init__(self, count: int, *share: float) -> None:
+        self.count, self.share, self.asked = count, np.array(share), 0
+
+    def simulated(self, *_: object) -> tuple[np.ndarray, None]:
+        self.asked += 1
+        return self.share, None
+
+
+def looked_for(*kinds: Attended, rounds: float = math.inf) -> np.ndarray:
+    """Prices on two steps, with a clock that goes on by a round whenever the first people are simulated."""
+    clock = SimpleNamespace(perf_counter=lambda: kinds[0].asked)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(prices, "time", clock)
+        return search(list(kinds), 2, seed=0, deadline=rounds - 0.5, tell=lambda *_: None)  # type: ignore[arg-type]
+
+
+# With two robots busy where one is there, the slope is (2 - 1) / 2 in every round, and the step after n of them is
+# 1/2 * 1/2 / sqrt(n / 4); at the second step nobody is busy, and the price stays at 0.
+PRICE = np.cumsum(0.5 / np.sqrt(np.arange(1, ROUNDS + 1)))
+
+
+@pytest.mark.parametrize(
+    ("rounds", "expected"),
+    [(math.inf, PRICE[20:].mean()), (30, PRICE[20:30].mean()), (21, PRICE[20]), (20, PRICE[19]), (5, PRICE[4])],
+)
+def test_prices_are_the_mean_of_the_last_half_of_the_rounds_that_there_were(rounds: float, expected: float) -> None:
+    assert ROUNDS == 40
+    np.testing.assert_allclose(looked_for(Attended(4, 0.5, 0.0), rounds=rounds), [expected], rtol=1e-9)
+
+
+def test_what_is_left_of_a_round_says_nothing() -> None:
+    one, other = Attended(2, 0.5, 0.0), Attended(1, 1.0, 0.0)
+    np.testing.assert_allclose(looked_for(one, other), [PRICE[20:].mean()], rtol=1e-9)
+    one, other = Attended(2, 0.5, 0.0), Attended(1, 1.0, 0.0)
+    np.testing.assert_allclose(looked_for(one, other, rounds=30), [PRICE[20:29].mean()], rtol=1e-9)
+    assert (one.asked, other.asked) == (30, 29)
+    assert looked_for(Attended(4, 0.5, 0.5), rounds=0).tolist() == []  # no time at all: no prices
+
+
+def test_where_one_robot_is_enough_nothing_has_a_price() -> None:
+    assert looked_for(Attended(2, 0.5, 0.4)).tolist() == []
+    assert len(looked_for(Attended(4, 0.1, 0.5))) == 2  # a step without a price before one with
+
+
+def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool) -> None:
+    """One is set up anew in every round, while those of both people are there; so three have to fit."""
+    travel, alone = SETTING.travel(2), pool.policies[0].pomdp
+    states = len(Layout.of(alone, 2, 3))
+    one = policy_bytes(states, slots=CHOICES.applicable.shape[1], robots=1 + alone.suggested.shape[1]) / 1e6
+    with pytest.raises(LimitError, match=rf"^2 problems of people, each of up to {states} states with 3 steps"):
+        kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
+    with pytest.raises(LimitError, match=r"^1 problem of people"):  # what its first bounds take, which is more
+        kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=1.001 * 3 * one)
+    assert len(kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=100.0)) == 2
+
+
+def test_states_are_numbered_by_step_position_and_state() -> None:
+    """At step 0 only state 1 is there, later all three are; a state that is not there has -1."""
+    layout = Layout(3, 2, (np.array([1]), np.arange(3)))
+    everywhere = np.arange(3)
+    assert len(layout) == 8
+    assert layout.number(0, AWAY, everywhere).tolist() == [-1, 0, -1]
+    assert layout.number(0, HERE, everywhere).tolist() == [-1, 1, -1]
+    assert layout.number(1, AWAY, everywhere).tolist() == [2, 3, 4]
+    assert layout.number([1, 9], HERE, [2, 0]).tolist() == [7, 5]
+    assert (layout.step.tolist(), layout.position.tolist()) == ([0, 0, *[1] * 6], [0, 1, 0, 0, 0, 1, 1, 1])
+    assert layout.x.tolist() == [1, 1, 0, 1, 2, 0, 1, 2]
+
+
+def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: Pool, bound: TeamBound) -> None:
+    alone, travel, gamma = strangers.policies[0].pomdp, strangers.setting.travel(3), strangers.setting.gamma
+    assert (bound.team, bound.pool) == ((0, 1, 2), strangers)
+    assert len(bound.travel) == 3
+    assert 0 < len(bound.price) <= 4
+    one = solve(Visits.of(alone, travel.entry[0], 0, bound.price).pomdp, gap=1e-6)
+    paid = sum(price * gamma**step for step, price in enumerate(bound.price))
+    assert bound.upper == pytest.approx(3 * one.upper + paid, abs=1e-5)
+    assert bound.upper_seen == pytest.approx(3 * one.value_qmdp + paid, abs=1e-4)
+    assert bound.slack == pytest.approx(3 * (one.upper - one.lower), abs=1e-5)
+    assert 0 <= bound.slack <= 3e-6 * abs(one.upper)
+    assert bound.seconds > 0
+    with pytest.raises(ValueError, match="read-only"):
+        bound.price[0] = 0.0
+
+
+def test_a_bound_does_not_depend_on_who_works_on_it(strangers: Pool, bound: TeamBound) -> None:
+    told: list[tuple[str, int, int]] = []
+    other = upper_bound(strangers, window=4, gap=1e-6, jobs=1, progress=lambda *what: told.append(what))
+    assert (other.upper, other.slack, other.upper_seen) == (bound.upper, bound.slack, bound.upper_seen)
+    assert other.price.tolist() == bound.price.tolist()
+    assert told[0] == ("setting people's problems up", 0, 1)
+    assert told[1:3] == [("looking for prices", 0, ROUNDS), ("looking for prices", 1, ROUNDS)]
+    assert told[-2:] == [("bounding people's problems", 0, 1), ("bounding people's problems", 1, 1)]
+
+
+def test_a_bound_holds_however_little_time_there_was(strangers: Pool, bound: TeamBound) -> None:
+    hasty = upper_bound(strangers, window=4, time_limit=1e-6)
+    assert hasty.price.tolist() == []
+    free = upper_bound(strangers, window=0, gap=1e-6)
+    assert free.price.tolist() == []
+    assert hasty.upper >= free.upper >= bound.upper
+    assert hasty.upper - hasty.slack <= free.upper
+    slow = upper_bound(strangers, window=4, gap=1e-6, time_limit=1e9)
+    assert (slow.upper, slow.price.tolist()) == (bound.upper, bound.price.tolist())
+
+
+def test_the_robot_of_one_person_has_no_price(pool: Pool) -> None:
+    both = upper_bound(pool, window=0, gap=1e-6)
+    apart = [upper_bound(pool, (person,), gap=1e-6, travel=SETTING.travel(1)) for person in (0, 1)]
+    for found in apart:
+        assert found.price.tolist() == []
+    assert [found.team for found in apart] == [(0,), (1,)]
+    for name in ("upper", "slack", "upper_seen"):
+        assert getattr(both, name) == pytest.approx(sum(getattr(found, name) for found in apart), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"team": (0, 2)}, r"team \(0, 2\): expected one or more numbers of the pool, from 0 to 1$"),
+        ({"team": ()}, r"team \(\): expected one or more numbers"),
+        ({"team": (0, -1)}, "person -1: expected a whole number of 0 or more"),
+        ({"travel": SETTING.travel(3)}, "travel for 3: expected 2 people"),
+        ({"time_limit": 0.0}, "time_limit 0.0: expected more than 0"),
+        ({"window": -1}, "window -1: expected a whole number of 0 or more"),
+        ({"jobs": -1}, "jobs -1: expected a whole number of 1 or more"),
+    ],
+)
+def test_bounds_that_cannot_be(pool: Pool, options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}"):
+        upper_bound(pool, **options)  # type: ignore[arg-type]
+
+
+def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
+    """Means add up, and variances, since people's luck is independent."""
+    found = upper_bound(pool, (0, 0, 1), window=3, gap=1e-6)
+    mean, error = found.relaxed(episodes=400, seed=5)
+    kinds: list[Kind] = kinds_of(pool, found.team, found.travel, len(found.price))
+    assert [kind.count for kind in kinds] == [2, 1]
+    values = [kind.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, kind in enumerate(kinds)]
+    paid = sum(price * 0.5**step for step, price in enumerate(found.price))
+    assert mean == pytest.approx(2 * values[0].mean() + values[1].mean() + paid)
+    assert error == pytest.approx(math.sqrt((4 * values[0].var(ddof=1) + values[1].var(ddof=1)) / 400))
+    assert found.relaxed(episodes=400) == found.relaxed(episodes=400, seed=0)
+    with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
+        found.relaxed(episodes=1)
+
+
+def test_policies_are_certified_by_their_names(pool: Pool) -> None:
+    def quiet(team: TeamState) -> TeamAction:
+        return NoAssistance()(team)
+
+    told: list[tuple[str, int, int]] = []
+    policies = {"first": "none", "mine": quiet}
+    found, certificates = certify(
+        pool, policies, episodes=30, seed=3, window=0, progress=lambda *what: told.append(what)
+    )  # fmt: skip
+    assert [(c.policy, c.humans, c.episodes) for c in certificates] == [("first", 2, 30), ("mine", 2, 30)]
+    assert certificates[0] == replace(certificates[1], policy="first")
+    assert certificates[1] == found.certify(quiet, "mine", episodes=30, seed=3)
+    assert certificates[1] != found.certify(quiet, "mine", episodes=30, seed=4)
+    assert certificates[1].upper == found.upper
+    assert certificates[1].slack_percent == pytest.approx(100 * found.slack / abs(certificates[1].value))
+    assert told[-2:] == [("simulating policies", 0, 2), ("simulating policies", 1, 2)]
+    names = [found.certify(policy, episodes=2).policy for policy in ("none", quiet, partial(quiet))]
+    assert names == ["none", "quiet", "policy"]
+    assert certify(pool, {"none": "none"}, episodes=30, seed=3, window=0, time_limit=1e9)[1][0] == replace(
+        certificates[0], policy="none"
+    )
+    for run in (partial(certify, pool, policies), partial(found.certify, "none")):
+        with pytest.raises(ValueError, match=r"^episodes 1: expected a whole number of 2 or more"):
+            run(episodes=1)
+    with pytest.raises(ValueError, match=r"^time_limit -1: expected more than 0"):
+        certify(pool, policies, time_limit=-1)
