@@ -35,7 +35,6 @@ from tables import Columns, cell, record_option, write_record
 from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.decision import perceived_value
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import Arrays, qmdp
@@ -451,15 +450,15 @@ def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: 
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
     arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
     minds = Minds(
-        model.q[None], perceived_value(choices, model.q)[None], choices.h, model.eta / model.utility_scale, model.lapse,
-        True,
+        np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.h, model.eta / model.utility_scale,
+        model.lapse, True,
     )  # fmt: skip
     size = episodes * humans
     cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
     b, t = np.divmod(cell, len(pomdp.grid.theta))
     people = People(
-        np.full(size, choices.initial), np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64),
-        pomdp.grid.beta[b], pomdp.grid.theta[t].copy(), np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
+        np.full(size, choices.initial), np.zeros(size, dtype=np.int64), b, pomdp.grid.theta[t].copy(),
+        np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
         np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),
     )  # fmt: skip
     here, total = np.zeros(size, dtype=bool), np.zeros(episodes)

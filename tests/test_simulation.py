@@ -230,11 +230,12 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             beta, theta = rng.uniform(0.1, 3), rng.uniform(0, 1)
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
             people = People(
-                np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, beta), np.full(n, theta),
+                np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
                 rng.random((n, 2)), np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=np.int64), np.zeros(n),
                 np.zeros(n, dtype=bool),
             )  # fmt: skip
-            minds = Minds(model.q[None], value[None], tiny_choices.h, model.eta, model.lapse, False)
+            alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
+            minds = Minds(alone[None], value[None], tiny_choices.h, model.eta, model.lapse, False)
             act(np.arange(n), people, minds, Arrays.of(pomdp))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:

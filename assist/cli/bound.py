@@ -53,7 +53,7 @@ def bound(
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "price": found.price.tolist(), "seconds": found.seconds, "setting": asdict(made.pool.setting),
-            "population": asdict(made.population), "seed": team["seed"], "versions": versions(),
+            "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return
     table = Table(box=None, pad_edge=False)

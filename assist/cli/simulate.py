@@ -72,7 +72,7 @@ def simulate(
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "episodes": episodes, "seed": team["seed"], "setting": asdict(made.pool.setting),
-            "population": asdict(made.population), "policies": [summary.record() for summary in summaries],
+            "population": made.population.as_dict(), "policies": [summary.record() for summary in summaries],
             "versions": versions(),
         })  # fmt: skip
     else:

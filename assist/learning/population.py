@@ -155,7 +155,7 @@ class PopulationFit:
             "eta": self.eta,
             "log_likelihood": self.log_likelihood,
             "parts": [
-                {"share": share, **asdict(part)} for share, part in zip(mixture.shares, mixture.parts, strict=True)
+                {"share": share, **part.as_dict()} for share, part in zip(mixture.shares, mixture.parts, strict=True)
             ],
         }
 
@@ -177,7 +177,8 @@ def mixture(record: dict[str, Any]) -> Mixture:
         parts, shares = [], []
         for part in record["parts"]:
             (b, c), (t, u), (v, w) = (part[name] for name in ("beta", "theta", "sigma"))
-            parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w))))
+            weights = {name: (float(low), float(high)) for name, (low, high) in part.get("weights", {}).items()}
+            parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w)), weights=weights))
             shares.append(float(part["share"]))
         return Mixture(tuple(parts), tuple(shares))
     except (KeyError, TypeError) as error:

@@ -238,12 +238,11 @@ class Assistant:
         record = self._team.known(person)
         k, problem = record.place, record.problem
         number, row = int(self._team.model[k]), int(self._team.x[k])
-        part = self._parts[number]
         if self._team.ended[k]:
             raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
         slot = problem.slot(number, row, action)
         count = len(self._parts)
-        to = problem.at(part.state(int(part.choices.targets[row, slot])))
+        to = problem.after(number, row, slot)
         if len(self._parts) > count:
             self._forget_policy()
         step = Step(number, row, int(self._team.robot[k]) if heard else 0, slot)
@@ -419,7 +418,7 @@ class Assistant:
                 "person": record.name,
                 "present": bool(self._team.present[record.place]),
                 "episodes": [
-                    {"task": digest(p.task), "population": asdict(p.prior), "steps": [self._named(s) for s in steps]}
+                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": [self._named(s) for s in steps]}
                     for p, steps in record.episodes()
                 ],
                 "suggestion": self._suggestion(record.place),
@@ -431,7 +430,7 @@ class Assistant:
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
                 "setting": asdict(self.setting),
-                "population": asdict(self.population),
+                "population": self.population.as_dict(),
                 "distance": None if self._distance is None else self._distance.tolist(),
                 "step": self._step,
                 "robot": self.robot,

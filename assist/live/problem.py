@@ -75,12 +75,12 @@ class Part:
         return self.policy.pomdp.model.choices
 
     def row(self, state: int) -> int | None:
-        """Give the row of a task's state; None if it is not in this part."""
-        return state if self.rows is None else self.rows.get(state)
+        """Give the row of a task's state as if nothing had come before it; None if it is not in this part."""
+        return self.choices.row(state) if self.rows is None else self.rows.get(state)
 
     def state(self, row: int) -> int:
         """Give the task's state of a row."""
-        return row if self.states is None else int(self.states[row])
+        return self.choices.task_state(row) if self.states is None else int(self.states[row])
 
     def options(self, row: int) -> NDArray[np.int32]:
         """Give the ground actions that can be taken, in the order of their slots; none where one can only wait."""
@@ -136,6 +136,12 @@ class Problem:
         assert row is not None, "a region holds the state in which it begins"
         return self._add(part), row
 
+    def after(self, number: int, row: int, slot: int) -> tuple[int, int]:
+        """Find where a choice leads: the part, and the row there."""
+        part = self.parts[number]
+        to = int(part.choices.targets[row, slot])
+        return (number, to) if part.rows is None else self.at(part.state(to))
+
     def slot(self, number: int, row: int, action: str) -> int:
         """Find the slot of an action.
 
@@ -183,11 +189,12 @@ def digest(task: CostToGo | Policy) -> str:
 
 
 def population_of(plain: dict[str, Any]) -> Population | Mixture:
-    """Read a population that `dataclasses.asdict` made, and JSON may have kept."""
+    """Read a population that `Population.as_dict` or `Mixture.as_dict` gave, and JSON may have kept."""
     if "parts" in plain:
         return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
     return _ranges(plain)
 
 
 def _ranges(plain: dict[str, Any]) -> Population:
-    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"])
+    weights = {name: (low, high) for name, (low, high) in plain.get("weights", {}).items()}
+    return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"], weights)

@@ -1,6 +1,10 @@
 from .belief import Grid as Grid
 from .belief import ImpossibleObservationError as ImpossibleObservationError
 from .belief import Spread as Spread
+from .choice_model import ChoiceModel as ChoiceModel
+from .choice_model import ChoiceModelError as ChoiceModelError
+from .choice_model import Weighted as Weighted
+from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
 from .decision import NOTHING as NOTHING
@@ -15,6 +19,7 @@ from .human import Human as Human
 from .human import HumanModel as HumanModel
 from .human import Mixture as Mixture
 from .human import Population as Population
+from .memory import remembered as remembered
 from .terms import NOTHING_YET as NOTHING_YET
 from .terms import TERMS as TERMS
 from .terms import Situation as Situation

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import Table, Transitions
 from planner.arrays import read_only
+
+T = TypeVar("T", bound=np.generic)
 
 WAIT = -1
 """The action number of standing still, the only choice in a state without applicable actions."""
@@ -57,6 +60,13 @@ class Choices:
         The ground actions in PDDL.
     initial : int
         The state in which an episode begins.
+    state : int array, shape (n,), or None
+        The task's state of each row, where a row is a state with what the person did before they came there
+        (`memory.remembered`); every state has a row. None: the rows are the task's states.
+    terms : tuple of str, or None
+        The names of J terms, if any are worked out.
+    features : float array, shape (n, A, J), or None
+        What each of them says of each choice.
     """
 
     h: NDArray[np.float64]
@@ -68,6 +78,9 @@ class Choices:
     optimal: NDArray[np.bool_]
     names: tuple[str, ...]
     initial: int = 0
+    state: NDArray[np.int64] | None = None
+    terms: tuple[str, ...] | None = None
+    features: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -131,6 +144,25 @@ class Choices:
 
     def __len__(self) -> int:
         return len(self.h)
+
+    @property
+    def task_states(self) -> int:
+        """How many states the task has."""
+        return len(self) if self.state is None else int(self.state.max(initial=-1)) + 1
+
+    def task_state(self, row: int) -> int:
+        """Give the task's state of a row."""
+        return row if self.state is None else int(self.state[row])
+
+    def row(self, state: int) -> int:
+        """Give the row of a state of the task as if nothing had come before it, or else any row of it."""
+        if self.state is None:
+            return state
+        return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
+
+    def of_task(self, array: NDArray[T]) -> NDArray[T]:
+        """Give what is known of each of the task's states, shape (m, ...), for each row, shape (n, ...)."""
+        return array if self.state is None else array[self.state]
 
     def name(self, state: int, slot: int) -> str:
         """Give the ground action in a slot of a state, in PDDL."""

@@ -1,7 +1,8 @@
-"""The equations of `decision`, compiled: for code that takes one person, one choice, one pair (beta, theta) at a time.
+"""Influence and trust (eq. 5 and 6), compiled: for code that takes one person, one choice, one theta at a time.
 
-What simulates, fits and searches calls these. Where a loop was made faster by arranging an equation in another way
-(`person.qmdp`, `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
+What simulates, fits and searches calls these; the choice without a suggestion (eq. 4) comes to it as an array, from a
+`choice_model`. Where a loop was made faster by arranging an equation in another way (`person.qmdp`,
+`person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
 
 numba keeps compiled code for as long as the file of the function that was compiled is unchanged, and so keeps these
 functions within callers of other files: `make test` and `make demo` throw that away when this file has changed.
@@ -10,25 +11,16 @@ functions within callers of other files: `make test` and `make demo` throw that 
 from __future__ import annotations
 
 import numba
-import numpy as np
 
 from .decision import Floats
 
 
 @numba.njit(cache=True)
-def weigh(p: Floats, q: Floats, count: int, beta: float) -> None:
-    """Fill in the weights, not normalised, with which `count` choices of perceived costs `q` are made (eq. 4)."""
-    best = np.inf
-    for a in range(count):
-        best = min(best, q[a])
-    for a in range(count):
-        # Where every action leads to a dead end, or nobody looks (beta 0), the choice is uniform.
-        p[a] = np.exp(-beta * (q[a] - best)) if best < np.inf and beta > 0.0 else 1.0
-
-
-@numba.njit(cache=True)
 def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
-    """Weigh the weights of `count` choices by a suggestion (eq. 5); one that leaves no action possible is ignored."""
+    """Weigh the chances of `count` choices by a suggestion (eq. 5), not normalised.
+
+    A suggestion that leaves no action possible is ignored.
+    """
     others = 0.0
     for a in range(count):
         if a != suggestion:

@@ -25,8 +25,9 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
     """Draw what a person takes for the cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
 
     h(x) = h*(x) + sigma * eps(x), eps standard normal: a lasting misconception, drawn once per person
-    and state; with `noise="action"` once per person and choice, h(x, a) = h*(succ(x, a)) + sigma * eps(x, a),
-    so that one state looks different from where one comes. The goal is recognised (h = 0) and dead ends stay
+    and state of the task, whatever the person did before they came there; with `noise="action"` once per person
+    and choice, h(x, a) = h*(succ(x, a)) + sigma * eps(x, a), so that one state looks different from where one
+    comes. The goal is recognised (h = 0) and dead ends stay
     infinite.
 
     Parameters
@@ -41,8 +42,9 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
         raise ValueError(f"noise '{noise}': expected 'state' or 'action'")
     if noise == "action":
         after = choices.h[choices.targets]
-        return np.where(choices.goal[choices.targets], 0.0, after + sigma * rng.standard_normal(after.shape))
-    h = choices.h + sigma * rng.standard_normal(len(choices))
+        eps = rng.standard_normal((choices.task_states, after.shape[1]))
+        return np.where(choices.goal[choices.targets], 0.0, after + sigma * choices.of_task(eps))
+    h = choices.h + sigma * choices.of_task(rng.standard_normal(choices.task_states))
     return np.where(choices.goal, 0.0, h)
 
 
@@ -69,8 +71,8 @@ def perceived_value(choices: Choices, q: Floats) -> Floats:
     return np.where(choices.goal, 0.0, -q.min(axis=-1))
 
 
-def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike) -> Floats:
-    """Give the Boltzmann policy of eq. 4: P(a | x) proportional to exp(-beta Q(x, a)).
+def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floats | None = None) -> Floats:
+    """Give the Boltzmann policy of eq. 4: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
 
     Parameters
     ----------
@@ -80,12 +82,14 @@ def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike) -> Floats:
     beta : float or array, shape (...)
         Expertise, 0 or more. At 0 the choice is uniform over the applicable actions; for any larger
         value an action into a dead end is never chosen while there is another.
+    bias : float array, shape (..., A), optional
+        What else speaks for each action, such as weighted terms; finite. There is none in the paper.
 
     Returns
     -------
     float array, shape (..., A)
         Probabilities; all zero where nothing is applicable. Where every action leads to a dead end the
-        choice is uniform.
+        choice is uniform, or only the bias speaks.
     """
     beta = np.asarray(beta, dtype=float)[..., None]
     best = np.min(q, axis=-1, keepdims=True, where=applicable, initial=np.inf)
@@ -93,6 +97,10 @@ def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike) -> Floats:
     with np.errstate(invalid="ignore"):
         exponent = -beta * (q - best)
     exponent = np.where(np.isfinite(best) & (beta > 0), exponent, 0.0)
+    if bias is not None:
+        exponent = np.where(applicable, exponent + bias, -np.inf)
+        highest = exponent.max(axis=-1, keepdims=True)
+        exponent = exponent - np.where(np.isfinite(highest), highest, 0.0)
     weights = np.where(applicable, np.exp(exponent), 0.0)
     total = weights.sum(axis=-1, keepdims=True)
     return np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)

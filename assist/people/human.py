@@ -1,15 +1,18 @@
 """People: as they really are, as they are drawn from populations, and as a robot takes them to be.
 
 `Human` has parameters that nobody sees, a `Population` or a `Mixture` of some gives people, and a `HumanModel` is what
-a robot takes for granted of a person whose beta and theta it does not know.
+a robot takes for granted of a person whose beta and theta it does not know. How any of them chooses is a `ChoiceModel`.
 """
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
 
 import numpy as np
 
+from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, Noise, perceived_cost, perceived_cost_to_go
 
@@ -28,15 +31,31 @@ class Human:
         Standard deviation of their misconception, in cost units.
     h : float array, shape (n,) or (n, A)
         What they take for the cost-to-go of each state, or of what each choice leads to.
+    chooses : ChoiceModel
+        How they choose; the paper's unless given.
     """
 
     beta: float
     theta: float
     sigma: float
     h: Floats
+    chooses: ChoiceModel = boltzmann
 
     def __post_init__(self) -> None:
         self.h.flags.writeable = False
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """The weight of each term in how they choose."""
+        return self.chooses.weights if isinstance(self.chooses, Weighted) else {}
+
+    def chances(self, choices: Choices) -> Floats:
+        """Give the chance of each of their choices where nothing is suggested, shape (n, A)."""
+        return chances(self.chooses, choices, perceived_cost(choices, self.h), np.array([self.beta]))[0]
+
+    def value(self, choices: Choices) -> Floats:
+        """Give V(x), shape (n,), at which their trust looks."""
+        return value(self.chooses, choices, perceived_cost(choices, self.h))
 
 
 Range = tuple[float, float]
@@ -51,14 +70,26 @@ class Population:
     beta, theta, sigma : pair of float
     noise : "state" or "action"
         Whether a person is mistaken about states, or about the outcome of each choice in each state.
+    weights : mapping of str to pair of float
+        The range of each term's weight, by its name; other terms have weight 0.
+    chooses : ChoiceModel, optional
+        How they choose, in place of cost-to-go and terms.
     """
 
     beta: Range = (0.1, 3.0)
     theta: Range = (0.5, 0.95)
     sigma: Range = (0.1, 1.0)
     noise: Noise = "state"
+    weights: Mapping[str, Range] = field(default_factory=dict, hash=False)
+    chooses: ChoiceModel | None = None
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", dict(self.weights))
+        if self.chooses is not None and self.weights:
+            raise ValueError(f"weights of {', '.join(self.weights)}, and a choice model: expected one of them")
+        for name, (low, high) in self.weights.items():
+            if not -np.inf < low <= high < np.inf:
+                raise ValueError(f"weight range ({low:g}, {high:g}) of {name}: expected low <= high, both finite")
         if self.noise not in ("state", "action"):
             raise ValueError(f"noise '{self.noise}': expected 'state' or 'action'")
         for name, (low, high), most in (
@@ -70,12 +101,36 @@ class Population:
                 )
 
     def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
-        """Draw people for a task."""
+        """Draw people for a task; with weights or without, they are otherwise the same."""
         people = []
         for _ in range(count):
             beta, theta, sigma = (float(rng.uniform(*span)) for span in (self.beta, self.theta, self.sigma))
-            people.append(Human(beta, theta, sigma, perceived_cost_to_go(choices, sigma, rng, self.noise)))
+            h = perceived_cost_to_go(choices, sigma, rng, self.noise)
+            people.append(Human(beta, theta, sigma, h, self._model(rng)))
         return people
+
+    def _model(self, rng: np.random.Generator) -> ChoiceModel:
+        """Draw how a person chooses."""
+        if not self.weights:
+            return self.chooses or boltzmann
+        own = rng.spawn(1)[0]  # a stream of its own
+        return Weighted({name: float(own.uniform(*span)) for name, span in self.weights.items()})
+
+    @property
+    def typical(self) -> ChoiceModel:
+        """How they choose as far as that is the same for all: every weight is the middle of its range."""
+        if not self.weights:
+            return self.chooses or boltzmann
+        return Weighted({name: (low + high) / 2 for name, (low, high) in self.weights.items()})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give the ranges as plain data; weights and a model of one's own only where there are some."""
+        record: dict[str, Any] = {name: getattr(self, name) for name in ("beta", "theta", "sigma", "noise")}
+        if self.weights:
+            record["weights"] = dict(self.weights)
+        if self.chooses is not None:
+            record["chooses"] = str(getattr(self.chooses, "__name__", self.chooses))
+        return record
 
 
 @dataclass(frozen=True)
@@ -99,6 +154,8 @@ class Mixture:
             raise ValueError(
                 f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
             )
+        if any(part.chooses is not self.parts[0].chooses for part in self.parts):
+            raise ValueError("parts with different choice models; expected the same for all")
 
     @property
     def beta(self) -> Range:
@@ -114,6 +171,33 @@ class Mixture:
     def sigma(self) -> Range:
         """The range that holds all parts."""
         return min(part.sigma[0] for part in self.parts), max(part.sigma[1] for part in self.parts)
+
+    @property
+    def weights(self) -> Mapping[str, Range]:
+        """The range of each term's weight that holds all parts."""
+        names = dict.fromkeys(name for part in self.parts for name in part.weights)
+        spans = {name: [part.weights.get(name, (0.0, 0.0)) for part in self.parts] for name in names}
+        return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in spans.items()}
+
+    @property
+    def chooses(self) -> ChoiceModel | None:
+        """The choice model of one's own that all parts have, if they do."""
+        return self.parts[0].chooses
+
+    @property
+    def typical(self) -> ChoiceModel:
+        """How they choose as far as that is the same for all: every weight is the mean."""
+        if not self.weights:
+            return self.parts[0].typical
+        mean = dict.fromkeys(self.weights, 0.0)
+        for share, part in zip(self.shares, self.parts, strict=True):
+            for name, (low, high) in part.weights.items():
+                mean[name] += share / sum(self.shares) * (low + high) / 2
+        return Weighted(mean)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Give parts and shares as plain data."""
+        return {"parts": [part.as_dict() for part in self.parts], "shares": self.shares}
 
     def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
         """Draw people for a task."""

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from ..people import belief as beliefs
 from ..people.belief import Grid
-from ..people.decision import NOTHING, Floats, choice, perceived_value, trust
+from ..people.choice_model import ChoiceModel, boltzmann, chances, value
+from ..people.decision import NOTHING, Floats, trust
 from ..people.human import HumanModel, Mixture, Population
 
 Suggestions = Literal["optimal", "all"]
@@ -123,6 +124,7 @@ class AssistPOMDP:
         cls,
         model: HumanModel,
         *,
+        chooses: ChoiceModel = boltzmann,
         grid: Grid | None = None,
         population: Population | Mixture | None = None,
         gamma: float = 0.99,
@@ -136,6 +138,8 @@ class AssistPOMDP:
 
         Parameters
         ----------
+        chooses : ChoiceModel
+            How people choose, beta being their type; the paper's unless given.
         suggestions : "optimal" or "all"
             Suggest only actions that begin a cheapest way to the goal, or any applicable action.
         execute : bool
@@ -148,6 +152,8 @@ class AssistPOMDP:
             raise ValueError(f"suggestions '{suggestions}': expected 'optimal' or 'all'")
         if execute and frontier is not None:
             raise ValueError("execute: expected a problem of all states, and this one breaks off at a frontier")
+        if execute and model.choices.state is not None:
+            raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
         grid = grid or Grid.regular(population)
         choices = model.choices
@@ -168,20 +174,20 @@ class AssistPOMDP:
             afterstate[state, column + count[state]] = choices.targets[state, slot]
             robot_costs[state, column + count[state]] = c_execute
 
-        chosen = np.stack([choice(model.q, choices.applicable, beta) for beta in grid.beta], axis=-1)
+        chosen = np.stack(list(chances(chooses, choices, model.q, grid.beta)), axis=-1)
         chosen[chosen < NEVER] = 0.0
         slots = np.arange(choices.applicable.shape[1])
         unsuggested = np.stack(
             [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1
         )
-        value = perceived_value(choices, model.q)
+        v = value(chooses, choices, model.q)
         if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
-            value[frontier.states] = -choices.h[frontier.states]
+            v[frontier.states] = -choices.h[frontier.states]
         # Without a suggestion the person expects to stay where they are, so that theta does not move.
         after = np.where(
             suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)
         )
-        theta = trust(grid.theta, value[:, None, None], value[after][:, :, None], model.eta, model.utility_scale)
+        theta = trust(grid.theta, v[:, None, None], v[after][:, :, None], model.eta, model.utility_scale)
         low, weight = grid.shares(theta)
         return cls(
             model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=grid.prior(population),

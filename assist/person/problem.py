@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, Table
 
-from ..people.choices import Choices
 from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
+from ..people.memory import choices_of
 from .pomdp import AssistPOMDP, Suggestions
 from .region import Region
 
@@ -103,22 +103,28 @@ class PersonProblem:
         Raises
         ------
         ValueError
-            Parameters that cannot be, or a misconception or executed actions on a region.
+            Parameters that cannot be, or a misconception, executed actions, terms or a choice model on a region.
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
         if is_whole(known, states):
-            choices = Choices.of(known)
+            people = population or Population()
+            choices = choices_of(known, people.weights)
             h = perceived_cost_to_go(choices, sigma, np.random.default_rng(seed)) if sigma else choices.h
             model = HumanModel(choices, perceived_cost(choices, h), eta=eta, lapse=lapse, utility_scale=utility_scale)
             pomdp = AssistPOMDP.of(
-                model, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-                execute=execute, c_execute=c_execute,
+                model, chooses=people.typical, population=people, gamma=gamma, c_suggest=c_suggest,
+                suggestions=suggestions, execute=execute, c_execute=c_execute,
             )  # fmt: skip
-            return cls(known, pomdp, np.arange(len(known)))
+            return cls(known, pomdp, choices.of_task(np.arange(len(known))))
         if states is None:
             states = WHOLE if isinstance(known, Table) else ASKED
-        for name, given in (("sigma", sigma > 0), ("execute", execute)):
+        own = population is not None and (population.weights or population.chooses is not None)
+        for name, given in (
+            ("sigma", sigma > 0),
+            ("execute", execute),
+            ("people who do not choose by cost alone", own),
+        ):
             if given:
                 raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
         region = Region.of(

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.compiled import heed, moved, weigh
+from ..people.compiled import heed, moved
 from ..people.decision import Floats
 from ..person.qmdp import Arrays
 
@@ -28,8 +28,8 @@ class People(NamedTuple):
     robot : int array, shape (N,)
         What the robot does to each: a robot action, 0 is nothing.
     who : int array, shape (N,)
-        The row of `Minds` that holds what they take for the cost-to-go.
-    beta, theta : float arrays, shape (N,)
+        The row of `Minds` that holds how they choose.
+    theta : float array, shape (N,)
     luck : float array, shape (N, 2)
         Uniform in [0, 1): the first decides what they choose, the second to which point of a grid theta moves.
     belief : float array, shape (N, B, T)
@@ -45,7 +45,6 @@ class People(NamedTuple):
     x: NDArray[np.int64]
     robot: NDArray[np.int64]
     who: NDArray[np.int64]
-    beta: Floats
     theta: Floats
     luck: Floats
     belief: Floats
@@ -55,12 +54,12 @@ class People(NamedTuple):
 
 
 class Minds(NamedTuple):
-    """What people take for the cost-to-go, and by what rule they choose.
+    """How people choose, and what their trust looks at.
 
     Attributes
     ----------
-    q : float array, shape (m, n, A)
-        Perceived costs.
+    p : float array, shape (m, n, A)
+        The chance of each choice where nothing is suggested.
     value : float array, shape (m, n)
         Perceived values.
     h : float array, shape (n,)
@@ -73,7 +72,7 @@ class Minds(NamedTuple):
         Theta moves between points of the grid, by chance, as the robot's model has it.
     """
 
-    q: Floats
+    p: Floats
     value: Floats
     h: Floats
     eta: float
@@ -94,7 +93,9 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
             people.x[i], people.slot[i], people.cost[i], people.erred[i] = place, -1, 0.0, False
             continue
         count = m.counts[place]
-        weigh(p, minds.q[people.who[i], place], count, people.beta[i])
+        alone = minds.p[people.who[i], place]
+        for a in range(count):
+            p[a] = alone[a]
         if suggestion >= 0:
             heed(p, count, suggestion, theta)
         slot = _draw(p, count, minds.lapse, people.luck[i, 0])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.storage import finite
 
-from ..people.decision import NOTHING, Floats, perceived_cost, perceived_value
+from ..people.decision import NOTHING, Floats
 from ..person.qmdp import Arrays
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
@@ -41,6 +41,7 @@ class Run:
         world: World,
         trace: Trace | None,
         progress: Callable[[int], None] | None,
+        group_of: Callable[[int], Group],
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
@@ -49,10 +50,9 @@ class Run:
         # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
         self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
-        self.groups = {number: _Group.of(pool, number, self.on_grid) for number in np.unique(self.model).tolist()}
+        self.groups = {number: group_of(number) for number in np.unique(self.model).tolist()}
         # Each person is of one group, and has row 0 in the others.
-        row = np.sum([group.row for group in self.groups.values()], axis=0)
-        self.who = row[self.people].reshape(-1)
+        self.who = np.sum([group.row for group in self.groups.values()], axis=0)[self.people]
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
@@ -84,7 +84,7 @@ class Run:
             cell = np.searchsorted(np.cumsum(solved.pomdp.prior.ravel()), drawn[rows], side="right")
             last = int(np.flatnonzero(solved.pomdp.prior.ravel())[-1])
             b, t = np.divmod(np.minimum(cell, last), len(grid.theta))
-            self.beta[rows], self.theta[rows] = grid.beta[b], grid.theta[t]
+            self.who[rows], self.beta[rows], self.theta[rows] = b, grid.beta[b], grid.theta[t]
 
     def run(self) -> Episodes:
         """Step until all have finished or the limit is reached."""
@@ -119,9 +119,8 @@ class Run:
         # Views: people are changed in place.
         belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
         people = People(
-            x=self.x.reshape(-1), robot=robot.reshape(-1), who=self.who, beta=self.beta.reshape(-1),
-            theta=self.theta.reshape(-1), luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent,
-            erred=self.erred.reshape(-1),
+            x=self.x.reshape(-1), robot=robot.reshape(-1), who=self.who.reshape(-1), theta=self.theta.reshape(-1),
+            luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent, erred=self.erred.reshape(-1),
         )  # fmt: skip
         for number, rows in by_model(self.model.reshape(-1), flat, len(self.pool.policies)):
             group = self.groups[number]
@@ -208,29 +207,39 @@ class Run:
 
 
 @dataclass(frozen=True)
-class _Group:
-    """The people of one model, as compiled code reads them."""
+class Group:
+    """The people of one model, as compiled code reads them.
 
-    number: int
+    Attributes
+    ----------
+    arrays : Arrays
+        Their problem.
+    minds : Minds
+        How they choose: of each of them, or in the model's world of each beta of the grid.
+    row : int array, shape (people,)
+        Where each of the pool's people is in `minds`; 0 for those of other models.
+    """
+
     arrays: Arrays
     minds: Minds
     row: NDArray[np.int64]
 
     @classmethod
-    def of(cls, pool: Pool, number: int, on_grid: bool) -> _Group:
+    def of(cls, pool: Pool, number: int, world: World) -> Group:
+        """Work out how the people of a model choose."""
         pomdp = pool.policies[number].pomdp
         model, choices = pomdp.model, pomdp.model.choices
         own = np.flatnonzero(pool.model == number)
         row = np.zeros(len(pool.people), dtype=np.int64)
-        if on_grid:  # everybody takes the costs for what the model says
-            q = model.q[None]
+        on_grid = world == "model"
+        if on_grid:  # trust moves as the problem says
+            p, value, lapse = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)), model.lapse
         else:
-            q = np.array([perceived_cost(choices, pool.people[i].h) for i in own])
+            p = np.array([pool.people[i].chances(choices) for i in own])
+            value, lapse = np.array([pool.people[i].value(choices) for i in own]), 0.0
             row[own] = np.arange(len(own))
-        value = np.array([perceived_value(choices, one) for one in q])
-        lapse = model.lapse if on_grid else 0.0
-        minds = Minds(q, value, choices.h, eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
-        return cls(number, Arrays.of(pomdp), minds, row)
+        minds = Minds(p, value, choices.h, eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
+        return cls(Arrays.of(pomdp), minds, row)
 
 
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:

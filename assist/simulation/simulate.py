@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import get_args
 
 import numpy as np
@@ -23,7 +24,7 @@ from ..team.travel import Travel
 from .episodes import Episodes, Trace
 from .luck import BLOCK
 from .presence import Presence
-from .run import Run, World
+from .run import Group, Run, World
 
 TOGETHER = 16_384
 """People who are simulated at a time: what is known of them should stay in the processor's cache."""
@@ -106,12 +107,13 @@ def simulate(
     together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace is in order
     luck = entropy(seed)
+    group_of = cache(lambda number: Group.of(pool, number, world))
 
     def run(start: int) -> Episodes:
         chunk = slice(start, start + together)
         return Run(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=luck, name=called,
-            travel=travel, presence=presence, world=world, trace=trace, progress=progress,
+            travel=travel, presence=presence, world=world, trace=trace, progress=progress, group_of=group_of,
         ).run()  # fmt: skip
 
     starts = range(0, count, together)

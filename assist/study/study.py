@@ -212,7 +212,7 @@ class Study:
     def fingerprint(self) -> str:
         """Give a digest of all that results depend on: the study, and the files that it names, but not `repeats`."""
         digest = hashlib.sha256()
-        plain = {name: value for name, value in asdict(self).items() if name not in OF_NO_CONSEQUENCE}
+        plain = {name: value for name, value in self._plain().items() if name not in OF_NO_CONSEQUENCE}
         plain["schema"] = SCHEMA
         for name in ("instances", "own_policies"):
             plain[name] = [label for label, _ in getattr(self, name)]
@@ -226,7 +226,10 @@ class Study:
 
     def record(self) -> dict[str, Any]:
         """Give the study as plain data, file names as texts."""
-        return json.loads(json.dumps(asdict(self), default=str))
+        return json.loads(json.dumps(self._plain(), default=str))
+
+    def _plain(self) -> dict[str, Any]:
+        return asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
 
     def luck(self, repeat: int) -> int:
         """Give the seed of a repeat."""

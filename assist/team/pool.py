@@ -12,6 +12,7 @@ from planner import CostToGo, LimitError, Table
 
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
+from ..people.memory import choices_of
 from ..person.pomdp import AssistPOMDP, Policy
 from ..person.qmdp import qmdp
 from .arguments import Seed, entropy, positive, whole
@@ -93,9 +94,11 @@ class Pool:
         setting : Setting, optional
             The paper's unless given.
         population : Population or Mixture, optional
-            From whom they are drawn; the paper's unless given.
+            From whom they are drawn; the paper's unless given. Where terms have weights, each state is divided by what
+            people remember (`remembered`).
         prior : Population or Mixture, optional
-            From whom the robot takes them to be drawn; `population` unless given.
+            From whom the robot takes them to be drawn; `population` unless given. A robot whose prior has no weights
+            believes that people choose by cost-to-go alone.
         solver : callable
             Gives the policy for one person's problem.
         memory_limit_mb : float
@@ -121,7 +124,7 @@ class Pool:
                 "may come to any of them"
             )
         _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
-        choices = table if isinstance(table, Choices) else Choices.of(table)
+        choices = choices_of(table, (*population.weights, *prior.weights))
         require_goal(choices.h[choices.initial])
         offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
         robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)

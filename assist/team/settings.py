@@ -74,10 +74,15 @@ class Setting:
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
     def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
-        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task."""
+        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task.
+
+        Of somebody whose perceived costs are known, the weights are, too, if people of that population have any.
+        """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
+        chooses = human.chooses if human is not None and human.weights and population.weights else population.typical
         return AssistPOMDP.of(
-            model, grid=Grid.regular(population), population=population, gamma=self.gamma, c_suggest=self.c_suggest,
-            suggestions=self.suggestions, execute=self.execute, c_execute=self.c_execute,
+            model, chooses=chooses, grid=Grid.regular(population),
+            population=population, gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions,
+            execute=self.execute, c_execute=self.c_execute,
         )  # fmt: skip

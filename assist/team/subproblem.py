@@ -248,6 +248,9 @@ def _choices(alone: Choices, layout: Layout) -> Choices:
     targets = layout.number(layout.step[:, None] + 1, position[:, None], alone.targets[x])
     return replace(
         alone,
+        state=None,
+        terms=None,
+        features=None,
         h=alone.h[x],
         goal=alone.goal[x],
         applicable=alone.applicable[x],
