@@ -107,9 +107,12 @@ class Problem:
     ) -> None:
         self.task, self.setting, self.prior, self.parts = task, setting, prior, parts
         self.own: list[int] = []
-        self.initial = task.pomdp.model.choices.initial if is_policy(task) else cast(CostToGo, task).initial
         if is_policy(task):
+            choices = task.pomdp.model.choices
+            self.initial = choices.task_state(choices.initial)
             self._add(Part.whole(task))
+        else:
+            self.initial = cast(CostToGo, task).initial
         number, row = self.at(self.initial)
         require_goal(parts[number].choices.h[row])
         self.matcher = Matcher(parts[number].choices.names)

@@ -122,7 +122,7 @@ class Session:
             "format": FORMAT,
             "policy": desk.policy if isinstance(desk.policy, str) else None,
             "setting": asdict(desk.setting),
-            "population": asdict(desk.population),
+            "population": desk.population.as_dict(),
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
         }
 
