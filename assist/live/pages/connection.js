@@ -1,0 +1,167 @@
+// The way to the service: one socket that comes back by itself, requests that are repeated under the same name until
+// they are answered, and nothing lost when the page is loaded anew.
+
+const parts = location.pathname.split("/").filter(Boolean);
+export const token = parts.at(-1);
+export const person = parts.length > 2 ? decodeURIComponent(parts[1]) : null;
+
+const SLOWEST = 3000; // milliseconds between two attempts to connect
+const SILENCE = 10000; // after which a request counts as lost
+
+export class Refused extends Error {
+  constructor(status, detail) {
+    super(detail);
+    this.status = status;
+  }
+}
+
+export function pathOf(name, rest = "") {
+  return `/api/people/${encodeURIComponent(name)}${rest}`;
+}
+
+/** Ask once; throws Refused where the service says no, and anything else where it was not reached. */
+export async function ask(path, { method = "GET", body } = {}) {
+  const answer = await fetch(path, {
+    method,
+    headers: { Authorization: `Bearer ${token}`, ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
+    body: body === undefined ? undefined : JSON.stringify(body),
+    signal: AbortSignal.timeout(SILENCE),
+  });
+  if (answer.ok) return answer;
+  let detail = `${answer.status} ${answer.statusText}`;
+  try {
+    detail = (await answer.json()).detail ?? detail;
+  } catch {
+    // no JSON: the status says it
+  }
+  throw new Refused(answer.status, String(detail));
+}
+
+export const askJson = async (path, options) => (await ask(path, options)).json();
+
+const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
+
+/** An error that passes: the same request may be answered later. */
+const passes = (error) => !(error instanceof Refused) || [429, 503, 504].includes(error.status);
+
+export function newId() {
+  const bytes = crypto.getRandomValues(new Uint8Array(12));
+  return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
+}
+
+/** Sends one request after the other; what is not answered is kept over a reload and sent again under the same id. */
+export class Outbox {
+  constructor(name, { answered, refused, waiting }) {
+    this.key = `kitassist ${name} ${token}`;
+    this.answered = answered;
+    this.refused = refused;
+    this.waiting = waiting;
+    this.running = false;
+    try {
+      this.kept = JSON.parse(sessionStorage.getItem(this.key)) ?? null;
+    } catch {
+      this.kept = null;
+    }
+  }
+
+  get busy() {
+    return this.kept !== null;
+  }
+
+  keep(request) {
+    this.kept = request;
+    try {
+      if (request === null) sessionStorage.removeItem(this.key);
+      else sessionStorage.setItem(this.key, JSON.stringify(request));
+    } catch {
+      // no storage: kept as long as the page is
+    }
+  }
+
+  send(path, body) {
+    if (this.busy) return false;
+    this.keep({ path, body: { ...body, id: newId() } });
+    this.resume();
+    return true;
+  }
+
+  async resume() {
+    if (this.running || !this.busy) return;
+    this.running = true;
+    for (let pause = 250; this.busy; pause = Math.min(2 * pause, SLOWEST)) {
+      try {
+        const answer = await askJson(this.kept.path, { method: "POST", body: this.kept.body });
+        const { body } = this.kept;
+        this.keep(null);
+        this.answered(answer, body);
+      } catch (error) {
+        if (passes(error)) {
+          this.waiting(error);
+          await wait(pause);
+        } else {
+          this.keep(null);
+          this.refused(error);
+        }
+      }
+    }
+    this.running = false;
+  }
+}
+
+/** One socket at a time; an old one's late end changes nothing. */
+export class Channel {
+  constructor(path, { message, state }) {
+    this.path = path;
+    this.message = message;
+    this.state = state;
+    this.pause = 200;
+    this.socket = null;
+    this.timer = null;
+    addEventListener("online", () => this.hurry());
+    document.addEventListener("visibilitychange", () => document.hidden || this.hurry());
+    addEventListener("pageshow", () => this.hurry());
+    this.open();
+  }
+
+  hurry() {
+    if (this.over || this.socket?.readyState === WebSocket.OPEN) return;
+    this.pause = 200;
+    clearTimeout(this.timer);
+    this.open();
+  }
+
+  open() {
+    if (this.socket?.readyState === WebSocket.CONNECTING) return;
+    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${this.path}`;
+    const socket = new WebSocket(address, ["kitassist", `token.${token}`]);
+    this.socket = socket;
+    socket.onopen = () => {
+      if (socket !== this.socket) return;
+      this.pause = 200;
+      this.state("connected");
+    };
+    socket.onmessage = (event) => {
+      if (socket === this.socket) this.message(JSON.parse(event.data));
+    };
+    socket.onclose = (event) => {
+      if (socket === this.socket) this.closed(event.code);
+    };
+  }
+
+  closed(code) {
+    if ([4401, 4403, 4404].includes(code)) {
+      this.over = true;
+      this.state("over", code);
+      return;
+    }
+    this.state("lost");
+    this.timer = setTimeout(() => this.open(), this.pause * (0.75 + Math.random() / 2));
+    this.pause = Math.min(2 * this.pause, SLOWEST);
+  }
+
+  end() {
+    this.over = true;
+    clearTimeout(this.timer);
+    this.socket?.close();
+  }
+}

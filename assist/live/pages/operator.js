@@ -1,0 +1,218 @@
+// The page of whoever looks after a team: everybody's progress, what is believed of them, the robot, the log.
+
+import { Channel, Refused, ask, askJson, newId, pathOf } from "./connection.js";
+
+const at = (id) => document.getElementById(id);
+const SVG = "http://www.w3.org/2000/svg";
+const WIDTH = 300;
+const HEIGHT = 70;
+const LEFT = 20;
+
+let team = null;
+let links = {};
+
+const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
+const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+const plain = (action) => (action ? action.slice(1, -1) : "");
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "click") made.addEventListener("click", value);
+    else if (value === true) made.setAttribute(key, "");
+    else if (value !== false && value !== null) made.setAttribute(key, value);
+  }
+  made.append(...children.filter((child) => child !== null));
+  return made;
+}
+
+function shape(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+function plot(label, width, height) {
+  return shape("svg", { class: "plot", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });
+}
+
+function label(x, y, text, anchor = "start") {
+  const made = shape("text", { x, y, "text-anchor": anchor });
+  made.textContent = text;
+  return made;
+}
+
+/** Of what is known of this session: all small pictures have one axis of time. */
+function lastTime() {
+  return Math.max(0, ...(team.log ?? []).map((event) => event.time), ...team.people.map((person) => person.history?.at(-1)?.[0] ?? 0));
+}
+
+/** Cost-to-go over time, as steps; a gap where there is no way to the goal. */
+function progressOf(person) {
+  const points = (person.history ?? []).filter(([, value]) => value !== null);
+  const highest = Math.max(1, ...points.map(([, value]) => value));
+  const last = Math.max(1, lastTime());
+  const now = person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`;
+  const drawn = plot(`Cost to go over ${clock(last)} minutes: from ${points.length ? one(points[0][1]) : "?"}, now ${now}`, WIDTH, HEIGHT);
+  const x = (time) => LEFT + ((WIDTH - LEFT - 5) * time) / last;
+  const y = (value) => HEIGHT - 14 - ((HEIGHT - 24) * value) / highest;
+  drawn.append(shape("line", { class: "axis", x1: LEFT, x2: WIDTH, y1: y(0), y2: y(0) }));
+  let path = "";
+  points.forEach(([time, value], number) => {
+    path += number ? `H${x(time).toFixed(1)}V${y(value).toFixed(1)}` : `M${x(time).toFixed(1)} ${y(value).toFixed(1)}`;
+  });
+  if (points.length) {
+    const [, value] = points.at(-1);
+    if (!person.finished) path += `H${x(last).toFixed(1)}`;
+    drawn.append(shape("path", { class: "line", d: path }));
+    drawn.append(shape("circle", { class: "end", cx: x(person.finished ? points.at(-1)[0] : last), cy: y(value), r: 3.5 }));
+  }
+  drawn.append(label(LEFT, HEIGHT - 2, "0:00"), label(WIDTH, HEIGHT - 2, clock(last), "end"), label(LEFT - 5, y(highest) + 4, one(highest), "end"), label(LEFT - 5, y(0) + 3, "0", "end"));
+  return drawn;
+}
+
+/** How likely each value of beta, or of theta, is. */
+function beliefOf(name, values, shares) {
+  const mean = values.reduce((sum, value, number) => sum + value * shares[number], 0);
+  const highest = Math.max(...shares, 1e-9);
+  const width = WIDTH / 2;
+  const drawn = plot(`${name}: ${one(values[0])} to ${one(values.at(-1))}, mean ${mean.toFixed(2)}`, width, HEIGHT);
+  const wide = width / values.length;
+  shares.forEach((share, number) => {
+    const high = ((HEIGHT - 18) * share) / highest;
+    drawn.append(shape("rect", { class: "column", x: (number * wide + 1).toFixed(1), y: (HEIGHT - 14 - high).toFixed(1), width: Math.max(1, wide - 2).toFixed(1), height: high.toFixed(1) }));
+  });
+  drawn.append(shape("line", { class: "axis", x1: LEFT, x2: width, y1: HEIGHT - 14, y2: HEIGHT - 14 }));
+  drawn.append(label(0, HEIGHT - 2, values[0].toFixed(2)), label(width, HEIGHT - 2, values.at(-1).toFixed(2), "end"));
+  return [drawn, mean];
+}
+
+function figureOf(drawn, caption) {
+  return element("figure", {}, drawn, element("figcaption", {}, caption));
+}
+
+function card(person) {
+  const here = team.robot?.location === person.person;
+  const { beta, theta } = person.grid;
+  const ofBeta = person.belief.map((row) => row.reduce((sum, share) => sum + share, 0));
+  const ofTheta = theta.map((_, column) => person.belief.reduce((sum, row) => sum + row[column], 0));
+  const [betas, betaMean] = beliefOf("Expertise beta", beta, ofBeta);
+  const [thetas, thetaMean] = beliefOf("Influence theta", theta, ofTheta);
+  const state = person.finished ? "done" : person.connected ? "connected" : "not connected";
+  const join = links[person.person] ?? person.join;
+  return element("li", { class: `card${here ? " here" : ""}` },
+    element("h3", {}, person.person,
+      here ? element("span", { class: "badge here" }, "robot here") : null,
+      element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
+    element("p", {}, `${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`}`),
+    person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
+    figureOf(progressOf(person), "Cost to go over time"),
+    element("div", { class: "pair" },
+      figureOf(betas, `Expertise β: ${betaMean.toFixed(2)}`),
+      figureOf(thetas, `Influence θ: ${thetaMean.toFixed(2)}`)),
+    join ? element("p", { class: "link" }, element("input", { readonly: true, value: join, "aria-label": `Link for ${person.person}`, "data-key": `link ${person.person}` })) : null,
+    element("p", { class: "buttons" },
+      element("button", { type: "button", "data-key": `undo ${person.person}`, disabled: person.steps === 0, "aria-label": `Take back the last step of ${person.person}`, click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { id: newId() } }, `The last step of ${person.person} is taken back.`) }, "Take back last step"),
+      element("button", { type: "button", "data-key": `remove ${person.person}`, "aria-label": `Remove ${person.person}`, click: () => remove(person.person) }, "Remove")));
+}
+
+function show() {
+  const { robot, people } = team;
+  const there = people.filter((person) => person.present !== false);
+  at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} done`;
+  at("pause").textContent = team.paused ? "Go on suggesting" : "Pause suggestions";
+  at("pause").setAttribute("aria-pressed", String(team.paused));
+  at("where").textContent = robot.location ? `With ${robot.location}` : "At its base";
+  if (team.paused) at("next").textContent = "Paused: nothing new is suggested.";
+  else if (!robot.person) at("next").textContent = "Nothing is worth saying to anybody right now.";
+  else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
+  else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
+  at("why").textContent = !robot.reason || team.paused ? "" :
+    `Because it is expected to save ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way, which makes ${one(robot.reason.score)}. ` +
+    `Expertise ${one(robot.reason.beta)} (${robot.reason.beta_interval.map(one).join(" to ")}), ` +
+    `influence ${robot.reason.theta.toFixed(2)} (${robot.reason.theta_interval.map((value) => value.toFixed(2)).join(" to ")}).`;
+  keepingFocus(() => at("people").replaceChildren(...there.map(card)));
+  at("log").replaceChildren(...[...(team.log ?? [])].reverse().map((event) =>
+    element("tr", {},
+      element("td", { class: "count" }, clock(event.time)),
+      element("td", {}, event.person ?? ""),
+      element("td", {}, [event.event, plain(event.action)].filter(Boolean).join(": ")),
+      element("td", {}, event.suggestion ? `${plain(event.suggestion)}${event.followed === true ? " (followed)" : event.followed === false ? " (not followed)" : ""}` : ""))));
+}
+
+/** What is redrawn under somebody's hands keeps its place. */
+function keepingFocus(redraw) {
+  const key = document.activeElement?.dataset?.key;
+  redraw();
+  if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+}
+
+function complain(text) {
+  at("problem").textContent = text ?? "";
+  at("problem").hidden = !text;
+}
+
+async function tell(path, options, said) {
+  complain(null);
+  try {
+    const answer = await ask(path, options);
+    at("said").textContent = said;
+    return answer.status === 204 ? null : await answer.json().catch(() => null);
+  } catch (error) {
+    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+    return null;
+  }
+}
+
+function remove(name) {
+  if (confirm(`Remove ${name} from the team?`)) tell(`/api/team/people/${encodeURIComponent(name)}`, { method: "DELETE" }, `${name} is removed.`);
+}
+
+at("pause").addEventListener("click", () => {
+  tell("/api/team/pause", { method: "POST", body: { paused: !team.paused } }, team.paused ? "Suggestions go on." : "Suggestions are paused.");
+});
+at("add").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const name = at("name").value.trim();
+  if (!name) return;
+  const added = await tell("/api/team/people", { method: "POST", body: { person: name } }, `${name} is added.`);
+  if (added === null) return;
+  at("name").value = "";
+  if (added.join) links[name] = added.join;
+  if (team !== null) show();
+});
+at("export").addEventListener("click", async () => {
+  try {
+    const content = await (await ask("/api/log")).blob();
+    const link = element("a", { href: URL.createObjectURL(content), download: "log.jsonl" });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+    at("said").textContent = "The log is saved.";
+  } catch (error) {
+    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+  }
+});
+
+let waiting = null;
+new Channel("/api/team/events", {
+  message(next) {
+    if (team !== null && next.seq < team.seq) return;
+    team = next;
+    waiting ??= requestAnimationFrame(() => {
+      waiting = null;
+      show();
+    });
+  },
+  async state(state) {
+    at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
+    at("connection").classList.toggle("lost", state !== "connected");
+    if (state === "lost" && team === null) {
+      try {
+        team = await askJson("/api/team");
+        show();
+      } catch (error) {
+        if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link does not lead to a team.");
+      }
+    }
+  },
+});

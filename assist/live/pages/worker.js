@@ -1,0 +1,347 @@
+// The page of one person at work: the drawing with everything that can be done in it, the suggestion, steps and goal.
+
+import { Channel, Outbox, Refused, ask, askJson, pathOf, person, token } from "./connection.js";
+
+const at = (id) => document.getElementById(id);
+const WIDTHS = [320, 400, 520, 640, 760, 960];
+
+let view = null; // the newest that the service said of this person
+let drawn = null; // the newest drawing, with words for actions
+let declined = null; // the suggestion to which the person said no, with the view in which they did
+let chosen = []; // objects clicked one after the other
+let started = null;
+let refusals = 0;
+
+// What is told.
+
+const words = (action) => drawn?.words[action] ?? action.slice(1, -1).replace(" ", ": ").replaceAll(" ", ", ").replace(":,", ":");
+const objectsOf = (action) => action.slice(1, -1).split(" ").slice(1);
+const number = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
+
+function say(text) {
+  at("said").textContent = "";
+  requestAnimationFrame(() => {
+    at("said").textContent = text;
+  });
+}
+
+function complain(text) {
+  at("problem").textContent = text ?? "";
+  at("problem").hidden = !text;
+}
+
+function reasons(reason) {
+  const { saving, moving, beta, beta_interval: b, theta, theta_interval: t } = reason;
+  const level = beta < 0.6 ? "finds good steps hard to tell" : beta < 1.8 ? "mostly sees which steps are good" : "sees well which steps are good";
+  const trust = theta < 0.45 ? "would rather not follow suggestions" : theta < 0.65 ? "takes suggestions as one opinion" : "often follows suggestions";
+  return [
+    `It should save you about ${number(saving)} ${Math.abs(saving) < 1.05 && Math.abs(saving) > 0.95 ? "step" : "steps"} of work on average.`,
+    moving > 0.05 ? `Coming here cost the robot ${number(moving)}.` : "The robot is with you already.",
+    `From your steps so far, it takes you for somebody who ${level} (expertise ${number(beta)}, likely ${number(b[0])} to ${number(b[1])}).`,
+    `It takes you for somebody who ${trust} (influence ${theta.toFixed(2)}, likely ${t[0].toFixed(2)} to ${t[1].toFixed(2)}).`,
+  ];
+}
+
+// What is shown.
+
+function item(text, act) {
+  const line = document.createElement("li");
+  const button = document.createElement("button");
+  button.type = "button";
+  button.textContent = text;
+  button.addEventListener("click", act);
+  line.append(button);
+  return line;
+}
+
+function fill(list, lines) {
+  list.replaceChildren(...lines);
+}
+
+const open = () => (view !== null && !view.finished && view.suggestion !== null && declined !== `${view.steps} ${view.suggestion}` ? view.suggestion : null);
+
+function show() {
+  if (view === null) return;
+  at("person").textContent = view.person;
+  document.title = `${view.person}: your task`;
+  at("steps").textContent = view.steps;
+  at("steps-word").textContent = view.steps === 1 ? "step" : "steps";
+  at("undo").disabled = view.steps === 0 || outbox.busy;
+  showAdvice();
+  showActions();
+  showEnd();
+}
+
+function showAdvice() {
+  const suggestion = open();
+  at("advice").hidden = suggestion === null;
+  if (suggestion === null) {
+    at("suggestion").textContent = "";
+    return;
+  }
+  const text = words(suggestion);
+  at("accept").disabled = outbox.busy;
+  if (at("suggestion").textContent !== text) {
+    at("suggestion").textContent = text;
+    say(`The assistant suggests: ${text}.`);
+  }
+  fill(at("why"), (view.reason === null ? ["It lies on a shortest way to the goal."] : reasons(view.reason)).map((line) => {
+    const one = document.createElement("li");
+    one.textContent = line;
+    return one;
+  }));
+}
+
+function showActions() {
+  const list = at("actions");
+  const inside = list.contains(document.activeElement);
+  const before = inside ? document.activeElement.textContent : null;
+  fill(list, view.applicable.map((action) => {
+    const line = item(words(action), () => act(action));
+    line.firstChild.disabled = outbox.busy;
+    line.firstChild.dataset.action = action;
+    if (action === open()) line.classList.add("suggested");
+    return line;
+  }));
+  if (inside && !outbox.busy) {
+    const buttons = [...list.querySelectorAll("button")];
+    (buttons.find((button) => button.textContent === before) ?? buttons[0] ?? at("choices-title")).focus();
+  }
+}
+
+function showEnd() {
+  const ended = view.finished;
+  const stuck = !ended && view.cost_to_go === null;
+  if (ended && at("done").hidden) {
+    at("done-text").textContent = `The goal is reached, in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`;
+    at("done").hidden = false;
+    say(at("done-text").textContent);
+    at("done-title").focus();
+  }
+  if (!ended) at("done").hidden = true;
+  if (stuck) complain("From here the goal cannot be reached any more. Undo the last step.");
+  else if (at("problem").textContent.startsWith("From here")) complain(null);
+}
+
+function showDrawing() {
+  const parsed = new DOMParser().parseFromString(drawn.svg, "image/svg+xml").documentElement;
+  const svg = document.importNode(parsed, true);
+  svg.removeAttribute("width");
+  svg.removeAttribute("height");
+  at("drawing").replaceChildren(svg);
+  const done = drawn.goal.filter((one) => one.done).length;
+  at("goal").max = Math.max(1, drawn.goal.length);
+  at("goal").value = done;
+  at("goal").textContent = at("wanted-count").textContent = `${done} of ${drawn.goal.length}`;
+  at("goal-word").textContent = `Goal ${done} of ${drawn.goal.length}`;
+  fill(at("wanted"), drawn.goal.map((one) => {
+    const line = document.createElement("li");
+    line.className = one.done ? "so" : "open";
+    line.textContent = `${one.text}: ${one.done ? "done" : "open"}`;
+    return line;
+  }));
+  showTargets(svg);
+}
+
+/** Buttons over the objects of the drawing: a picture has no buttons within buttons. */
+function showTargets(svg) {
+  const inside = at("targets").contains(document.activeElement);
+  const before = inside ? document.activeElement.dataset.object : null;
+  const { width, height } = svg.viewBox.baseVal;
+  const suggested = open() === null ? [] : objectsOf(open());
+  const buttons = [];
+  for (const group of svg.querySelectorAll("[data-object]")) {
+    const name = group.dataset.object;
+    group.classList.toggle("ka-hint", suggested.includes(name));
+    const possible = matching([name]);
+    if (!possible.length || view?.finished) continue;
+    const frame = group.querySelector(".ka-frame");
+    const button = document.createElement("button");
+    button.type = "button";
+    button.dataset.object = name;
+    button.setAttribute("aria-label", `${name}: ${possible.length === 1 ? words(possible[0]) : `${possible.length} possible actions`}`);
+    for (const [side, attribute, whole] of [["left", "x", width], ["top", "y", height], ["width", "width", width], ["height", "height", height]]) {
+      button.style[side] = `${(100 * Number(frame.getAttribute(attribute))) / whole}%`;
+    }
+    button.addEventListener("click", () => choose(name, button));
+    buttons.push(button);
+  }
+  fill(at("targets"), buttons);
+  if (inside) (buttons.find((button) => button.dataset.object === before) ?? buttons[0] ?? at("choices-title")).focus();
+}
+
+// What is clicked.
+
+const matching = (names) => (view?.applicable ?? []).filter((action) => names.every((name) => objectsOf(action).includes(name)));
+
+function choose(name, button) {
+  if (outbox.busy) return;
+  const both = [...chosen, name];
+  chosen = chosen.length && !chosen.includes(name) && matching(both).length ? both : [name];
+  const possible = matching(chosen);
+  if (possible.length === 1) {
+    act(possible[0]);
+    return;
+  }
+  at("menu-title").textContent = `With ${chosen.join(" and ")}:`;
+  fill(at("menu-list"), possible.map((action) => item(words(action), () => act(action))));
+  const can = new Set(possible.flatMap(objectsOf));
+  for (const group of at("drawing").querySelectorAll("[data-object]")) {
+    group.classList.toggle("ka-acted", chosen.includes(group.dataset.object));
+    group.classList.toggle("ka-can", !chosen.includes(group.dataset.object) && can.has(group.dataset.object));
+  }
+  const menu = at("menu");
+  menu.hidden = false;
+  menu.style.setProperty("--left", `${Math.max(0, Math.min(button.offsetLeft, at("stage").clientWidth - menu.offsetWidth))}px`);
+  menu.style.setProperty("--top", `${button.offsetTop + button.offsetHeight + 6}px`);
+  at("menu-list").querySelector("button").focus({ preventScroll: true });
+  say(`${at("menu-title").textContent} ${possible.map(words).join("; ")}.`);
+}
+
+function closeMenu(back = true) {
+  if (at("menu").hidden) return;
+  at("menu").hidden = true;
+  const name = chosen.at(-1);
+  chosen = [];
+  for (const group of at("drawing").querySelectorAll(".ka-can, .ka-acted")) group.classList.remove("ka-can", "ka-acted");
+  if (back) at("targets").querySelector(`[data-object="${CSS.escape(name)}"]`)?.focus();
+}
+
+// What is done.
+
+function act(action) {
+  const suggestion = view.suggestion;
+  const followed = suggestion === null ? null : action === suggestion;
+  const within = at("menu").contains(document.activeElement) || at("targets").contains(document.activeElement);
+  closeMenu(within);
+  chosen = [];
+  complain(null);
+  if (outbox.send(pathOf(person, "/actions"), { action, followed, seq: view.seq })) show();
+}
+
+const outbox = new Outbox("actions", {
+  answered(answer, body) {
+    refusals = 0;
+    complain(null);
+    take(answer);
+    show();
+    if (body.action) say(`${words(body.action)}: done.`);
+  },
+  refused(error) {
+    complain(error.message);
+    show();
+    refresh();
+  },
+  waiting(error) {
+    refusals += 1;
+    if (refusals > 1) complain(error instanceof Refused ? `${error.message} Trying again.` : "Not sent yet. It will be sent as soon as the connection is back.");
+  },
+});
+
+function take(next) {
+  if (view !== null && next.seq < view.seq) return;
+  const changed = view === null || next.seq !== view.seq;
+  view = next;
+  if (next.steps === 0 && started === null) remember(Date.now());
+  show();
+  if (changed || drawn === null) redraw();
+}
+
+let asked = 0;
+async function redraw() {
+  const turn = (asked += 1);
+  const across = at("stage").clientWidth;
+  const width = WIDTHS.findLast((one) => one <= across - 8) ?? WIDTHS[0];
+  try {
+    const next = await askJson(pathOf(person, `/drawing?width=${width}`));
+    if (turn !== asked) return;
+    if (at("menu").hidden === false) closeMenu(true);
+    drawn = next;
+    show();
+    showDrawing();
+    if (view !== null && next.seq < view.seq) redraw();
+  } catch (error) {
+    if (turn === asked && !(error instanceof Refused)) setTimeout(redraw, 1000);
+  }
+}
+
+async function refresh() {
+  try {
+    take(await askJson(pathOf(person)));
+  } catch (error) {
+    if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
+      channel.end();
+      at("connection").textContent = "Not connected";
+      complain(`This link does not lead to a task: ${error.message}`);
+    }
+  }
+}
+
+const channel = new Channel(pathOf(person, "/events"), {
+  message: take,
+  state(state) {
+    at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
+    at("connection").classList.toggle("lost", state !== "connected");
+    if (state === "connected") outbox.resume();
+    if (state === "lost") refresh();
+    if (state === "over") complain("You are not in this team any more. Ask for a new link.");
+  },
+});
+
+// Steps and time.
+
+function remember(when) {
+  started = when;
+  try {
+    sessionStorage.setItem(`kitassist began ${token}`, String(when));
+  } catch {
+    // no storage: the time begins anew with the page
+  }
+}
+
+try {
+  started = Number(sessionStorage.getItem(`kitassist began ${token}`)) || null;
+} catch {
+  started = null;
+}
+setInterval(() => {
+  if (started === null || view?.finished) return;
+  const seconds = Math.max(0, Math.round((Date.now() - started) / 1000));
+  at("time").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")}`;
+}, 1000);
+
+at("accept").addEventListener("click", () => {
+  if (open() !== null) act(open());
+  at("choices-title").focus({ preventScroll: true });
+});
+at("ignore").addEventListener("click", () => {
+  declined = `${view.steps} ${view.suggestion}`;
+  say("Suggestion put aside.");
+  show();
+  if (drawn !== null) showDrawing();
+  at("choices-title").focus({ preventScroll: true });
+});
+at("undo").addEventListener("click", () => {
+  complain(null);
+  if (outbox.send(pathOf(person, "/undo"), {})) show();
+});
+at("again").addEventListener("click", () => {
+  remember(Date.now());
+  if (outbox.send(pathOf(person, "/begin"), {})) show();
+  at("choices-title").focus({ preventScroll: true });
+});
+at("menu-close").addEventListener("click", () => closeMenu());
+document.addEventListener("keydown", (event) => {
+  if (event.key === "Escape") closeMenu();
+});
+document.addEventListener("click", (event) => {
+  if (!at("menu").hidden && !at("menu").contains(event.target) && !at("targets").contains(event.target)) closeMenu(false);
+});
+let across = 0;
+new ResizeObserver(() => {
+  const width = at("stage").clientWidth;
+  if (view !== null && Math.abs(width - across) > 40) redraw();
+  across = width;
+}).observe(at("stage"));
+
+outbox.resume();

@@ -1,0 +1,362 @@
+"""The live assistant's pages in a real browser: by clicking, by keyboard only, on a phone by touch.
+
+Where no Chromium is installed these tests are skipped, and say so.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+
+from assist.cli import main
+from assist.drawing import Artist
+from planner import Table, load
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra `test`, is not installed")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+
+PATIENCE = 20_000  # milliseconds until something is taken not to come
+LAST = re.compile(r"^(?:Put|Fetch|Return|Take) ")
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from serving import served
+
+    folder = tmp_path_factory.mktemp("session")
+    # A robot that helps whoever has just made no progress, and simulated people who hardly do.
+    people = ("--humans", 5, "--simulate", 2, "--pace", 0.5, "--beta", 2.9, 3.0, "--policy", "reactive")
+    with served(*people, "--data", folder) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def artist() -> Artist:
+    return Artist(load(KITTING / "tiny.pddl"))
+
+
+class Seat:
+    """Somebody at a page, who knows the task; `do` does an action their way."""
+
+    def __init__(self, page: Any, desk: Any, person: str, table: Table, artist: Artist) -> None:
+        self.page, self.desk, self.person, self.table, self.artist = page, desk, person, table, artist
+        self.faults: list[str] = []
+        page.set_default_timeout(PATIENCE)
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("console", lambda told: self.faults.append(told.text) if told.type == "error" else None)
+        page.on("request", lambda asked: self.faults.append(asked.url) if self.is_elsewhere(asked.url) else None)
+        page.goto(desk.links[person])
+        page.wait_for_selector("#actions button")
+
+    def is_elsewhere(self, url: str) -> bool:
+        return not url.startswith((self.desk.url, "data:", "blob:", self.desk.url.replace("http", "ws")))
+
+    def state(self) -> int:
+        """Where the log says that they are."""
+        mine = [row for row in self.log() if row["person"] == self.person]
+        return self.table.space.follow([row["action"] for row in mine if row["episode"] == mine[-1]["episode"]])
+
+    def best(self) -> str:
+        plan = self.table.optimal_plan(self.state())
+        assert plan
+        return plan[0]
+
+    def log(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.desk.ask("GET", "/api/log").text.splitlines()]
+
+    def steps(self) -> int:
+        return int(self.page.inner_text("#steps"))
+
+    def waits_for(self, steps: int) -> None:
+        self.page.wait_for_function(
+            "n => document.getElementById('steps').textContent === String(n)"
+            " && !document.querySelector('#actions button:disabled')",
+            arg=steps,
+        )
+        self.page.wait_for_timeout(50)
+
+    def errs(self) -> None:
+        """Do steps that lead nowhere, until the robot comes."""
+        for _ in range(12):
+            at = self.state()
+            options = self.table.space.options(at)
+            self.do(next(action for action, to in options.items() if self.table[to] >= self.table[at]))
+            try:
+                self.page.locator("#advice:not([hidden])").wait_for(timeout=1500)
+            except sync_api.TimeoutError:
+                continue
+            return
+        raise AssertionError("no suggestion came")
+
+    def finish(self) -> None:
+        for _ in range(30):
+            if self.page.locator("#done:not([hidden])").count():
+                return
+            self.do(self.best())
+            self.page.wait_for_timeout(50)
+        raise AssertionError("not done after 30 steps")
+
+    def do(self, action: str) -> None:
+        before = self.steps()
+        self.takes(action)
+        self.waits_for(before + 1)
+
+    def takes(self, action: str) -> None:
+        raise NotImplementedError
+
+    def has_no_faults(self) -> None:
+        assert self.faults == []
+
+
+class Clicking(Seat):
+    """With a mouse: on what the action is about, in the drawing."""
+
+    def press(self, selector: str) -> None:
+        # Of a box its upper left corner, since things lie in it.
+        self.page.locator(selector).click(position={"x": 12, "y": 12})
+
+    def takes(self, action: str) -> None:
+        objects = action.strip("()").split()[1:]
+        before = self.steps()
+        for name in objects:
+            self.press(f'#targets [data-object="{name}"]')
+            self.page.wait_for_timeout(60)
+            if self.steps() != before or self.page.locator("#menu").is_hidden():
+                return  # nothing else was possible with these
+        self.press(f'#menu-list button:text-is("{self.artist.say(action)}")')
+
+
+class Touching(Clicking):
+    """With a finger."""
+
+    def press(self, selector: str) -> None:
+        self.page.locator(selector).tap(position={"x": 12, "y": 12})
+
+
+class Typing(Seat):
+    """With nothing but the keyboard."""
+
+    def focus(self, wanted: str) -> None:
+        """Go forward with the Tab key until something of this name has the focus."""
+        for _ in range(60):
+            self.page.keyboard.press("Tab")
+            named = "(e => e.getAttribute('aria-label') ?? e.textContent)(document.activeElement)"
+            if self.page.evaluate(named).startswith(wanted):
+                return
+        raise AssertionError(f"{wanted}: not reached with the Tab key")
+
+    def takes(self, action: str) -> None:
+        self.focus(self.artist.say(action))
+        self.page.keyboard.press("Enter")
+
+
+def violations(page: Any) -> list[Any]:
+    from axe_playwright_python.sync_playwright import Axe
+
+    found = Axe().run(page).response["violations"]
+    return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
+
+
+@pytest.fixture(scope="module")
+def clicked(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> Iterator[Seat]:
+    page = chromium.new_page(viewport={"width": 1280, "height": 800})
+    yield Clicking(page, desk, "person-1", tiny, artist)
+    page.close()
+
+
+def test_a_person_works_by_clicking_follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
+    page = clicked.page
+    assert violations(page) == []
+    page.click('#targets [data-object="box-b"]', position={"x": 12, "y": 12})  # only one thing is possible with it
+    clicked.waits_for(1)
+    page.click('#targets [data-object="wrench"]')  # this can go into both slots
+    assert page.inner_text("#menu-title") == "With wrench:"
+    assert page.locator("#menu-list button").all_inner_texts() == ["Put wrench into slot-1", "Put wrench into slot-2"]
+    assert violations(page) == []
+    page.keyboard.press("Escape")
+    assert page.locator("#menu").is_hidden()
+    page.click("#undo")
+    clicked.waits_for(0)
+
+    clicked.errs()
+    assert violations(page) == []
+    told = page.inner_text("#suggestion")
+    assert LAST.match(told)
+    page.click("summary:text('Why?')")
+    assert "It should save you about" in page.inner_text("#why")
+    before = clicked.steps()
+    page.click("#accept")
+    clicked.waits_for(before + 1)
+    row = [row for row in clicked.log() if row["person"] == "person-1"][-1]
+    assert row["action"] == row["suggestion"]
+    assert clicked.artist.say(row["action"]) == told
+
+    clicked.errs()
+    page.click("#ignore")
+    assert page.locator("#advice").is_hidden()
+    row = [row for row in clicked.log() if row["person"] == "person-1"][-1]
+    suggestion = clicked.desk.ask("GET", "/api/people/person-1").json()["suggestion"]
+    ways = ("(fetch box-b)", "(fetch box-a)", "(return box-a)", "(return box-b)")
+    other = next(action for action in ways if action != suggestion and can(clicked, action))
+    clicked.do(other)
+    row = [row for row in clicked.log() if row["person"] == "person-1"][-1]
+    assert (row["action"], row["suggestion"]) == (other, suggestion)
+
+    page.reload()  # all is as it was
+    page.wait_for_selector("#actions button")
+    steps = clicked.steps()
+    clicked.finish()
+    assert "The goal is reached" in page.inner_text("#done-text")
+    assert page.inner_text("#goal-word") == "Goal 4 of 4"
+    assert clicked.steps() > steps
+    assert violations(page) == []
+    clicked.has_no_faults()
+
+
+def can(seat: Seat, action: str) -> bool:
+    return action in seat.desk.ask("GET", f"/api/people/{seat.person}").json()["applicable"]
+
+
+def test_a_person_works_by_keyboard_only(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
+    page = chromium.new_page(viewport={"width": 1024, "height": 768}, color_scheme="dark")
+    seat = Typing(page, desk, "person-2", tiny, artist)
+    assert violations(page) == []
+    seat.focus("box-a: Fetch")  # the drawing itself
+    page.keyboard.press("Space")
+    seat.waits_for(1)
+    seat.focus("hammer: 2 possible actions")
+    page.keyboard.press("Enter")
+    seat.page.wait_for_selector("#menu:not([hidden])")
+    assert page.evaluate("document.activeElement.textContent") == "Put hammer into slot-1"
+    page.keyboard.press("Escape")
+    assert page.evaluate("document.activeElement.dataset.object") == "hammer"
+    seat.focus("Undo")
+    page.keyboard.press("Enter")
+    seat.waits_for(0)
+    seat.errs()
+    assert page.inner_text("#said").startswith("The assistant suggests: ") or "done" in page.inner_text("#said")
+    before = seat.steps()
+    page.keyboard.press("Shift+Tab")
+    seat.focus("Do it")
+    page.keyboard.press("Enter")
+    seat.waits_for(before + 1)
+    seat.finish()
+    assert page.evaluate("document.activeElement.id") == "done-title"
+    seat.has_no_faults()
+    page.close()
+
+
+def test_a_person_works_on_a_phone_by_touch(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
+    context = chromium.new_context(
+        viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True, device_scale_factor=2
+    )
+    seat = Touching(context.new_page(), desk, "person-3", tiny, artist)
+    assert violations(seat.page) == []
+    assert seat.page.evaluate("document.documentElement.scrollWidth") <= 360
+    seat.finish()
+    assert seat.steps() == 6
+    assert violations(seat.page) == []
+    seat.has_no_faults()
+    context.close()
+
+
+def test_a_second_tab_and_a_lost_connection(clicked: Seat, chromium: Any) -> None:
+    page, desk = clicked.page, clicked.desk
+    page.click("#again")
+    clicked.waits_for(0)
+    second = Clicking(chromium.new_page(), desk, "person-1", clicked.table, clicked.artist)
+    second.do("(fetch box-a)")
+    clicked.waits_for(1)  # the other tab sees it
+    second.page.close()  # and its end changes nothing
+    page.context.set_offline(True)
+    page.click('#actions button:has-text("Return")')
+    page.wait_for_selector("#problem:not([hidden])")
+    assert "as soon as the connection is back" in page.inner_text("#problem")
+    page.context.set_offline(False)
+    clicked.waits_for(2)
+    actions = [row["action"] for row in clicked.log() if row["person"] == "person-1"][-2:]
+    assert actions == ["(fetch box-a)", "(return box-a)"]  # once
+
+
+def test_the_operator_sees_everybody_pauses_corrects_and_exports(
+    chromium: Any, desk: Any, clicked: Seat, tmp_path: Path
+) -> None:
+    page = chromium.new_page(viewport={"width": 1280, "height": 900})
+    faults: list[str] = []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(desk.operator)
+    page.set_default_timeout(PATIENCE)
+    page.wait_for_selector(".card")
+    assert page.locator(".card h3").all_inner_texts()[0].startswith("person-1")
+    assert page.locator(".card").count() == 5
+    assert page.locator(".card .plot[role=img]").count() == 15
+    assert violations(page) == []
+
+    page.click("#pause")
+    page.wait_for_selector("#pause[aria-pressed=true]")
+    assert desk.ask("GET", "/api/people/person-1", "person-1").json()["paused"] is True
+    page.click("#pause")
+    page.wait_for_selector("#pause[aria-pressed=false]")
+
+    page.fill("#name", "dora")
+    page.keyboard.press("Enter")
+    page.wait_for_selector('.card:has-text("dora")')
+    link = page.input_value('input[aria-label="Link for dora"]')
+    assert link.startswith(f"{desk.url}/join/dora/")
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.click('[aria-label="Remove dora"]')
+    page.wait_for_selector('.card:has-text("dora")', state="detached")
+
+    steps = clicked.steps()
+    clicked.do("(fetch box-b)")
+    page.click('[aria-label="Take back the last step of person-1"]')
+    clicked.waits_for(steps)
+
+    with page.expect_download() as download:
+        page.click("#export")
+    download.value.save_as(tmp_path / "log.jsonl")
+    result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(tmp_path / "log.jsonl"), "--json"])
+    assert result.exit_code == 0, result.output
+    people = {one["person"]: one for one in json.loads(result.stdout)}
+    assert {"person-1", "person-2", "person-3", "simulated-1", "simulated-2"} <= people.keys()
+    assert people["person-3"]["suboptimal_actions"] == 0 < people["person-1"]["suboptimal_actions"]
+    assert faults == []
+    page.close()
+
+
+def test_a_link_that_leads_nowhere_says_so(chromium: Any, desk: Any) -> None:
+    page = chromium.new_page()
+    assert page.goto(desk.links["person-1"][:-3] + "xyz").status == 403
+    page.close()
+
+
+def test_an_animation_is_a_page_that_everybody_can_use(chromium: Any, artist: Artist, tmp_path: Path) -> None:
+    from assist.drawing import plan_frames, save
+
+    file = tmp_path / "plan.html"
+    save(artist, plan_frames(artist, ["(fetch box-a)", "(return box-a)"]), file)
+    page = chromium.new_page()
+    page.goto(file.as_uri())
+    assert violations(page) == []
+    page.keyboard.press("ArrowRight")
+    assert page.inner_text("#where") == "2 of 3"
+    assert page.locator("figure:visible").count() == 1
+    assert "Return box-a to storage" in page.inner_text("figure:visible figcaption")
+    page.close()
