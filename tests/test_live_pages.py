@@ -36,14 +36,13 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-@pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Any]:
     from serving import served
 
-    folder = tmp_path_factory.mktemp("session")
     # A robot that helps whoever has just made no progress, and simulated people who hardly do.
     people = ("--humans", 5, "--simulate", 2, "--pace", 0.5, "--beta", 2.9, 3.0, "--policy", "reactive")
-    with served(*people, "--data", folder) as running:
+    with served(*people, "--data", tmp_path / "session") as running:
         yield running
 
 
@@ -71,6 +70,8 @@ class Seat:
     def state(self) -> int:
         """Where the log says that they are."""
         mine = [row for row in self.log() if row["person"] == self.person]
+        if not self.steps():
+            return self.table.initial
         return self.table.space.follow([row["action"] for row in mine if row["episode"] == mine[-1]["episode"]])
 
     def best(self) -> str:
@@ -95,9 +96,8 @@ class Seat:
     def errs(self) -> None:
         """Do steps that lead nowhere, until the robot comes."""
         for _ in range(12):
-            at = self.state()
-            options = self.table.space.options(at)
-            self.do(next(action for action, to in options.items() if self.table[to] >= self.table[at]))
+            options = self.table.space.options(self.state())
+            self.do(max(options, key=lambda action: self.table[options[action]]))
             try:
                 self.page.locator("#advice:not([hidden])").wait_for(timeout=1500)
             except sync_api.TimeoutError:
@@ -174,14 +174,7 @@ def violations(page: Any) -> list[Any]:
     return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
 
 
-@pytest.fixture(scope="module")
-def clicked(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> Iterator[Seat]:
-    page = chromium.new_page(viewport={"width": 1280, "height": 800})
-    yield Clicking(page, desk, "person-1", tiny, artist)
-    page.close()
-
-
-def test_a_person_works_by_clicking_follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
+def works_by_clicking_follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
     page = clicked.page
     assert violations(page) == []
     page.click('#targets [data-object="box-b"]', position={"x": 12, "y": 12})  # only one thing is possible with it
@@ -234,7 +227,7 @@ def can(seat: Seat, action: str) -> bool:
     return action in seat.desk.ask("GET", f"/api/people/{seat.person}").json()["applicable"]
 
 
-def test_a_person_works_by_keyboard_only(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
+def works_by_keyboard_only(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
     page = chromium.new_page(viewport={"width": 1024, "height": 768}, color_scheme="dark")
     seat = Typing(page, desk, "person-2", tiny, artist)
     assert violations(page) == []
@@ -263,7 +256,7 @@ def test_a_person_works_by_keyboard_only(chromium: Any, desk: Any, tiny: Table, 
     page.close()
 
 
-def test_a_person_works_on_a_phone_by_touch(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
+def works_on_a_phone_by_touch(chromium: Any, desk: Any, tiny: Table, artist: Artist) -> None:
     context = chromium.new_context(
         viewport={"width": 360, "height": 740}, has_touch=True, is_mobile=True, device_scale_factor=2
     )
@@ -277,7 +270,7 @@ def test_a_person_works_on_a_phone_by_touch(chromium: Any, desk: Any, tiny: Tabl
     context.close()
 
 
-def test_a_second_tab_and_a_lost_connection(clicked: Seat, chromium: Any) -> None:
+def has_a_second_tab_and_loses_the_connection(clicked: Seat, chromium: Any) -> None:
     page, desk = clicked.page, clicked.desk
     page.click("#again")
     clicked.waits_for(0)
@@ -295,9 +288,7 @@ def test_a_second_tab_and_a_lost_connection(clicked: Seat, chromium: Any) -> Non
     assert actions == ["(fetch box-a)", "(return box-a)"]  # once
 
 
-def test_the_operator_sees_everybody_pauses_corrects_and_exports(
-    chromium: Any, desk: Any, clicked: Seat, tmp_path: Path
-) -> None:
+def sees_everybody_pauses_corrects_and_exports(chromium: Any, desk: Any, clicked: Seat, tmp_path: Path) -> None:
     page = chromium.new_page(viewport={"width": 1280, "height": 900})
     faults: list[str] = []
     page.on("pageerror", lambda error: faults.append(str(error)))
@@ -341,10 +332,23 @@ def test_the_operator_sees_everybody_pauses_corrects_and_exports(
     page.close()
 
 
-def test_a_link_that_leads_nowhere_says_so(chromium: Any, desk: Any) -> None:
+def is_turned_away_with_a_wrong_link(chromium: Any, desk: Any) -> None:
     page = chromium.new_page()
     assert page.goto(desk.links["person-1"][:-3] + "xyz").status == 403
     page.close()
+
+
+def test_three_people_at_their_pages_two_simulated_ones_and_an_operator(
+    chromium: Any, desk: Any, tiny: Table, artist: Artist, tmp_path: Path
+) -> None:
+    # One test: the log is everybody's, and a service takes its time to begin.
+    clicked = Clicking(chromium.new_page(viewport={"width": 1280, "height": 800}), desk, "person-1", tiny, artist)
+    works_by_clicking_follows_one_suggestion_and_ignores_another(clicked)
+    works_by_keyboard_only(chromium, desk, tiny, artist)
+    works_on_a_phone_by_touch(chromium, desk, tiny, artist)
+    has_a_second_tab_and_loses_the_connection(clicked, chromium)
+    sees_everybody_pauses_corrects_and_exports(chromium, desk, clicked, tmp_path)
+    is_turned_away_with_a_wrong_link(chromium, desk)
 
 
 def test_an_animation_is_a_page_that_everybody_can_use(chromium: Any, artist: Artist, tmp_path: Path) -> None:

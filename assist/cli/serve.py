@@ -45,6 +45,7 @@ def serve(
     policy: str, tick: float, domain: str | None, beta: Any, theta: Any, population_file: Path | None, **options: Any,
 ) -> None:  # fmt: skip
     """Run the assistant live: what people do comes in over HTTP, whom to help and how goes out."""
+    from ..drawing import Artist
     from ..team.settings import Setting
 
     try:
@@ -59,6 +60,7 @@ def serve(
     names = [f"person-{number}" for number in range(1, humans - simulate + 1)]
     simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
     try:
+        Artist(task.task)  # says what is wrong with a `drawing.toml` before anybody sees a page
         plan = server.Plan(
             {found.problem.stem: task}, folder, [*names, *simulated], policy=policy, setting=Setting(**options),
             population=population, simulated=simulated, pace=pace, seed=seed, tick=tick,

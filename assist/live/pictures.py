@@ -12,25 +12,28 @@ from ..drawing import Artist
 
 
 class Pictures:
-    """Drawings of the tasks of a session; any thread may ask.
+    """Drawings of any number of tasks; any thread may ask."""
 
-    Parameters
-    ----------
-    tasks : sequence of CostToGo
-
-    Raises
-    ------
-    ProfileError
-        A domain's `drawing.toml` cannot be used.
-    """
-
-    def __init__(self, tasks: Sequence[CostToGo]) -> None:
-        self._artists = {id(task.task): Artist(task.task) for task in tasks}
+    def __init__(self) -> None:
+        self._artists: dict[int, Artist] = {}
         self._lock = threading.Lock()
 
+    def artist(self, task: CostToGo) -> Artist:
+        """Give who draws a task.
+
+        Raises
+        ------
+        ProfileError
+            The domain's `drawing.toml` cannot be used.
+        """
+        with self._lock:
+            if id(task.task) not in self._artists:
+                self._artists[id(task.task)] = Artist(task.task)  # which holds the task, so that its id stays its own
+            return self._artists[id(task.task)]
+
     def of(self, task: CostToGo, state: int, actions: Sequence[str], width: int) -> dict[str, Any]:
-        """Draw a state of one of the tasks, about as wide as given in pixels, and say actions in words."""
-        artist, values = self._artists[id(task.task)], task.values([state])[0].tolist()
+        """Draw a state, about as wide as given in pixels, and say actions in words."""
+        artist, values = self.artist(task), task.values([state])[0].tolist()
         with self._lock:
             picture = artist.draw(values, width=width, goal=False, theme=None)
             goal = artist.scene(values).goal

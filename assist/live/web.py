@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Depends, FastAPI, HTTPException, Request, Response, WebSocket, WebSocketDisconnect
+from fastapi import Depends, FastAPI, HTTPException, Query, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import FileResponse, JSONResponse
 from fastapi.security import HTTPBearer
@@ -22,10 +22,12 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from planner import LimitError
 
+from ..drawing import svg
 from .access import Caller
 from .course import AbsentError, Event
 from .journal import JournalError
 from .limits import Allowance, Guard
+from .pictures import Pictures
 from .problem import InapplicableError
 from .service import BusyError, Service
 
@@ -135,6 +137,23 @@ class Person(BaseModel):
     seq: int
 
 
+class Wanted(BaseModel):
+    """A part of the goal, in words."""
+
+    text: str
+    done: bool
+
+
+class Drawn(BaseModel):
+    """Somebody's task as it is: a drawing, the same in words, the goal, and what applicable actions are called."""
+
+    svg: str
+    text: str
+    goal: list[Wanted]
+    words: dict[str, str]
+    seq: int
+
+
 class Place(BaseModel):
     """Somebody who has come, with the address of their page."""
 
@@ -239,7 +258,7 @@ def make_app(service: Service, *, allowance: Allowance | None = None) -> FastAPI
         title="kitassist", summary="The live assistant: whom to help, when, and with which suggestion.",
         version="1", lifespan=lifespan, docs_url=None, redoc_url=None,
     )  # fmt: skip
-    app.state.service = service
+    app.state.service, app.state.pictures = service, Pictures()
     _says_what_is_wrong(app)
     _people(app)
     _team(app)
@@ -290,6 +309,20 @@ def _people(app: FastAPI) -> None:
     async def person(name: Own, service: Desk) -> Response:
         """What somebody sees: what can be done, what is suggested and why."""
         return plain(service.views[name])
+
+    @app.get("/api/people/{name}/drawing", tags=["people"], response_model=Drawn, responses=READ | _refusals(422))
+    async def drawing(
+        name: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
+    ) -> Response:
+        """Somebody's task as a drawing of about a width in pixels, for pages that bring `/pages/drawing.css`."""
+        pictures: Pictures = request.app.state.pictures
+
+        def drawn() -> dict[str, Any]:
+            seen = json.loads(service.views[name])  # before the state is asked for: then never newer than what is drawn
+            task, state = service.session.place(name)
+            return {**pictures.of(task, state, seen["applicable"], width), "seq": seen["seq"]}
+
+        return plain(await asyncio.to_thread(drawn))
 
     @app.post("/api/people/{name}/actions", tags=["people"], response_model=Person, responses=WRITE)
     async def act(name: Own, acted: Acted, service: Desk) -> Response:
@@ -449,6 +482,8 @@ def _pages(app: FastAPI) -> None:
 
     @app.get("/pages/{name}", include_in_schema=False)
     async def part(name: str) -> Response:
+        if name == "drawing.css":
+            return Response(svg.style(), media_type="text/css")
         if name not in {file.name for file in PAGES.glob("*")}:
             raise HTTPException(404, "there is no such page")
         return page(name)
