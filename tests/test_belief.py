@@ -220,13 +220,14 @@ def test_where_a_distribution_lies() -> None:
 
 
 def test_updates_by_hand() -> None:
-    """Two people: one whose trust moves half way up the grid, one whose stays; chances 0.2 and 0.6 of what they did."""
-    belief = np.array([[[0.5, 0.5]], [[0.25, 0.75]]])
-    likelihood = np.array([[[0.2, 0.6]], [[0.6, 0.2]]])
-    low, weight = np.array([[0, 0], [0, 0]]), np.array([[0.5, 1.0], [0.0, 1.0]])
+    """Two people, chances 0.2, 0.6 and 0.2 of what each did: one whose trust moves up, by half a step, a whole one and
+    not at all, and one whose trust stays."""
+    belief = np.array([[[0.5, 0.5, 0.0]], [[0.25, 0.5, 0.25]]])
+    likelihood = np.array([[[0.2, 0.6, 0.2]], [[0.2, 0.6, 0.2]]])
+    low, weight = np.array([[0, 1, 1], [0, 0, 1]]), np.array([[0.5, 1.0, 1.0], [0.0, 1.0, 1.0]])
     after = update(belief, likelihood, low, weight)
-    np.testing.assert_allclose(after, [[[0.125, 0.875]], [[0.5, 0.5]]], atol=1e-15)
-    np.testing.assert_array_equal(belief, [[[0.5, 0.5]], [[0.25, 0.75]]])
+    np.testing.assert_allclose(after, [[[0.125, 0.125, 0.75]], [[0.125, 0.75, 0.125]]], atol=1e-15)
+    np.testing.assert_array_equal(belief, [[[0.5, 0.5, 0.0]], [[0.25, 0.5, 0.25]]])
 
 
 def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Choices) -> None:
