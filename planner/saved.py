@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -105,16 +106,38 @@ def open_table(file: Path) -> SavedTable:
     Raises
     ------
     DamagedFileError
-        It is no such file, or not all of it.
+        It is no such file, not all of it, or one whose arrays do not belong together.
     """
     try:
         with zipfile.ZipFile(file) as archive, file.open("rb") as stream:
             members = archive.infolist()
             arrays = {member.filename.removesuffix(".npy"): _mapped(file, stream, member) for member in members}
-        packing = Packing(arrays["word"], arrays["shift"], arrays["bits"], arrays["states"].shape[1])
-        return SavedTable(packing, arrays["states"], arrays["cost_to_go"], int(arrays["initial"]), arrays["facts"])
+        return _table(arrays)
     except (zipfile.BadZipFile, KeyError, ValueError, IndexError) as error:
         raise DamagedFileError(file, None, f"no table of costs-to-go ({error})") from None
+
+
+def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
+    """Put a table together whose arrays fit each other: what they hold of single states is not looked at."""
+    states, distance, facts = arrays["states"], arrays["cost_to_go"], arrays["facts"]
+    for name, kinds, dimensions in (
+        ("states", "u", 2),
+        ("cost_to_go", "u", 1),
+        ("facts", "U", 2),
+        ("initial", "iu", 0),
+    ):
+        array = arrays[name]
+        if array.dtype.kind not in kinds or array.ndim != dimensions:
+            raise ValueError(f"{name} is of the kind {array.dtype} and has {array.ndim} dimensions")
+    packing, initial = Packing.of_sizes((facts != "").sum(axis=1).tolist()), int(arrays["initial"])
+    if states.dtype != np.uint64 or states.shape != (len(distance), packing.words) or not 0 <= initial < len(distance):
+        raise ValueError(
+            f"states, {states.dtype} {states.shape}, are not those of {len(distance)} costs-to-go and of the facts"
+        )
+    for name in ("word", "shift", "bits"):
+        if not np.array_equal(arrays[name], getattr(packing, name)):
+            raise ValueError(f"{name} is not where this version puts the variables")
+    return SavedTable(packing, states, distance, initial, facts)
 
 
 def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:

@@ -60,7 +60,12 @@ class Packing:
     @classmethod
     def of(cls, task: Task) -> Packing:
         """Lay out the variables of a task, one after the other."""
-        bits = np.array([max(1, (len(v.facts) - 1).bit_length()) for v in task.variables], dtype=np.int64)
+        return cls.of_sizes([len(variable.facts) for variable in task.variables])
+
+    @classmethod
+    def of_sizes(cls, sizes: Sequence[int]) -> Packing:
+        """Lay out variables of so many values each, one after the other."""
+        bits = np.array([max(1, (size - 1).bit_length()) for size in sizes], dtype=np.int64)
         word, shift = np.zeros_like(bits), np.zeros_like(bits)
         at, used = 0, 0
         for variable, width in enumerate(bits):

@@ -112,7 +112,8 @@ def load(file: str) -> None:
             table = open_table(Path(file))
             table.lookup(range(len(table)))
             values = table.values(range(len(table)))
-            table.facts[np.arange(values.shape[1]), values[table.initial]].tolist()
+            fact = values[table.initial].clip(max=table.facts.shape[1] - 1)
+            table.facts[np.arange(values.shape[1]), fact].tolist()
     except (ArchiveError, DamagedFileError, OSError) as error:
         click.echo(str(error), err=True)
         sys.exit(1)

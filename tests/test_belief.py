@@ -180,7 +180,7 @@ def test_shares_by_hand() -> None:
 @pytest.mark.parametrize(
     ("beta", "expected"),
     [((0.2, 1.0), [0.5, 0.5, 0]), ((1.0, 2.5), [0, 0.5, 0.5]), ((0.0, 3.0), [1 / 3, 1 / 3, 1 / 3]),
-     ((1.2, 1.6), [0, 1, 0]), ((0.3, 0.5), [1, 0, 0]), ((2.6, 9.0), [0, 0, 1])],
+     ((1.2, 1.6), [0, 1, 0]), ((0.5, 0.9), [0, 1, 0]), ((0.3, 0.5), [1, 0, 0]), ((2.6, 9.0), [0, 0, 1])],
 )  # fmt: skip
 def test_a_prior_of_beta_by_hand(beta: tuple[float, float], expected: list[float]) -> None:
     """Uniform over the grid's values 0.2, 1 and 2.5 in the range; over the nearest to its middle, where none is."""

@@ -396,3 +396,31 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
     file.write_bytes(file.read_bytes()[:3000])
     with pytest.raises(DamagedFileError, match=r"table\.npz.*no table"):
         open_table(file)
+
+
+def test_a_table_whose_arrays_do_not_belong_together_is_refused(tmp_path):
+    """As another version may have written it: an array less, another shape or kind, another place for a variable."""
+    file = tmp_path / "table.npz"
+    save_table(file, sweep(counter(3)))
+    with np.load(file) as arrays:
+        found = {name: arrays[name] for name in arrays.files}
+    np.savez(file, **found)
+    assert len(open_table(file)) == len(found["cost_to_go"])
+    wrong = {
+        "states": [found["states"][:-1], found["states"][:, :0], found["states"][:, 0], found["states"].astype(float)],
+        "cost_to_go": [found["cost_to_go"][:-1], found["cost_to_go"].astype(float), found["cost_to_go"][:, None]],
+        "initial": [np.array(-1), np.array(len(found["states"])), np.array(0.0), np.array([0])],
+        "facts": [found["facts"][0], found["facts"][:-1], np.zeros((3, 2))],
+        "word": [found["word"] + 1, np.array(["text"])],
+        "shift": [found["shift"] + 1, found["shift"][:-1]],
+        "bits": [found["bits"] + 1, found["bits"] * 1j],
+    }
+    for name, values in wrong.items():
+        for value in [*values, None]:
+            np.savez(file, **{**found, name: value} if value is not None else without(found, name))
+            with pytest.raises(DamagedFileError, match=r"table\.npz: no table of costs-to-go"):
+                open_table(file)
+
+
+def without(arrays, name):
+    return {other: array for other, array in arrays.items() if other != name}
