@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import graph_task
 
+from assist.certify import bound as bounds
 from assist.certify import certificate, prices
 from assist.certify.bound import TeamBound, certify, upper_bound
 from assist.certify.certificate import PORTION, Certificate, horizon, returns
@@ -258,6 +259,7 @@ def test_policies_are_certified_by_their_names(pool: Pool) -> None:
     assert certificates[1].upper == found.upper
     assert certificates[1].slack_percent == pytest.approx(100 * found.slack / abs(certificates[1].value))
     assert told[-2:] == [("simulating policies", 0, 2), ("simulating policies", 1, 2)]
+    assert found.certify("none", episodes=30) == found.certify("none", episodes=30, seed=0)
     names = [found.certify(policy, episodes=2).policy for policy in ("none", quiet, partial(quiet))]
     assert names == ["none", "quiet", "policy"]
     assert certify(pool, {"none": "none"}, episodes=30, seed=3, window=0, time_limit=1e9)[1][0] == replace(
@@ -268,3 +270,52 @@ def test_policies_are_certified_by_their_names(pool: Pool) -> None:
             run(episodes=1)
     with pytest.raises(ValueError, match=r"^time_limit -1: expected more than 0"):
         certify(pool, policies, time_limit=-1)
+
+
+def test_a_bound_and_certificates_share_what_is_told_of_luck_and_progress(strangers: Pool) -> None:
+    told: list[str] = []
+    options = {"window": 4, "gap": 1e-3}
+    found, _ = certify(strangers, {}, seed=7, progress=lambda what, *_: told.append(what), **options)
+    assert found.price.tolist() == upper_bound(strangers, seed=7, **options).price.tolist()  # type: ignore[arg-type]
+    other = upper_bound(strangers, **options)  # type: ignore[arg-type]
+    assert other.price.tolist() == upper_bound(strangers, seed=0, **options).price.tolist()  # type: ignore[arg-type]
+    assert found.price.tolist() != other.price.tolist()
+    assert {"looking for prices", "bounding people's problems"} <= set(told)
+
+
+def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 100 seconds 80 are the bound's, of these 32 for prices; what anything leaves is for those that come after."""
+    now, asked = [1000.0], []
+
+    def taking(seconds: float, name: str, limited: str) -> None:
+        real = getattr(bounds, name)
+
+        def run(*arguments: object, **options: object) -> object:
+            asked.append((name, options.get(limited)))
+            now[0] += seconds
+            return real(*arguments, **{**options, limited: math.inf if name == "search" else None})
+
+        monkeypatch.setattr(bounds, name, run)
+
+    monkeypatch.setattr(bounds, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    for seconds, name, limited in (
+        (4, "search", "deadline"),
+        (26, "solve", "time_limit"),
+        (12, "returns", "time_limit"),
+    ):
+        taking(seconds, name, limited)
+    policies = {"a": "none", "b": "none", "c": "none", "d": "none"}
+    found, _ = certify(pool, policies, episodes=2, window=2, gap=0.1, time_limit=100.0, jobs=1)
+    assert asked == [
+        ("search", 1032.0), ("solve", 38.0), ("solve", 50.0),
+        ("returns", 11.0), ("returns", 32 / 3), ("returns", 10.0), ("returns", 8.0),
+    ]  # fmt: skip
+    assert found.seconds == 56
+    asked.clear()
+    upper_bound(pool, window=2, gap=0.1, jobs=2, time_limit=20.0)
+    assert asked[0] == ("search", now[0] - 56 + 8)
+    assert sorted(limit for name, limit in asked if name == "solve") in ([0.0, 16.0], [16.0, 16.0])  # at a time
+    asked.clear()
+    certify(pool, {"a": "none"}, episodes=2, window=2, gap=0.1)
+    assert {limit for name, limit in asked if name != "search"} == {None}
+    assert asked[0] == ("search", math.inf)
