@@ -60,6 +60,7 @@ ARGUMENTS: dict[str, list[str]] = {
         "problem.pddl", "log.jsonl", "--jobs", "1", "--out", "people.jsonl", "--population", "fitted.json", "--json",
     ],
     "study": ["--protocol", "study.toml", "--out", "study", "--json"],
+    "draw": ["problem.pddl", "--plan", "found.plan", "--out", "drawn.svg", "--json"],
 }  # fmt: skip
 OUTPUTS = ("policy.npz", "episodes.jsonl", "trace.jsonl", "people.jsonl")
 NUMBERS = (
@@ -105,6 +106,7 @@ class Fuzzer:
         self.sound.mkdir(parents=True)
         for name, text in (("domain.pddl", None), ("problem.pddl", None), ("study.toml", STUDY), ("mine.py", MINE)):
             (self.sound / name).write_text(text or (KITTING / name.replace("problem", "tiny")).read_text())
+        shutil.copy(KITTING / "drawing.toml", self.sound)
         self.costs = {record["instance"]: record["cost"] for record in self._prepare()}
 
     def _prepare(self) -> list[dict[str, Any]]:
@@ -115,6 +117,8 @@ class Fuzzer:
             result = CliRunner().invoke(main, [command, *ARGUMENTS[command]])
             assert result.exit_code == 0, f"{command}: {result.output} {result.exception}"
             answers[command] = result.stdout
+            if command == "solve":
+                shutil.copy(next(Path("out").glob("*.plan")), "found.plan")
             if command == "simulate":
                 shutil.copy("trace.jsonl", "log.jsonl")
             if command == "fit":
@@ -134,6 +138,7 @@ class Fuzzer:
             "TOML": (0.04 * ("study" in self.commands), self._toml),
             "policies": (0.04 * ("policy" in self.commands), self._policy),
             "results": (0.08, self._results),
+            "drawings": (0.06 * ("draw" in self.commands), self._drawing),
         }
         weights = np.array([weight for weight, _ in kinds.values()])
         kind = str(self.rng.choice(list(kinds), p=weights / weights.sum()))
@@ -303,6 +308,35 @@ class Fuzzer:
             lines[at] = f"{name} = {value}"
             file.write_text("\n".join(lines), errors="surrogateescape")
         return Input("TOML", "study", ("study", *ARGUMENTS["study"]))
+
+    def _drawing(self, folder: Path) -> Input:
+        """How a domain is drawn, or a plan or an episode to be drawn; as a picture, or as a page that moves."""
+        name = self._one(["drawing.toml", "drawing.toml", "found.plan", "log.jsonl"])
+        file = folder / name
+        if name == "drawing.toml" and self.rng.random() < 0.5:
+            lines = file.read_text().splitlines()
+            at = int(self.rng.integers(len(lines)))
+            values = [
+                *NUMBERS,
+                "[]",
+                "{}",
+                "true",
+                '"x"',
+                '"?1 in ?9"',
+                '"?1 in ?1"',
+                '{shape = "egg"}',
+                "{holds = -1}",
+            ]
+            lines[at] = f"{lines[at].partition(' = ')[0]} = {self._one(values)}"
+            file.write_text("\n".join(lines), errors="surrogateescape")
+        else:
+            self._spoil_file(file)
+        arguments = [
+            word if word != "drawn.svg" else self._one(["drawn.svg", "drawn.html"]) for word in ARGUMENTS["draw"]
+        ]
+        if name == "log.jsonl":
+            arguments[1:3] = ["--trace", name]
+        return Input("drawings", "draw", ("draw", *arguments))
 
     def _policy(self, folder: Path) -> Input:
         """A policy of one's own, or a saved one as Python loads it."""
