@@ -149,6 +149,8 @@ def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool) -> None:
     with pytest.raises(LimitError, match=r"^1 problem of people"):  # what its first bounds take, which is more
         kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=1.001 * 3 * one)
     assert len(kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=100.0)) == 2
+    with pytest.raises(LimitError, match=r"^2 problems of people"):
+        upper_bound(pool, window=3, memory_limit_mb=0.01)
 
 
 def test_states_are_numbered_by_step_position_and_state() -> None:
@@ -207,6 +209,9 @@ def test_the_robot_of_one_person_has_no_price(pool: Pool) -> None:
     for found in apart:
         assert found.price.tolist() == []
     assert [found.team for found in apart] == [(0,), (1,)]
+    as_usual = upper_bound(pool, window=0)
+    assert as_usual.slack > both.slack
+    assert as_usual.upper == upper_bound(pool, window=0, gap=1e-3).upper
     for name in ("upper", "slack", "upper_seen"):
         assert getattr(both, name) == pytest.approx(sum(getattr(found, name) for found in apart), abs=1e-9)
 
