@@ -74,6 +74,9 @@ class Limits:
     stop: threading.Event | None = None
 
 
+LONGEST_WAIT = 2_000_000.0
+"""Seconds that one call of the system can wait, about: it counts milliseconds in 32 bits."""
+
 NO_LIMITS = Limits()
 
 
@@ -231,7 +234,7 @@ def _output(process: subprocess.Popen[str], text: str | None, limits: Limits) ->
         left = end - time.monotonic()
         wait = left if limits.stop is None else min(left, 0.05)
         try:
-            return process.communicate(text, timeout=None if wait == math.inf else max(wait, 0.0))[0]
+            return process.communicate(text, timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:
             text = None  # it has been taken
             if limits.stop is not None and limits.stop.is_set():

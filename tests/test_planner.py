@@ -173,6 +173,11 @@ def test_limits() -> None:
         astar(task, limits=Limits(memory_mb=1))
 
 
+def test_a_limit_may_be_longer_than_the_system_can_wait() -> None:
+    """Calls that wait count milliseconds in 32 bits, which is 25 days."""
+    assert astar(load(KITTING / "tiny.pddl", limits=Limits(seconds=1e9)), limits=Limits(seconds=1e9))[0] == 6
+
+
 def test_initial_state_is_rewritten_in_one_place_only() -> None:
     task = load(KITTING / "tiny.pddl")
     other = tuple(len(v.facts) - 1 for v in task.variables)
