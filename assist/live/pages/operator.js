@@ -128,7 +128,7 @@ function show() {
   else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
   else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
   at("why").textContent = !robot.reason || team.paused ? "" :
-    `Because it is expected to save ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way, which makes ${one(robot.reason.score)}. ` +
+    `Expected to save ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way: ${one(robot.reason.score)}. ` +
     `Expertise ${one(robot.reason.beta)} (${robot.reason.beta_interval.map(one).join(" to ")}), ` +
     `influence ${robot.reason.theta.toFixed(2)} (${robot.reason.theta_interval.map((value) => value.toFixed(2)).join(" to ")}).`;
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));

@@ -1,8 +1,9 @@
 // The page of one person at work: the drawing with everything that can be done in it, the suggestion, steps and goal.
 
-import { Channel, Outbox, Refused, ask, askJson, pathOf, person, token } from "./connection.js";
+import { Channel, Outbox, Refused, askJson, passes, pathOf, person, token } from "./connection.js";
 
 const at = (id) => document.getElementById(id);
+const LARGEST = 1.3; // times its natural size, for a drawing
 const WIDTHS = [320, 400, 520, 640, 760, 960];
 
 let view = null; // the newest that the service said of this person
@@ -74,7 +75,9 @@ function show() {
 
 function showAdvice() {
   const suggestion = open();
-  at("advice").hidden = suggestion === null;
+  at("advice").classList.toggle("open", suggestion !== null);
+  at("offer").hidden = suggestion === null;
+  at("nothing").hidden = suggestion !== null;
   if (suggestion === null) {
     at("suggestion").textContent = "";
     return;
@@ -129,6 +132,7 @@ function showDrawing() {
   svg.removeAttribute("width");
   svg.removeAttribute("height");
   at("drawing").replaceChildren(svg);
+  at("stage").style.maxWidth = `${LARGEST * svg.viewBox.baseVal.width}px`;
   const done = drawn.goal.filter((one) => one.done).length;
   at("goal").max = Math.max(1, drawn.goal.length);
   at("goal").value = done;
@@ -195,6 +199,7 @@ function choose(name, button) {
   menu.style.setProperty("--left", `${Math.max(0, Math.min(button.offsetLeft, at("stage").clientWidth - menu.offsetWidth))}px`);
   menu.style.setProperty("--top", `${button.offsetTop + button.offsetHeight + 6}px`);
   at("menu-list").querySelector("button").focus({ preventScroll: true });
+  menu.scrollIntoView({ block: "nearest" });
   say(`${at("menu-title").textContent} ${possible.map(words).join("; ")}.`);
 }
 
@@ -242,7 +247,7 @@ function take(next) {
   if (view !== null && next.seq < view.seq) return;
   const changed = view === null || next.seq !== view.seq;
   view = next;
-  if (next.steps === 0 && started === null) remember(Date.now());
+  if (started === null) remember(Date.now());
   show();
   if (changed || drawn === null) redraw();
 }
@@ -250,7 +255,7 @@ function take(next) {
 let asked = 0;
 async function redraw() {
   const turn = (asked += 1);
-  const across = at("stage").clientWidth;
+  const across = at("picture").clientWidth;
   const width = WIDTHS.findLast((one) => one <= across - 8) ?? WIDTHS[0];
   try {
     const next = await askJson(pathOf(person, `/drawing?width=${width}`));
@@ -259,9 +264,9 @@ async function redraw() {
     drawn = next;
     show();
     showDrawing();
-    if (view !== null && next.seq < view.seq) redraw();
+    if (view !== null && next.seq < view.seq) setTimeout(redraw, 100);
   } catch (error) {
-    if (turn === asked && !(error instanceof Refused)) setTimeout(redraw, 1000);
+    if (turn === asked && passes(error)) setTimeout(redraw, 1000);
   }
 }
 
@@ -339,9 +344,9 @@ document.addEventListener("click", (event) => {
 });
 let across = 0;
 new ResizeObserver(() => {
-  const width = at("stage").clientWidth;
+  const width = at("picture").clientWidth;
   if (view !== null && Math.abs(width - across) > 40) redraw();
   across = width;
-}).observe(at("stage"));
+}).observe(at("picture"));
 
 outbox.resume();
