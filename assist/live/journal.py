@@ -75,7 +75,7 @@ class Journal:
             end = begin
         if end < size:
             os.ftruncate(self._descriptor, end)
-            os.fsync(self._descriptor)
+            os.fdatasync(self._descriptor)
         return end
 
     def __iter__(self) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -160,12 +160,12 @@ class Journal:
             if written == 0:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             content, at = content[written:], at + written
-        os.fsync(self._descriptor)
+        os.fdatasync(self._descriptor)
 
     def _cut(self) -> None:
         """Leave nothing half: also before the next start, which would do the same for the last line only."""
         os.ftruncate(self._descriptor, self._end)
-        os.fsync(self._descriptor)
+        os.fdatasync(self._descriptor)
 
 
 def _said(error: OSError, file: Path) -> JournalError:

@@ -234,6 +234,7 @@ class Service:
             self._entries.update(await asyncio.to_thread(self._entries_of, missing))
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
+        rest["time"] = round(self.session.now(), 3)
         people = b",".join(self._entries[person] for person in self.views if person in self._entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"
 

@@ -202,7 +202,7 @@ class Session:
         lines: list[bytes],
         touched: set[str],
     ) -> Outcome:
-        record = self._course.happen(event, self._clock() - self._began)
+        record = self._course.happen(event, self.now())
         if record is None:
             return self._course.robot()
         answer = self._course.robot() if event.person is None else self._course.person(event.person)
@@ -279,6 +279,10 @@ class Session:
     def pause(self, paused: bool = True) -> dict[str, Any]:
         """Let the robot say nothing, or speak again; people can go on acting."""
         return self._one(Event("paused" if paused else "resumed"))
+
+    def now(self) -> float:
+        """Give the seconds since the session began, without those in which it did not run."""
+        return self._clock() - self._began
 
     # What is seen. All of it is on the disk.
 

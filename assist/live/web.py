@@ -189,6 +189,7 @@ class Team(BaseModel):
     """What the operator sees."""
 
     seq: int
+    time: float
     paused: bool
     robot: Robot
     log: list[dict[str, Any]]

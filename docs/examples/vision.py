@@ -1,0 +1,38 @@
+"""A camera above a bench sees what somebody does, and reports it: python vision.py LINK PERSON.
+
+LINK is the operator's. Here the camera is played: it sees a person who does what is suggested to them, and otherwise
+the first thing that they can do and have not done before.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+
+from assist.live.client import Client, RefusedError
+
+
+def camera(service: Client, person: str) -> Iterator[str]:
+    """See one action after the other, until the task is done; a real camera looks at the bench instead."""
+    done: set[str] = set()
+    while not (seen := service.see(person))["finished"]:
+        new = [action for action in seen["applicable"] if action not in done]
+        action = seen["suggestion"] or (new or seen["applicable"])[0]
+        done.add(action)
+        yield action
+
+
+def main(link: str, person: str) -> None:
+    """Report what is seen."""
+    service = Client(link)
+    for action in camera(service, person):
+        try:
+            seen = service.act(action, person)
+        except RefusedError as error:  # it has seen something that cannot have been
+            print(f"{error.status}: {error}", file=sys.stderr)
+            continue
+        print(f"{person} {action}, still {seen['cost_to_go']:g} to go", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
