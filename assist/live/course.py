@@ -301,7 +301,7 @@ class Course:
             "paused": self.paused,
             "applicable": list(known.applicable),
             "suggestion": known.suggestion,
-            "reason": asdict(note.reason) if note.reason is not None and known.suggestion is not None else None,
+            "reason": _plain(note.reason) if known.suggestion is not None else None,
             "cost_to_go": _finite(known.cost_to_go),
             "steps": known.steps,
             "finished": known.finished,
@@ -312,7 +312,7 @@ class Course:
         """Give what the operator sees of somebody, as JSON has it."""
         known = self.desk.person(person)
         return self._seen(known) | {
-            "history": self._notes[person].history,
+            "history": [list(point) for point in self._notes[person].history],
             "beta": [known.beta.low, known.beta.mean, known.beta.high],
             "theta": [known.theta.low, known.theta.mean, known.theta.high],
             "grid": {"beta": known.grid.beta.tolist(), "theta": known.grid.theta.tolist()},
@@ -327,7 +327,7 @@ class Course:
         here, advice = self.desk.robot, self.advice
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
         if not self.paused and advice.person is not None:
-            errand = asdict(advice)
+            errand = asdict(advice) | {"reason": _plain(advice.reason)}
         elif not self.paused and here is not None and here in self.present:
             known = self.person(here)
             if known["suggestion"] is not None:
@@ -340,6 +340,13 @@ class Course:
         for row in rows:
             row["time"] = self._notes[row["person"]].times[int(row["episode"]) - 1][row["step"]]
         return rows
+
+
+def _plain(reason: Reason | None) -> dict[str, Any] | None:
+    """Give a reason as it comes out of JSON again."""
+    if reason is None:
+        return None
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(reason).items()}
 
 
 def _finite(cost: float) -> float | None:

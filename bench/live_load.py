@@ -1,0 +1,253 @@
+"""Many people at once, each acting every few seconds, on a service that may be killed again and again.
+
+    python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0] [--instance FILE] [--data DIR]
+
+Everybody has a connection on which what they see is pushed, posts an action, and notes how long it takes from there
+until what was decided after it is pushed to them. A post that is not answered is repeated, under its id, until it is.
+At the end the log must hold what was acknowledged, in its order and once, and an uninterrupted run of the same events,
+worked out anew, must give the same beliefs to the last bit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.parse import quote, urlsplit
+
+import click
+import numpy as np
+from websockets.asyncio.client import connect
+from websockets.exceptions import WebSocketException
+
+from assist.live.course import Event
+from assist.live.session import Session
+from assist.people.human import Population
+from assist.team.settings import Setting
+from planner import cost_to_go, load
+
+PAPER = Path(__file__).parent.parent / "domains/kitting/paper.pddl"
+RETRY = 0.1
+C_SUGGEST = 0.2
+
+
+@dataclass
+class Seen:
+    """What was seen."""
+
+    latencies: list[float] = field(default_factory=list)
+    answers: list[float] = field(default_factory=list)
+    acknowledged: dict[str, list[str]] = field(default_factory=dict)
+    repeated: int = 0
+    refused: list[str] = field(default_factory=list)
+    resumed: list[float] = field(default_factory=list)
+    memory: list[float] = field(default_factory=list)
+    ready: float = 0.0
+    behind: set[str] = field(default_factory=set)
+
+
+class Worker:
+    """Somebody at work: one connection that listens, one that posts."""
+
+    def __init__(self, link: str, every: float, seed: int, seen: Seen) -> None:
+        self.parts = urlsplit(link)
+        _, self.name, self.token = self.parts.path.strip("/").split("/")
+        self.every, self.seen, self.rng = every, seen, np.random.default_rng(seed)
+        self.view: dict = {}
+        self.changed = asyncio.Condition()
+        self.streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self.count = 0
+        seen.acknowledged[self.name] = []
+
+    async def listen(self) -> None:
+        headers = {"Authorization": f"Bearer {self.token}"}
+        url = f"ws://{self.parts.netloc}/api/people/{quote(self.name)}/events"
+        while True:
+            try:
+                async with connect(url, additional_headers=headers, compression=None) as connection:
+                    async for message in connection:
+                        view = json.loads(message)
+                        async with self.changed:
+                            if view["seq"] >= self.view.get("seq", 0):
+                                self.view = view
+                            self.changed.notify_all()
+            except (TimeoutError, OSError, WebSocketException):
+                await asyncio.sleep(RETRY)
+
+    async def post(self, what: str, body: dict) -> dict:
+        """Post until it is answered."""
+        content = json.dumps(body).encode()
+        head = (
+            f"POST /api/people/{quote(self.name)}/{what} HTTP/1.1\r\nHost: {self.parts.netloc}\r\n"
+            f"Authorization: Bearer {self.token}\r\nContent-Type: application/json\r\n"
+            f"Content-Length: {len(content)}\r\n\r\n"
+        ).encode()
+        first = True
+        while True:
+            try:
+                if self.streams is None:
+                    self.streams = await asyncio.open_connection(self.parts.hostname, self.parts.port)
+                self.seen.repeated += not first
+                first = False
+                reader, writer = self.streams
+                writer.write(head + content)
+                status = int((await reader.readline()).split()[1])
+                length = 0
+                while (line := await reader.readline()) not in (b"\r\n", b""):
+                    if line.lower().startswith(b"content-length:"):
+                        length = int(line.split(b":")[1])
+                answer = json.loads(await reader.readexactly(length))
+            except (OSError, EOFError, IndexError, ValueError):
+                if self.streams is not None:
+                    self.streams[1].close()
+                    self.streams = None
+                await asyncio.sleep(RETRY)
+                continue
+            if status != 200:
+                self.seen.refused.append(f"{status} {answer}")
+            return answer
+
+    async def act(self) -> None:
+        view, self.count = self.view, self.count + 1
+        identity = f"{self.name}-{self.count}"
+        begun = time.perf_counter()
+        if view["finished"]:
+            answer = await self.post("begin", {"id": identity})
+        else:
+            options = view["applicable"]
+            advised = view["suggestion"] if self.rng.random() < 0.7 else None
+            action = advised or options[int(self.rng.integers(len(options)))]
+            answer = await self.post("actions", {"action": action, "id": identity, "seq": view["seq"]})
+            self.seen.acknowledged[self.name].append(action)
+        self.seen.answers.append(time.perf_counter() - begun)
+        if self.name in self.seen.behind:
+            self.seen.behind.discard(self.name)
+            if not self.seen.behind:
+                self.seen.resumed.append(time.monotonic() - self.seen.ready)
+        if "seq" not in answer:
+            return
+        async with self.changed:
+            await self.changed.wait_for(lambda: self.view["seq"] >= answer["seq"])
+        self.seen.latencies.append(time.perf_counter() - begun)
+
+    async def work(self, until: float) -> None:
+        while not self.view:
+            await asyncio.sleep(0.05)
+        await asyncio.sleep(self.rng.uniform(0, self.every))
+        while time.monotonic() < until:
+            due = time.monotonic() + self.every
+            await self.act()
+            await asyncio.sleep(max(0.0, due - time.monotonic()))
+
+
+class Service:
+    """The process that serves, started again on the same port and data."""
+
+    def __init__(self, instance: Path, people: int, data: Path) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.command = [
+            str(Path(sys.executable).with_name("kitassist")), "serve", str(instance), "--humans", str(people),
+            "--port", str(self.port), "--data", str(data), "--c-suggest", str(C_SUGGEST),
+        ]  # fmt: skip
+
+    def start(self) -> dict:
+        self.process = subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        return json.loads(self.process.stdout.readline())
+
+    def memory(self) -> float:
+        for line in Path(f"/proc/{self.process.pid}/status").read_text().splitlines():
+            if line.startswith("VmRSS"):
+                return int(line.split()[1]) / 1024
+        return 0.0
+
+
+async def run(instance: Path, people: int, seconds: float, every: float, kills: int, data: Path, seed: int = 0) -> Seen:
+    """Let people work, and kill the service so many times; check what it has kept."""
+    seen, service = Seen(), Service(instance, people, data)
+    said = await asyncio.to_thread(service.start)
+    seen.ready = time.monotonic()
+    workers = [Worker(link, every, seed + number, seen) for number, link in enumerate(said["join"].values())]
+    until = time.monotonic() + seconds
+    listening = [asyncio.create_task(worker.listen()) for worker in workers]
+    working = [asyncio.create_task(worker.work(until)) for worker in workers]
+    rng = np.random.default_rng(seed)
+    moments = np.sort(rng.uniform(0.05, 0.95, kills)) * seconds
+    begun = time.monotonic()
+    for moment in moments:
+        await asyncio.sleep(max(0.0, begun + moment - time.monotonic()))
+        service.process.kill()
+        service.process.wait()
+        assert service.process.stdout is not None
+        service.process.stdout.close()
+        await asyncio.to_thread(service.start)
+        seen.ready, seen.behind = time.monotonic(), {worker.name for worker in workers}
+    while not all(task.done() for task in working):
+        seen.memory.append(service.memory())
+        await asyncio.wait(working, timeout=5.0)
+    await asyncio.gather(*working)
+    for task in listening:
+        task.cancel()
+    service.process.send_signal(signal.SIGTERM)
+    stopping = time.monotonic()
+    code = await asyncio.to_thread(service.process.wait, 30)
+    assert (code, time.monotonic() - stopping < 5) == (0, True), "it ends within 5 s"
+    check(instance, data, seen)
+    return seen
+
+
+def check(instance: Path, data: Path, seen: Seen) -> None:
+    """Compare what was acknowledged with what was kept, and that with an uninterrupted run."""
+    tasks = {instance.stem: cost_to_go(load(instance))}
+    options = {"setting": Setting(c_suggest=C_SUGGEST), "population": Population((0.1, 3.0), (0.5, 0.95))}
+    kept = Session(tasks, data / "journal.jsonl", **options)
+    found: dict[str, list[str]] = {person: [] for person in kept.people}
+    for row in kept.log():
+        found[row["person"]].append(row["action"])
+    assert found == seen.acknowledged, "every acknowledged action is there, in its order, and none twice"
+    assert not seen.refused, seen.refused[:3]
+    with tempfile.TemporaryDirectory() as folder:
+        anew = Session(tasks, Path(folder) / "journal.jsonl", **options)
+        for _, record in kept._journal:
+            if "event" in record:
+                facts = {name: record.get(name) for name in ("person", "action", "followed", "task", "id")}
+                # What was not heard then is said by what was seen: nothing.
+                anew.report([Event(record["event"], **facts, seen=0 if record.get("unheard") else None)])
+        assert anew.beliefs() == kept.beliefs(), "the beliefs are those of an uninterrupted run"
+        assert anew.recommend() == kept.recommend()
+        anew.close()
+    kept.close()
+
+
+@click.command()
+@click.option("--instance", type=Path, default=PAPER)
+@click.option("--people", default=200, show_default=True)
+@click.option("--seconds", default=300.0, show_default=True)
+@click.option("--every", default=2.0, show_default=True, help="Seconds between two actions of a person.")
+@click.option("--kills", default=0, show_default=True)
+@click.option("--data", type=Path)
+def main(instance: Path, people: int, seconds: float, every: float, kills: int, data: Path | None) -> None:
+    """Print what was seen."""
+    with tempfile.TemporaryDirectory() as folder:
+        seen = asyncio.run(run(instance, people, seconds, every, kills, data or Path(folder) / "data"))
+    for name, found in (("answered", seen.answers), ("pushed", seen.latencies)):
+        times = 1e3 * np.array(found)
+        median, high = np.quantile(times, [0.5, 0.95])
+        print(f"{name}: {len(times)}, median {median:.1f} ms, 95 % {high:.1f} ms, slowest {times.max():.0f} ms")
+    print(f"memory in MB: {seen.memory[0]:.0f} at first, {max(seen.memory):.0f} at most, {seen.memory[-1]:.0f} at last")
+    print(f"{kills} kills; {seen.repeated} posts were repeated")
+    if seen.resumed:
+        print(f"after a restart everybody had acted again within {max(seen.resumed):.1f} s, at most")
+    print("nothing lost, nothing twice, the beliefs of an uninterrupted run to the bit")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,315 @@
+"""The interface of the live assistant over HTTP and WebSocket: what it promises, and what it refuses."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+from starlette.websockets import WebSocketDisconnect
+
+from assist.live.access import Access
+from assist.live.course import Event
+from assist.live.journal import JournalError
+from assist.live.limits import LARGEST, Allowance
+from assist.live.service import Service
+from assist.live.session import Session
+from assist.live.web import make_app
+from assist.team.settings import Setting
+from planner import Table
+
+ANN = "/api/people/ann"
+SEEN = {
+    "person", "task", "present", "paused", "applicable", "suggestion", "reason", "cost_to_go", "steps", "finished",
+    "seq",
+}  # fmt: skip
+WRONG = "(place hammer slot-2 box-a)"
+
+
+class Web:
+    """An application in this process, and its links."""
+
+    def __init__(self, table: Table, folder: Path, **more: Any) -> None:
+        session = Session({"tiny": table}, folder / "journal.jsonl", setting=Setting(c_suggest=0.02, c_move=0.01))
+        if not session.people:
+            session.report([Event("joined", name) for name in ("ann", "bob")])
+        self.access = Access.kept(folder / "secret", "http://testserver")
+        self.service = Service(session, self.access, tick=60.0)
+        self.app = make_app(self.service, **more)
+        self.client = TestClient(self.app, raise_server_exceptions=False)
+
+    def who(self, person: str | None) -> dict[str, str]:
+        token = self.access.operator if person is None else self.access.token(person)
+        return {"Authorization": f"Bearer {token}"}
+
+    def ask(self, method: str, path: str, person: str | None = None, **more: Any) -> Any:
+        return self.client.request(method, path, headers=self.who(person), **more)
+
+    def act(self, action: str, person: str = "ann", **more: Any) -> Any:
+        return self.ask("POST", f"/api/people/{person}/actions", person, json={"action": action, **more})
+
+    def watch(self, person: str | None = "ann") -> Any:
+        path = "/api/team" if person is None else f"/api/people/{person}"
+        token = self.access.operator if person is None else self.access.token(person)
+        return self.client.websocket_connect(f"{path}/events", subprotocols=["kitassist", f"token.{token}"])
+
+
+@pytest.fixture
+def web(tiny: Table, tmp_path: Path) -> Iterator[Web]:
+    found = Web(tiny, tmp_path)
+    with found.client:
+        yield found
+
+
+def test_what_a_person_sees_and_does(web: Web) -> None:
+    assert web.client.get("/api/health").json() == {"status": "ok", "people": 2, "events": 2}
+    seen = web.ask("GET", ANN, "ann").json()
+    assert set(seen) == SEEN
+    assert (seen["applicable"], seen["cost_to_go"]) == (["(fetch box-a)", "(fetch box-b)"], 6.0)
+    done = web.act("(fetch box-a)", id="1", followed=None)
+    assert done.status_code == 200
+    assert done.json() == web.ask("GET", ANN, "ann").json()
+    assert done.json()["seq"] > seen["seq"]
+    advised = web.act(WRONG, id="2").json()
+    assert advised["suggestion"] == "(remove hammer slot-2 box-a)"
+    assert set(advised["reason"]) == {
+        "saving", "moving", "score", "beta", "beta_interval", "theta", "theta_interval",
+    }  # fmt: skip
+    assert web.act("(fetch box-a)", id="1").json() == done.json()
+    undone = web.ask("POST", f"{ANN}/undo", "ann").json()
+    assert (undone["steps"], undone["suggestion"]) == (1, None)
+    for action in ("(place hammer slot-1 box-a)", "(return box-a)", "(fetch box-b)", "(place wrench slot-2 box-b)"):
+        web.act(action)
+    assert web.act("(return box-b)").json()["finished"]
+    assert web.act("(fetch box-a)").status_code == 409
+    assert web.ask("POST", f"{ANN}/begin", "ann").json()["steps"] == 0
+    assert web.ask("GET", "/api/me", "ann").json() == {"person": "ann", "operator": False}
+
+
+def test_what_the_operator_sees_and_does(web: Web) -> None:
+    come = web.ask("POST", "/api/team/people", json={"person": "cleo d", "id": "1"}).json()
+    assert come["join"].startswith("http://testserver/join/cleo%20d/")
+    token = come["join"].rsplit("/", 1)[1]
+    assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 200
+    assert web.ask("DELETE", "/api/team/people/cleo d").json()["present"] is False
+    assert web.client.get("/api/people/cleo d", headers={"Authorization": f"Bearer {token}"}).status_code == 404
+    for action in ("(fetch box-a)", WRONG):
+        web.act(action)
+    robot = web.ask("GET", "/api/robot").json()
+    assert (robot["person"], robot["suggestion"], robot["location"]) == ("ann", "(remove hammer slot-2 box-a)", "ann")
+    assert web.ask("POST", "/api/robot/arrived", json={"person": "bob"}).json()["location"] == "bob"
+    assert web.ask("POST", "/api/robot/arrived", json={"person": None}).json()["location"] is None
+    team = web.ask("GET", "/api/team").json()
+    assert [person["person"] for person in team["people"]] == ["ann", "bob"]
+    assert sum(map(sum, team["people"][0]["belief"])) == pytest.approx(1)
+    assert [entry["event"] for entry in team["log"]][-4:] == ["acted", "suggested", "arrived", "arrived"]
+    assert web.ask("POST", "/api/team/pause", json={"paused": True}).json()["person"] is None
+    assert web.ask("GET", ANN, "ann").json()["paused"]
+    assert web.act("(return box-a)", "ann").status_code == 200
+    assert web.ask("POST", f"{ANN}/undo").status_code == 200
+    log = web.ask("GET", "/api/log")
+    assert log.headers["content-type"].startswith("application/x-ndjson")
+    rows = [json.loads(line) for line in log.text.splitlines()]
+    assert [(row["person"], row["episode"], row["step"], row["action"]) for row in rows] == [
+        ("ann", "1", 0, "(fetch box-a)"), ("ann", "1", 1, WRONG),
+    ]  # fmt: skip
+
+
+REFUSED: list[tuple[int, str, str, str | None, dict[str, Any]]] = [
+    (403, "GET", "/api/people/bob", "ann", {}),
+    (403, "POST", "/api/people/bob/actions", "ann", {"json": {"action": "(fetch box-a)"}}),
+    (403, "GET", "/api/people/nobody", "ann", {}),
+    (404, "GET", "/api/people/nobody", None, {}),
+    (403, "GET", "/api/team", "ann", {}),
+    (403, "GET", "/api/robot", "ann", {}),
+    (403, "GET", "/api/log", "ann", {}),
+    (403, "POST", "/api/team/people", "ann", {"json": {"person": "eve"}}),
+    (403, "DELETE", "/api/team/people/ann", "ann", {}),
+    (403, "POST", "/api/team/pause", "ann", {"json": {"paused": True}}),
+    (409, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(return box-a)"}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fly)"}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": ""}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "x" * 2000}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fetch box-a)", "followed": "yes"}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fetch box-a)", "suggested": 1}}),
+    (409, "POST", f"{ANN}/actions", "ann", {"json": {"action": "(fetch box-a)", "followed": True}}),
+    (422, "POST", f"{ANN}/actions", "ann", {"json": ["(fetch box-a)"]}),
+    (422, "POST", f"{ANN}/actions", "ann", {"content": b"{"}),
+    (422, "POST", f"{ANN}/actions", "ann", {"content": b"\xff\xfe"}),
+    (422, "POST", f"{ANN}/actions", "ann", {"content": b'{"action": "\\ud800"}'}),
+    (422, "POST", f"{ANN}/actions", "ann", {"content": b"[" * 60_000}),
+    (413, "POST", f"{ANN}/actions", "ann", {"content": b" " * (LARGEST + 1)}),
+    (413, "POST", f"{ANN}/actions", "ann", {"content": iter([b" " * 40_000, b" " * 40_000])}),
+    (409, "POST", f"{ANN}/undo", "ann", {}),
+    (409, "POST", "/api/team/people", None, {"json": {"person": "ann"}}),
+    (422, "POST", "/api/team/people", None, {"json": {"person": "../ann"}}),
+    (422, "POST", "/api/team/people", None, {"json": {"person": "eve", "task": "none"}}),
+    (404, "POST", "/api/robot/arrived", None, {"json": {"person": "nobody"}}),
+    (404, "GET", "/api/nothing", None, {}),
+    (405, "PUT", "/api/health", None, {}),
+]
+
+
+@pytest.mark.parametrize(("status", "method", "path", "person", "more"), REFUSED)
+def test_what_is_wrong_is_refused_in_one_sentence_and_disturbs_nobody(
+    web: Web, status: int, method: str, path: str, person: str | None, more: dict[str, Any]
+) -> None:
+    before = web.service.session.beliefs()
+    answer = web.ask(method, path, person, **more)
+    assert answer.status_code == status
+    assert set(answer.json()) == {"detail"}
+    assert answer.json()["detail"]
+    assert "\n" not in answer.json()["detail"]
+    assert web.service.session.beliefs() == before
+    assert web.client.get("/api/health").json()["events"] == 2
+
+
+def test_without_a_token_there_is_nothing_to_see(web: Web) -> None:
+    for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": "Basic YTpi"}):
+        for path in (ANN, "/api/people/nobody", "/api/team", "/api/nothing"):
+            answer = web.client.get(path, headers=headers)
+            assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
+    for path in ("/join/ann/wrong", f"/join/bob/{web.access.token('ann')}", f"/operator/{web.access.token('ann')}"):
+        assert web.client.get(path).status_code == 403
+    for link in ("/api/people/ann/events", "/api/team/events"):
+        with pytest.raises(WebSocketDisconnect), web.client.websocket_connect(link, subprotocols=["token.x"]):
+            pass
+    token = web.access.token("bob")
+    with (
+        pytest.raises(WebSocketDisconnect) as closed,
+        web.client.websocket_connect("/api/people/ann/events", subprotocols=[f"token.{token}"]),
+    ):
+        pass
+    assert closed.value.code == 4403
+
+
+def test_answers_load_nothing_from_elsewhere(web: Web) -> None:
+    for path in ("/api/health", "/openapi.json", "/nothing"):
+        headers = web.client.get(path).headers
+        assert headers["content-security-policy"].startswith("default-src 'none'; script-src 'self'")
+        assert headers["referrer-policy"] == "no-referrer"
+
+
+def test_what_changes_is_pushed_to_every_tab_and_a_late_end_ends_no_other(web: Web) -> None:
+    with web.watch() as first, web.watch("bob") as bob:
+        assert first.accepted_subprotocol == "kitassist"
+        assert first.receive_json()["steps"] == bob.receive_json()["steps"] == 0
+        with web.watch() as second:
+            assert second.receive_json()["steps"] == 0
+            answer = web.act("(fetch box-a)").json()
+            assert first.receive_json() == second.receive_json() == answer
+            first.close()  # the tab before the reload says only now that it has gone
+            answer = web.act(WRONG).json()
+            assert second.receive_json() == answer
+            assert web.ask("GET", "/api/team").json()["people"][0]["connected"]
+        web.act("(fetch box-a)", "bob")
+        assert bob.receive_json()["steps"] == 1
+        web.ask("DELETE", "/api/team/people/bob")
+        with pytest.raises(WebSocketDisconnect) as closed:
+            bob.receive_json()
+        assert closed.value.code == 4404
+
+
+def test_the_operator_is_told_of_everything(web: Web) -> None:
+    with web.watch(None) as team:
+        assert team.receive_json()["people"][0]["steps"] == 0
+        web.act("(fetch box-a)")
+        while (told := team.receive_json())["seq"] < 3:
+            pass
+        assert told["people"][0]["steps"] == 1
+
+
+def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, tmp_path: Path) -> None:
+    async def run() -> tuple[list[Any], int, bool]:
+        web = Web(tiny, tmp_path)
+        web.service.start()
+        sent: list[Any] = []
+
+        async def receive() -> dict[str, Any]:
+            if not sent:
+                return {"type": "websocket.connect"}
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        async def send(message: dict[str, Any]) -> None:
+            sent.append(message["type"])
+            if message["type"] == "websocket.send":
+                await asyncio.Event().wait()  # its buffers are full, for ever
+
+        scope = {
+            "type": "websocket", "path": f"{ANN}/events", "raw_path": b"", "query_string": b"", "root_path": "",
+            "headers": [(b"authorization", web.who("ann")["Authorization"].encode())], "subprotocols": [], "state": {},
+        }  # fmt: skip
+        stuck = asyncio.create_task(web.app(scope, receive, send))
+        while not web.service._watchers.get("ann"):
+            await asyncio.sleep(0.01)
+        steps = 0
+        for number in range(70):
+            action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
+            steps = (await web.service.report(Event("acted", "ann", action)))["steps"]
+        await asyncio.wait_for(stuck, 10)
+        gone = "ann" not in web.service._watchers
+        await web.service.stop()
+        return sent, steps, gone
+
+    sent, steps, gone = asyncio.run(run())
+    assert (steps, gone) == (70, True)
+    assert sent[:2] == ["websocket.accept", "websocket.send"]
+    assert sent[-1] == "websocket.close"
+
+
+def test_a_hundred_people_come_at_once(web: Web) -> None:
+    names = [f"guest {number}" for number in range(100)]
+    with ThreadPoolExecutor(20) as threads:
+        answers = list(threads.map(lambda name: web.ask("POST", "/api/team/people", json={"person": name}), names))
+    assert [answer.status_code for answer in answers] == [200] * 100
+    assert len({answer.json()["join"] for answer in answers}) == 100
+    assert web.client.get("/api/health").json()["people"] == 102
+
+
+def test_too_many_requests_are_refused_to_whom_they_are_from(tiny: Table, tmp_path: Path) -> None:
+    now = [0.0]
+    web = Web(tiny, tmp_path, allowance=Allowance(rate=1.0, burst=3.0, clock=lambda: now[0]))
+    with web.client:
+        codes = [web.ask("GET", ANN, "ann").status_code for _ in range(4)]
+        assert codes == [200, 200, 200, 429]
+        assert web.ask("GET", ANN, "ann").headers["retry-after"] == "1"
+        assert web.ask("GET", "/api/people/bob", "bob").status_code == 200
+        now[0] += 1.0
+        assert web.ask("GET", ANN, "ann").status_code == 200
+
+
+def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> Any:
+        raise JournalError(28, "No space left on device; nothing was recorded", "journal.jsonl")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(web.service.session._journal, "append", full)
+        answer = web.act("(fetch box-a)")
+        assert (answer.status_code, answer.json()["detail"]) == (507, "No space left on device; nothing was recorded")
+        assert web.ask("GET", ANN, "ann").json()["steps"] == 0
+    assert web.act("(fetch box-a)").json()["steps"] == 1
+
+
+def test_links_are_those_of_before(tiny: Table, tmp_path: Path) -> None:
+    tokens = []
+    for _ in range(2):
+        web = Web(tiny, tmp_path)
+        with web.client:
+            tokens.append([web.access.join_url("ann"), web.access.operator_url()])
+    assert tokens[0] == tokens[1]
+    assert (tmp_path / "secret").stat().st_mode & 0o077 == 0
+    assert Access(b"another" * 5, "").operator != web.access.operator
+
+
+def test_the_interface_is_described(web: Web) -> None:
+    described = web.client.get("/openapi.json").json()["paths"]
+    assert set(described) >= {
+        "/api/health", "/api/people/{name}", "/api/people/{name}/actions", "/api/people/{name}/undo", "/api/robot",
+        "/api/robot/arrived", "/api/team", "/api/team/people", "/api/team/people/{name}", "/api/log",
+    }  # fmt: skip

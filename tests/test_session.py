@@ -1,0 +1,307 @@
+"""A live session forgets nothing that it has acknowledged, and nothing has happened that it could not record."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.live.assistant import Assistant
+from assist.live.course import AbsentError, Event
+from assist.live.journal import JournalError
+from assist.live.problem import InapplicableError, UnknownError
+from assist.live.session import Session
+from assist.team.settings import Setting
+from planner import Table
+from planner.errors import DamagedFileError, ResultsExistError
+
+SETTING = Setting(c_suggest=0.02, c_move=0.01)
+WRONG = "(place hammer slot-2 box-a)"
+
+KINDS = [*["acted"] * 5, "undone", "left", "joined", "began", "arrived", "elapsed", "paused", "resumed"]
+HAPPENS = st.lists(
+    st.tuples(
+        st.sampled_from(KINDS),
+        st.integers(0, 2), st.integers(0, 9),
+    ),
+    max_size=25,
+)  # fmt: skip
+
+
+@pytest.fixture
+def opened(tiny: Table, fixed: Table, tmp_path: Path) -> Callable[..., Session]:
+    """Open the session of this test's folder, whose last process is gone."""
+    held: list[Session] = []
+
+    def open_it(file: Path = tmp_path / "journal.jsonl", **more: Any) -> Session:
+        for session in held:
+            session.close()
+        held[:] = [Session({"tiny": tiny, "fixed": fixed}, file, **({"setting": SETTING} | more))]
+        return held[0]
+
+    yield open_it
+    for session in held:
+        session.close()
+
+
+def happen(session: Session, events: list[tuple[str, int, int]]) -> None:
+    """Let things happen to a, b and c, as far as they can."""
+    for number, (kind, who, luck) in enumerate(events):
+        name = "abc"[who]
+        event = Event(kind, None if kind in ("elapsed", "paused", "resumed") else name, id=f"{session.now()}-{number}")
+        if kind == "acted" and name in session.people:
+            options = session.person(name)["applicable"]
+            action = options[luck % len(options)] if options else "(return box-a)"
+            event = Event(kind, name, action, seen=luck if luck < 4 else None, id=event.id)
+        session.report([event])
+
+
+def all_of(session: Session) -> str:
+    """Everything that anybody can see of a session, and what it believes."""
+    seen = [session.entry(name) for name in session.people], session.log(), session.recommend(), session.outlook()
+    return repr(seen) + repr(session.beliefs())
+
+
+@settings(max_examples=25, deadline=None)
+@given(HAPPENS, HAPPENS, st.booleans())
+def test_a_session_that_goes_on_is_the_same_to_the_bit(
+    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any, far: bool
+) -> None:
+    file = tmp_path_factory.mktemp("session") / "journal.jsonl"
+    setting = Setting(c_suggest=0.02, c_move=0.01, travel_time=float(far))
+    session = Session(tiny, file, setting=setting)
+    for name in "abc":
+        session.join(name)
+    happen(session, events)
+    before = all_of(session)
+    session.close()
+    again = Session(tiny, file, setting=setting)
+    assert all_of(again) == before
+    happen(again, more)
+    after = all_of(again)
+    again.close()
+    once_more = Session(tiny, file, setting=setting)
+    assert all_of(once_more) == after
+    once_more.close()
+
+
+def test_it_is_the_assistant(opened: Callable[..., Session], tiny: Table) -> None:
+    """The same actions, reported one by one, lead to the beliefs and advice that the assistant has."""
+    session, desk = opened(), Assistant(tiny, ["ann"], setting=SETTING)
+    session.join("ann")
+    desk.recommend()
+    session.join("bob")
+    desk.join("bob")
+    desk.recommend()
+    spoken = 0
+    for name, action in [("ann", "(fetch box-a)"), ("bob", "(fetch box-a)"), ("ann", WRONG), ("bob", WRONG)]:
+        session.observe(name, action)
+        desk.observe(name, action)
+        advice = desk.recommend()
+        assert session.recommend() == advice
+        spoken += advice.suggestion is not None
+    assert spoken >= 2
+    assert session.beliefs() == {name: desk.person(name).belief.tobytes() for name in ("ann", "bob")}
+    seen = session.person("bob")
+    assert seen["suggestion"] == desk.person("bob").suggestion
+    assert seen["reason"]["saving"] > 0
+
+
+def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[..., Session]) -> None:
+    session = opened()
+    session.join("ann", id="come")
+    first = session.observe("ann", "(fetch box-a)", id="1")
+    session.observe("ann", WRONG, id="2")
+    assert session.observe("ann", "(fetch box-a)", id="1") == first
+    together = [Event("acted", "ann", "(return box-a)", id="3")] * 2
+    answers = session.report(together)
+    assert answers[0] == answers[1]
+    session = opened()
+    assert session.observe("ann", "(fetch box-a)", id="1") == first
+    assert session.report(together) == answers
+    assert len(session.log()) == 3
+    with pytest.raises(InapplicableError, match="the id '1' stands for something else"):
+        session.undo("ann", id="1")
+
+
+def test_what_was_cut_off_in_a_line_has_not_happened(opened: Callable[..., Session], tmp_path: Path) -> None:
+    session = opened()
+    session.join("ann")
+    session.observe("ann", "(fetch box-a)")
+    before, whole = all_of(session), (tmp_path / "journal.jsonl").read_bytes()
+    session.observe("ann", WRONG)
+    longer = (tmp_path / "journal.jsonl").read_bytes()
+    for end in (len(whole) + 1, (len(whole) + len(longer)) // 2, len(longer) - 1):
+        file = tmp_path / f"cut-{end}.jsonl"
+        file.write_bytes(longer[:end])
+        again = opened(file)
+        assert all_of(again) == before
+        again.observe("ann", WRONG)
+        assert file.read_bytes().count(b"\n") == longer.count(b"\n")
+
+
+@pytest.mark.parametrize("room", [0, 1, 700])
+def test_a_full_disk_is_said_and_nothing_half_remains(
+    opened: Callable[..., Session], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    session = opened()
+    session.join("ann")
+    session.join("bob")
+    session.observe("ann", "(fetch box-a)", id="1")
+    before, content = all_of(session), (tmp_path / "journal.jsonl").read_bytes()
+    write, full = os.pwrite, [True]
+
+    def small(descriptor: int, text: bytes, at: int) -> int:
+        if not full[0]:
+            return write(descriptor, text, at)
+        if at + 1 > len(content) + room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(descriptor, text[: len(content) + room - at], at)
+
+    monkeypatch.setattr(os, "pwrite", small)
+    events = [Event("acted", "ann", WRONG), Event("acted", "bob", "(fetch box-b)"), Event("acted", "bob", "(fly)")]
+    for _ in range(2):
+        answers = session.report(events)
+        assert [type(answer) for answer in answers][:2] == [JournalError] * 2
+        assert "No space left on device" in str(answers[0])
+        assert (tmp_path / "journal.jsonl").read_bytes() == content
+        assert all_of(session) == before
+        assert session.observe("ann", "(fetch box-a)", id="1")["steps"] == 1  # it has happened, and is answered
+    full[0] = False
+    assert session.observe("ann", WRONG)["steps"] == 2
+    after = all_of(session)
+    assert all_of(opened()) == after
+
+
+def test_a_limit_on_files_is_a_full_disk(opened: Callable[..., Session], tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource")
+    session = opened()
+    session.join("ann")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "journal.jsonl").stat().st_size + 40, limits[1]))
+    try:
+        with pytest.raises(JournalError, match="File too large"):
+            session.observe("ann", "(fetch box-a)")
+        assert session.person("ann")["steps"] == 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert session.observe("ann", "(fetch box-a)")["steps"] == 1
+
+
+def test_clocks_that_jump_change_nothing_but_times(opened: Callable[..., Session], tmp_path: Path) -> None:
+    found = []
+    for number, jumps in enumerate(([0.0] * 9, [0.0, 1e9, 5.0, -1e9, 2.0, 2.0, 1e12, 0.0, 3.0])):
+        clock = iter([*jumps, *[7.0] * 99])
+        session = opened(tmp_path / f"{number}.jsonl", clock=lambda clock=clock: next(clock))
+        for name in ("ann", "bob"):
+            session.join(name)
+        for action in ("(fetch box-a)", WRONG):
+            session.observe("ann", action)
+        found.append((session.beliefs(), session.recommend(), session.person("ann")))
+    assert found[0] == found[1]
+
+
+def test_a_suggestion_that_came_too_late_was_not_heard(opened: Callable[..., Session]) -> None:
+    session = opened()
+    session.join("ann")
+    seen = session.observe("ann", "(fetch box-a)")
+    seen = session.observe("ann", WRONG)
+    assert seen["suggestion"] == "(remove hammer slot-2 box-a)"
+    session.observe("ann", seen["suggestion"], seen=seen["seq"] - 1)
+    assert session.log()[-1]["suggestion"] is None
+    assert session.undo("ann")["suggestion"] == seen["suggestion"]
+    assert session.person("ann")["reason"] == seen["reason"]
+    with pytest.raises(InapplicableError, match="followed is true and the action"):
+        session.observe("ann", "(return box-a)", followed=True)
+    session.observe("ann", seen["suggestion"], followed=True, seen=seen["seq"])
+    assert session.log()[-1]["suggestion"] == seen["suggestion"]
+
+
+def test_whoever_waits_is_served_when_time_elapses(opened: Callable[..., Session]) -> None:
+    """The robot does one thing at a decision; where nobody acts there are no more, unless time is one."""
+    session = opened()
+    names = ["ann", "bob", "cleo"]
+    session.report([Event("joined", name) for name in names])
+    session.pause()
+    for name in names:
+        for action in ("(fetch box-a)", WRONG):
+            session.observe(name, action)
+    assert session.recommend().person is None
+    session.pause(False)
+    served = [session.recommend().person]
+    for _ in range(2):
+        session.elapse()
+        served.append(session.recommend().person)
+    assert sorted(served) == names
+    session.elapse()  # nobody is left to be served: that is noted once
+    count = session.outlook().events
+    session.elapse()
+    assert session.outlook().events == count
+
+
+def test_people_come_go_and_have_tasks_of_their_own(opened: Callable[..., Session]) -> None:
+    session = opened()
+    assert session.join("ann")["task"] == "tiny"
+    assert session.join("bob", "fixed")["cost_to_go"] == 10.0
+    session.observe("ann", "(fetch box-a)")
+    session.leave("ann")
+    assert session.people == ("bob",)
+    with pytest.raises(AbsentError, match="'ann' is not in the team"):
+        session.observe("ann", WRONG)
+    session = opened()
+    assert session.join("ann")["steps"] == 1
+    assert session.begin("ann", "fixed")["task"] == "fixed"
+    assert session.arrived("ann")["location"] == "ann"
+    for wrong, said in ((("",), "expected a name"), (("a/b",), "expected a name"), (("x", "none"), "expected one of")):
+        with pytest.raises(ValueError, match=said):
+            session.join(*wrong)
+    with pytest.raises(InapplicableError, match="bob is there already"):
+        session.join("bob")
+    with pytest.raises(UnknownError, match="no action of the task"):
+        session.observe("bob", "(fly)")
+
+
+def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
+    opened: Callable[..., Session], fixed: Table, tmp_path: Path
+) -> None:
+    session = opened()
+    file = tmp_path / "journal.jsonl"
+    with pytest.raises(ResultsExistError, match="a session that runs"):
+        Session(fixed, file)
+    session.join("ann")
+    session.close()
+    with pytest.raises(ResultsExistError, match=r"has tasks fixed None, not|has tasks tiny|has setting|has tasks task"):
+        Session(fixed, file, setting=SETTING)
+    with pytest.raises(ResultsExistError, match=r"has setting c_suggest 0\.02, not 1\.0"):
+        opened(setting=Setting())
+    lines = file.read_bytes().splitlines(keepends=True)
+    for wrong in (b"{}\n", b"half a li\n", json.dumps({"n": 7}).encode() + b"\n"):
+        file.write_bytes(lines[0] + wrong + lines[1])
+        with pytest.raises(DamagedFileError, match=r"journal\.jsonl:2: "):
+            opened()
+
+
+def test_many_threads_report_and_everything_happens_once(opened: Callable[..., Session], tmp_path: Path) -> None:
+    session = opened()
+    names = [f"p{number}" for number in range(8)]
+    session.report([Event("joined", name) for name in names])
+
+    def work(name: str) -> None:
+        for number in range(10):
+            session.observe(name, "(fetch box-a)" if number % 2 == 0 else "(return box-a)", id=str(number))
+
+    threads = [threading.Thread(target=work, args=(name,)) for name in names]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [session.person(name)["steps"] for name in names] == [10] * 8
+    assert (tmp_path / "journal.jsonl").read_bytes().count(b"\n") == 1 + 8 + 80
