@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import quote, urlsplit
@@ -105,14 +106,19 @@ class Worker:
                         length = int(line.split(b":")[1])
                 answer = json.loads(await reader.readexactly(length))
             except (OSError, EOFError, IndexError, ValueError):
-                if self.streams is not None:
-                    self.streams[1].close()
-                    self.streams = None
+                await self.hang_up()
                 await asyncio.sleep(RETRY)
                 continue
             if status != 200:
                 self.seen.refused.append(f"{status} {answer}")
             return answer
+
+    async def hang_up(self) -> None:
+        if self.streams is not None:
+            self.streams[1].close()
+            with suppress(OSError):
+                await self.streams[1].wait_closed()
+            self.streams = None
 
     async def act(self) -> None:
         view, self.count = self.view, self.count + 1
@@ -185,9 +191,7 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
     for moment in moments:
         await asyncio.sleep(max(0.0, begun + moment - time.monotonic()))
         service.process.kill()
-        service.process.wait()
-        assert service.process.stdout is not None
-        service.process.stdout.close()
+        service.process.communicate()
         await asyncio.to_thread(service.start)
         seen.ready, seen.behind = time.monotonic(), {worker.name for worker in workers}
     while not all(task.done() for task in working):
@@ -196,9 +200,13 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
     await asyncio.gather(*working)
     for task in listening:
         task.cancel()
+    await asyncio.gather(*listening, return_exceptions=True)
+    for worker in workers:
+        await worker.hang_up()
     service.process.send_signal(signal.SIGTERM)
     stopping = time.monotonic()
-    code = await asyncio.to_thread(service.process.wait, 30)
+    await asyncio.to_thread(service.process.communicate)
+    code = service.process.returncode
     assert (code, time.monotonic() - stopping < 5) == (0, True), "it ends within 5 s"
     check(instance, data, seen)
     return seen

@@ -29,7 +29,6 @@ ROOMS = {
     "assist.drawing": "subject profile scene layout svg picture frames files",
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
-    "assist.live": """advice problem roster assistant course journal session access simulated service limits
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         web server client""",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions

@@ -396,16 +396,18 @@ def _watching(app: FastAPI) -> None:
                 while (await socket.receive())["type"] != "websocket.disconnect":
                     pass
 
-        sending, reading, stuck = (asyncio.create_task(task) for task in (send, read(), dropped.wait()))
+        sending, reading = asyncio.create_task(send), asyncio.create_task(read())
+        tasks = sending, reading, asyncio.create_task(dropped.wait())
         try:
-            await asyncio.wait({sending, reading, stuck}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            gone = reading.done()
         finally:
-            for task in (sending, reading, stuck):
+            for task in tasks:
                 task.cancel()
-            outcomes = await asyncio.gather(sending, reading, stuck, return_exceptions=True)
-        code = DROPPED if dropped.is_set() else outcomes[0]
-        if isinstance(code, int) and not isinstance(outcomes[1], type(None)):
-            await hang_up(socket, code)
+            await asyncio.wait(tasks)
+        failed = not sending.cancelled() and sending.exception() is not None
+        if dropped.is_set() or not (gone or failed or sending.cancelled()):
+            await hang_up(socket, DROPPED if sending.cancelled() else sending.result())
 
     async def hang_up(socket: WebSocket, code: int) -> None:
         with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError):
