@@ -18,7 +18,7 @@ ROOMS = {
     "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking checker
         built task replay budget successors statespace costtogo moves atomics checkpoint reached kernels mutexes
         invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine arrays""",
-    "assist.people": "choices decision terms memory choice_model human compiled belief",
+    "assist.people": "choices decision terms memory choice_model own human compiled belief",
     "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates misconception
         diagnostics population record people summary""",

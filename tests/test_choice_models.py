@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from conftest import graph_task
+from conftest import KITTING, graph_task, invoke
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from joint import joint_bounds
@@ -26,6 +29,9 @@ from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
 from assist.person.solver import solve
 from assist.simulation.simulate import simulate
+from assist.study.cells import carry_out
+from assist.study.protocol import read
+from assist.study.study import StudyError
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from planner import LimitError, Table, sweep
@@ -350,3 +356,108 @@ def test_a_live_team_remembers(tiny: Table) -> None:
     for _ in range(4):
         desk.undo("ann")
     np.testing.assert_allclose(desk.person("ann").belief, pomdp.prior)
+
+
+OWN = '''
+import numpy as np
+
+def hasty(choices, q, beta):
+    """Takes a goal that is one step away; the more surely, the larger beta is."""
+    near = choices.goal[choices.targets] & choices.applicable
+    liked = np.where(near.any(axis=1, keepdims=True), near, choices.applicable)
+    p = np.exp(beta[:, None, None] * liked) * choices.applicable
+    return p / np.maximum(p.sum(axis=2, keepdims=True), 1)
+
+def broken(choices, q, beta):
+    return q[99, 99]
+'''
+
+STUDY = f"""
+repeats = 1
+instances = ["{KITTING}/tiny.pddl"]
+humans = [2]
+pool = 2
+draws = 1
+trials = 2
+policies = ["none", "attention"]
+[populations.boltzmann]
+[populations.habits]
+weights = {{ goals = [0.4, 0.4], back = [-2, -1] }}
+[populations.hasty]
+people = "own.py:hasty"
+[[conditions]]
+name = "people"
+populations = ["habits", "hasty", "boltzmann"]
+priors = ["own", "boltzmann"]
+"""
+
+
+def test_people_of_a_file_are_used_by_the_commands(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(OWN)
+    part = {"share": 1.0, "beta": [0.5, 2], "theta": [0.5, 0.9], "sigma": [0, 0.5], "weights": {"back": [-2, -1]}}
+    for name, parts in (("habits", part), ("plain", {key: part[key] for key in part if key != "weights"})):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"parts": [parts]}))
+    team = ("simulate", KITTING / "tiny.pddl", "--humans", 2, "--pool", 2, "--episodes", 20, "--json")
+    found = {}
+    for name, options in {
+        "hasty": ("--people", f"{own}:hasty"),
+        "knows": ("--population", tmp_path / "habits.json"),
+        "believes": ("--population", tmp_path / "habits.json", "--prior", tmp_path / "plain.json"),
+        "plain": ("--population", tmp_path / "plain.json"),
+    }.items():
+        result = invoke(*team, "--policy", "none", "--policy", "attention", "--c-suggest", 0.05, *options)
+        assert result.exit_code == 0, result.output
+        found[name] = json.loads(result.stdout)
+    assert found["hasty"]["population"]["chooses"] == f"{own}:hasty"
+    assert found["knows"]["population"]["parts"][0]["weights"] == {"back": [-2, -1]}
+    none = {name: record["policies"][0] for name, record in found.items()}
+    helped = {name: record["policies"][1] for name, record in found.items()}
+    assert none["knows"] == none["believes"] != none["plain"]
+    assert helped["knows"] != helped["believes"]
+    assert none["hasty"]["human_actions_per_person"]["mean"] > 2 * none["plain"]["human_actions_per_person"]["mean"]
+    values = [
+        json.loads(invoke("policy", KITTING / "tiny.pddl", "--gap", 0.05, "--json", *options).stdout)["value_never"]
+        for options in ((), ("--people", f"{own}:hasty"), ("--population", tmp_path / "habits.json"))
+    ]
+    assert len({round(value, 6) for value in values}) == 3
+    for options, message in (
+        (("--people", f"{own}:broken"), f"{own}:12: IndexError"),
+        (("--people", f"{own}:absent"), "has no function 'absent'"),
+        (("--people", "absent"), "expected FILE.py:FUNCTION"),
+        (("--people", f"{own}:hasty", "--population", tmp_path / "plain.json"), "expected one of them"),
+        (("--prior", own), f"--prior {own}"),
+    ):
+        result = invoke(*team, *options)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert message in result.stderr
+        assert "Traceback" not in result.stderr
+
+
+def test_a_study_compares_people_and_what_the_robot_takes_them_for(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(OWN)
+    file = tmp_path / "people.toml"
+    file.write_text(STUDY)
+    study = pickle.loads(pickle.dumps(read(file)))  # as other processes get it
+    found = {(cell.population, cell.prior): carry_out(cell, study).lines.splitlines() for cell in study.cells()}
+    assert len(found) == 6
+    assert found["boltzmann", "own"] == [
+        line.replace('"prior": "boltzmann"', '"prior": "own"') for line in found["boltzmann", "boltzmann"]
+    ]
+    actions = {
+        key: [json.loads(line)["actions"] for line in lines if '"policy": "none"' in line]
+        for key, lines in found.items()
+    }
+    assert actions["habits", "own"] == actions["habits", "boltzmann"] != actions["boltzmann", "own"]
+    before = study.fingerprint()
+    own.write_text(OWN + "\n")
+    assert read(file).fingerprint() != before
+    for bad, message in (
+        ('people = "own.py:absent"', "populations.hasty.people: .*has no function 'absent'"),
+        ('people = "own.py"', "expected FILE.py:FUNCTION"),
+        ("weights = { haste = [0, 1] }", "populations.hasty.weights: 'haste'; expected one of goals"),
+    ):
+        file.write_text(STUDY.replace('people = "own.py:hasty"', bad))
+        with pytest.raises(StudyError, match=message):
+            read(file)

@@ -12,7 +12,7 @@ import click
 from planner import CostToGo, Instance
 
 from .options import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
-from .population import population_of, population_options
+from .population import people_option, population_of, population_options
 from .progress import progress_bar
 from .task import one_instance
 
@@ -40,6 +40,7 @@ def person_options(command: Command) -> Command:
     options: tuple[Option[Any], ...] = (
         *model_options(),
         population_options("the person's"),
+        people_option,
         click.option(
             "--sigma", type=NUMBER, default=0.0, show_default=True,
             help="Size of a misconception, drawn once and known to the robot; with 0 it knows the task only.",
@@ -51,8 +52,8 @@ def person_options(command: Command) -> Command:
 
 def person_problem(
     instance: str, known_of: Callable[[Instance], CostToGo], *, states: int | None, domain: str | None, beta: Range,
-    theta: Range, population_file: Path | None, sigma: float, execute: bool, time_limit: float | None = None,
-    **setting: Any,
+    theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
+    time_limit: float | None = None, **setting: Any,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
     """Set up one person's problem from `person_options`; errors are those of a command.
 
@@ -68,7 +69,7 @@ def person_problem(
     from ..person.problem import PersonProblem, is_whole
 
     found = one_instance(instance, domain)
-    population = population_of(beta, theta, file=population_file)
+    population = population_of(beta, theta, file=population_file, people=people)
     known = known_of(found)
     if states is None:
         states = len(known)

@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from ..team.policies import POLICIES, OwnPolicy, parse
+from ..people.own import parse
+from ..team.policies import POLICIES, OwnPolicy
 from ..team.state import PolicyError
 from .console import EXIT_FAILED, fail
 from .options import Option

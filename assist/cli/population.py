@@ -1,4 +1,7 @@
-"""From whom people are drawn: ranges of their parameters, or a file that `fit --population` has written."""
+"""From whom people are drawn: ranges of their parameters, or a file that `fit --population` has written.
+
+How they choose is in such a file, too, or in a function of the user's own.
+"""
 
 from __future__ import annotations
 
@@ -35,26 +38,64 @@ def population_options(whose: str = "people's", influence: str = "them") -> Call
     return add
 
 
+people_option = click.option(
+    "--people", metavar="FILE.py:FUNCTION",
+    help="How people choose, in place of by cost-to-go: a choice model of your own.",
+)  # fmt: skip
+
+
 def population_of(
-    beta: Range, theta: Range, sigma: Range | None = None, *, file: Path | None = None
+    beta: Range, theta: Range, sigma: Range | None = None, *, file: Path | None = None, people: str | None = None
 ) -> Population | Mixture:
     """Give the population that the options describe.
 
     Raises
     ------
     click.UsageError
-        Ranges that cannot be, a file that holds no population, or both ranges and a file.
+        Ranges that cannot be, a file that holds no population, both ranges and a file, or no function.
     """
-    from ..learning import population as populations
     from ..people.human import Population
 
     try:
         if file is None:
-            return Population(beta, theta) if sigma is None else Population(beta, theta, sigma)
+            found = Population(beta, theta) if sigma is None else Population(beta, theta, sigma)
+            return found if people is None else choosing(found, people)
         context = click.get_current_context()
         for name in RANGES if sigma is not None else RANGES[:2]:
             if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
                 raise click.UsageError(f"--population {file} says what --{name} says; expected one of them")
-        return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if people is not None:
+            raise click.UsageError(
+                f"--population {file} says how people choose, as --people does; expected one of them"
+            )
+        return read_population(file)
+    except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}" if file else str(error)) from None
+
+
+def read_population(file: Path) -> Mixture:
+    """Read what `fit --population` has written.
+
+    Raises
+    ------
+    ValueError
+        The file holds no population.
+    """
+    from ..learning import population as populations
+
+    try:
+        return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(str(error)) from None
+
+
+def choosing(population: Population, people: str) -> Population:
+    """Give a population that chooses as a function of the user's own says, FILE.py:FUNCTION."""
+    from dataclasses import replace
+
+    from ..people import own
+
+    place = own.parse(people)
+    if place is None:
+        raise ValueError(f"--people '{people}'; expected FILE.py:FUNCTION")
+    return replace(population, chooses=own.OwnModel.load(*place))

@@ -10,9 +10,9 @@ import click
 from planner import Instance, LimitError
 
 from .console import EXIT_FAILED, fail
-from .options import SEED, Command, Option, Range, megabytes_option, range_option, with_options
+from .options import INPUT_FILE, SEED, Command, Option, Range, megabytes_option, range_option, with_options
 from .person import model_options
-from .population import population_of, population_options
+from .population import people_option, population_of, population_options, read_population
 from .progress import stages
 from .task import one_instance, table_of
 from .travel import travel_of, travel_options
@@ -35,6 +35,11 @@ def team_options(command: Command) -> Command:
             help="What the robot knows: everybody's perceived costs, or only the task (one policy for all).",
         ),
         population_options(),
+        people_option,
+        click.option(
+            "--prior", type=INPUT_FILE, metavar="FILE",
+            help="From whom the robot takes people to be drawn, as in --population; from those unless given.",
+        ),
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
         megabytes_option("MB for policies.", default=4000.0),
     )  # fmt: skip
@@ -52,7 +57,8 @@ class Team(NamedTuple):
 
 def team_of(
     instance: str, *, humans: int, size: int, seed: int, domain: str | None, distances: Path | None, beta: Range,
-    theta: Range, sigma: Range, population_file: Path | None, memory_limit: float, **setting: Any,
+    theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
+    memory_limit: float, **setting: Any,
 ) -> Team:  # fmt: skip
     """Draw so many people and solve the POMDP of each; errors are those of a command."""
     from ..team.pool import Pool
@@ -60,7 +66,11 @@ def team_of(
 
     if humans > size:
         raise click.UsageError(f"--humans {humans} is more than --pool {size}")
-    population = population_of(beta, theta, sigma, file=population_file)
+    population = population_of(beta, theta, sigma, file=population_file, people=people)
+    try:
+        believed = None if prior is None else read_population(prior)
+    except ValueError as error:
+        raise click.UsageError(f"--prior {prior}: {error}") from None
     found = one_instance(instance, domain)
     with stages() as show:
         show("solving the task", 0, 1)
@@ -68,7 +78,8 @@ def team_of(
         try:
             travel = travel_of(chosen := Setting(**setting), humans, distances)
             pool = Pool.sample(
-                table, size, seed=seed, setting=chosen, population=population, memory_limit_mb=memory_limit,
+                table, size, seed=seed, setting=chosen, population=population, prior=believed,
+                memory_limit_mb=memory_limit,
                 progress=lambda done, total: show("solving people's POMDPs", done, total),
             )  # fmt: skip
         except LimitError as error:

@@ -13,7 +13,8 @@ from typing import Any
 from planner import Instance
 
 from ..people.choices import Choices
-from ..people.human import Population
+from ..people.human import Mixture, Population
+from ..people.memory import choices_of
 from ..person.qmdp import qmdp
 from ..simulation.episodes import Episodes
 from ..simulation.simulate import simulate
@@ -35,12 +36,10 @@ def pool_of(study: Study, cell: Cell) -> Pool:
     study : Study
     cell : Cell
     """
-    populations = dict(study.populations)
-    population = populations[cell.population]
+    population, prior = _people(study, cell)
     return Pool.sample(
-        _choices(dict(study.instances)[cell.instance]), study.pool, seed=study.luck(cell.repeat),
-        setting=study.setting(cell), population=population, solver=partial(qmdp, tolerance=TOLERANCE),
-        prior=population if cell.prior == OWN else populations[cell.prior],
+        _choices_of(study, cell), study.pool, seed=study.luck(cell.repeat), setting=study.setting(cell),
+        population=population, solver=partial(qmdp, tolerance=TOLERANCE), prior=prior,
     )  # fmt: skip
 
 
@@ -89,7 +88,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
         now = time.perf_counter()
         seconds[what], start = seconds.get(what, 0.0) + now - start, now
 
-    _choices(dict(study.instances)[cell.instance])
+    _choices_of(study, cell)
     lap("cost-to-go")
     pool = pool_of(study, cell)
     lap("people's POMDPs")
@@ -133,10 +132,23 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
         }
 
 
+def _people(study: Study, cell: Cell) -> tuple[Population | Mixture, Population | Mixture]:
+    """Give from whom a cell's people are drawn, and from whom the robot takes them to be."""
+    populations = dict(study.populations)
+    population = populations[cell.population]
+    return population, population if cell.prior == OWN else populations[cell.prior]
+
+
+def _choices_of(study: Study, cell: Cell) -> Choices:
+    """Give a cell's task with the terms that its people look at."""
+    names = dict.fromkeys(name for people in _people(study, cell) for name in people.weights)
+    return _choices(dict(study.instances)[cell.instance], tuple(names))
+
+
 @cache  # cells of one task follow one another in a process
-def _choices(instance: Instance) -> Choices:
-    """Read and solve a task, once in each process."""
-    return Choices.of(table_of(instance))
+def _choices(instance: Instance, names: tuple[str, ...] = ()) -> Choices:
+    """Read and solve a task, once in each process for each set of terms."""
+    return choices_of(table_of(instance), names)
 
 
 @cache

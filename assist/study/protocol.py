@@ -14,7 +14,9 @@ from planner import Instance, InstanceError, find_instances
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
-from ..team.policies import POLICIES, parse
+from ..people.own import OwnError, OwnModel, parse
+from ..people.terms import TERMS
+from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyError
 from .toml import (
@@ -86,6 +88,8 @@ class PopulationTable(Struct, forbid_unknown_fields=True):
     theta: Pair | None = None
     sigma: Pair | None = None
     noise: Text | None = None
+    weights: dict[str, Pair] = {}
+    people: Text | None = None
     file: Text | None = None
 
 
@@ -244,20 +248,33 @@ class Reader:
         """Read ranges, or the file that `kitassist fit --population` has written."""
         place = f"populations.{name}"
         table = convert(content, PopulationTable, self.file, place)
-        ranges = {key: getattr(table, key) for key in content if key != "file"}
+        ranges = {key: getattr(table, key) for key in content if key not in ("file", "people")}
         try:
             if table.file is None:
-                return Population(**ranges)
+                own = None if table.people is None else parse(table.people, self.file.parent)
+                if table.people is not None and own is None:
+                    raise fault(self.file, f"{place}.people", f"'{table.people}'; expected FILE.py:FUNCTION")
+                return self._known(place, Population(**ranges, chooses=None if own is None else OwnModel.load(*own)))
+            ranges |= {} if table.people is None else {"people": table.people}
             if ranges:
                 raise fault(self.file, place, f"file says what {' and '.join(ranges)} would; expected one of them")
             path = self.file.parent / table.file
-            return populations.mixture(json.loads(path.read_text(encoding="utf-8")))
+            return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
         except StudyError:
             raise
+        except OwnError as error:
+            raise fault(self.file, f"{place}.people", str(error)) from None
         except OSError as error:
             raise fault(self.file, f"{place}.file", f"{error.filename}: {error.strerror}") from None
         except ValueError as error:
             raise fault(self.file, f"{place}{'.file' if table.file else ''}", str(error)) from None
+
+    def _known(self, place: str, population: Population | Mixture) -> Population | Mixture:
+        """Refuse weights of terms that there are not."""
+        for name in population.weights:
+            if name not in TERMS:
+                raise fault(self.file, f"{place}.weights", f"'{name}'; expected one of {', '.join(TERMS)}")
+        return population
 
     def _policies(self, place: str, named: Iterable[str]) -> tuple[str, ...]:
         """Read names of policies; one of the user's own is written FILE.py:FUNCTION and called by its function."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from planner import Instance
 
 from ..people.human import Mixture, Population
+from ..people.own import OwnModel
 from ..team.settings import Setting
 
 SCHEMA = 1
@@ -218,7 +219,9 @@ class Study:
             plain[name] = [label for label, _ in getattr(self, name)]
         digest.update(json.dumps(plain, sort_keys=True).encode())
         named = [path for _, files in self.instances for path in (files.domain, files.problem)]
-        for path in (*named, *(path for _, (path, _) in self.own_policies)):
+        models = (people.chooses for _, people in self.populations)
+        own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in models if isinstance(m, OwnModel))]
+        for path in (*named, *own):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for _, (_, function) in self.own_policies:
             digest.update(function.encode())

@@ -6,14 +6,11 @@ wrong in it is reported as a `PolicyError` with its file and line, since it is n
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 
+from ..people import own
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .priority import Priority
@@ -80,23 +77,10 @@ class OwnPolicy:
         PolicyError
             There is no such file or function, or the file cannot be run.
         """
-        if not file.is_file():
-            raise PolicyError(f"{file}: no such file")
-        # A name of its own for each file, under which its classes find their module.
-        module_name = f"_own_policy_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
-        spec = importlib.util.spec_from_file_location(module_name, file)
-        if spec is None or spec.loader is None:
-            raise PolicyError(f"{file}: expected a Python file, whose name ends in .py")
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[module_name] = module
         try:
-            spec.loader.exec_module(module)
-        except (Exception, SystemExit) as error:
-            raise PolicyError(_described(error, file)) from error
-        function = getattr(module, name, None)
-        if not callable(function):
-            raise PolicyError(f"{file}: has no function '{name}'")
-        return cls(file, name, function)
+            return cls(file, name, own.load(file, name))
+        except own.OwnError as error:
+            raise PolicyError(str(error)) from error.__cause__
 
     @property
     def uses_belief(self) -> bool:
@@ -114,21 +98,4 @@ class OwnPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise PolicyError(_described(error, self.file)) from error
-
-
-def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
-    """Take FILE.py:FUNCTION apart, FILE being sought in a folder; None for what has no such form."""
-    path, colon, function = text.rpartition(":")
-    return ((folder or Path()) / path, function) if colon else None
-
-
-def _described(error: Exception | SystemExit, file: Path) -> str:
-    """Say in one line what went wrong, and where in the user's file."""
-    line = error.lineno if isinstance(error, SyntaxError) else None
-    for frame in traceback.extract_tb(error.__traceback__):
-        if Path(frame.filename) == file or Path(frame.filename).resolve() == file.resolve():
-            line = frame.lineno
-    text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
-    what = type(error).__name__ + (f": {text}" if text else "")
-    return f"{file}:{line}: {what}" if line else f"{file}: {what}"
+            raise PolicyError(own.described(error, self.file)) from error

@@ -1,0 +1,125 @@
+"""Functions of the user's own, in a Python file and written `FILE.py:FUNCTION`.
+
+What goes wrong in one is reported in a line with its file and line, since it is not the caller's to mend.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from .choice_model import ChoiceModelError
+from .choices import Choices
+from .decision import Floats
+
+
+class OwnError(ValueError):
+    """A file or function that there is not, or that fails."""
+
+
+def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
+    """Take FILE.py:FUNCTION apart, FILE being sought in a folder; None for what has no such form."""
+    path, colon, function = text.rpartition(":")
+    return ((folder or Path()) / path, function) if colon else None
+
+
+def load(file: Path, name: str) -> Callable[..., Any]:
+    """Load a function from a Python file.
+
+    Raises
+    ------
+    OwnError
+        There is no such file or function, or the file cannot be run.
+    """
+    if not file.is_file():
+        raise OwnError(f"{file}: no such file")
+    # A name of its own for each file, under which its classes find their module.
+    module_name = f"_own_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
+    spec = importlib.util.spec_from_file_location(module_name, file)
+    if spec is None or spec.loader is None:
+        raise OwnError(f"{file}: expected a Python file, whose name ends in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[module_name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        raise OwnError(described(error, file)) from error
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise OwnError(f"{file}: has no function '{name}'")
+    return function
+
+
+def described(error: Exception | SystemExit, file: Path) -> str:
+    """Say in one line what went wrong, and where in the user's file."""
+    line = error.lineno if isinstance(error, SyntaxError) else None
+    for frame in traceback.extract_tb(error.__traceback__):
+        if Path(frame.filename) == file or Path(frame.filename).resolve() == file.resolve():
+            line = frame.lineno
+    text = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
+    what = type(error).__name__ + (f": {text}" if text else "")
+    return f"{file}:{line}: {what}" if line else f"{file}: {what}"
+
+
+@dataclass(frozen=True)
+class OwnModel:
+    """A choice model of the user's own: a `ChoiceModel` that is loaded in every process in which it is needed.
+
+    Attributes
+    ----------
+    file : Path
+    name : str
+        Of the function in that file.
+    """
+
+    file: Path
+    name: str
+
+    @classmethod
+    def load(cls, file: Path, name: str) -> OwnModel:
+        """Load it once, so that what is wrong with the file is said now.
+
+        Raises
+        ------
+        OwnError
+            As in `load`.
+        """
+        _loaded(file, name)
+        return cls(file, name)
+
+    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
+        """Give the chances that the function gives.
+
+        Raises
+        ------
+        ChoiceModelError
+            It failed; with file and line.
+        """
+        function = _loaded(self.file, self.name)
+        try:
+            return function(choices, q, beta)
+        except (Exception, SystemExit) as error:
+            raise ChoiceModelError(described(error, self.file)) from error
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.name}"
+
+    @property
+    def __name__(self) -> str:
+        """What it is called in messages and records."""
+        return str(self)
+
+    @property
+    def value(self) -> Any:
+        """What trust looks at, if the function says so: it has no such attribute otherwise."""
+        return _loaded(self.file, self.name).value  # type: ignore[attr-defined]
+
+
+_loaded = cache(load)
