@@ -27,7 +27,7 @@ from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, featu
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
-from assist.person.solver import solve
+from assist.person.solver import Solution, solve
 from assist.simulation.simulate import simulate
 from assist.study.cells import carry_out
 from assist.study.protocol import read
@@ -160,7 +160,7 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
     assert seen["chance"] == pytest.approx(1, abs=1e-12)
 
 
-def test_bounds_with_memory_agree_with_another_solver(tiny: Table) -> None:
+def test_bounds_with_memory_agree_with_another_solver(tiny: Table, tmp_path: Path) -> None:
     choices = remembered(tiny)
     population = Population()
     setting = Setting(gamma=0.95, c_suggest=0.1, c_move=0.0, knowledge="exact")
@@ -173,6 +173,10 @@ def test_bounds_with_memory_agree_with_another_solver(tiny: Table) -> None:
         setting, tuple(population.sample(choices, 1, np.random.default_rng(0))), (qmdp(pomdp),), np.zeros(1, int)
     )
     own, other = solve(pomdp, gap=1e-4), joint_bounds(pool, gap=1e-3)
+    own.save(tmp_path / "own.npz")
+    kept = Solution.load(tmp_path / "own.npz").policy.pomdp.model.choices
+    assert kept.terms == choices.terms
+    np.testing.assert_array_equal(kept.state, choices.state)
     assert own.gap <= 1e-4
     assert other.gap <= 1e-3
     assert own.lower <= other.upper
