@@ -19,8 +19,8 @@ demo: $(VENV)/.demo $(VENV)/.compiled
 	@echo
 	@echo "One episode as a picture: demo/episode.png; every action of all of them: demo/trace.jsonl"
 
-test: $(VENV)/.test $(VENV)/.compiled
-	$(BIN)/python -m pytest --numprocesses auto
+test: $(VENV)/.test $(VENV)/.warm
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -42,6 +42,16 @@ docs: $(VENV)/.docs
 
 $(VENV)/.compiled: $(VENV)/bin/python $(SHARED)
 	@find planner assist -name '*.nb[ci]' -delete
+	@touch $@
+
+# What takes long to compile is compiled once, two halves at a time, and not by every worker of the tests for itself.
+$(VENV)/.warm: $(VENV)/.test $(VENV)/.compiled $(wildcard planner/*.py assist/*/*.py)
+	@echo "Compiling ..."
+	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && $(BIN)/kitassist solve $$tiny >$$folder/solved && \
+		{ $(BIN)/kitassist policy $$tiny --gap 0.1 >$$folder/policy & \
+		$(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl >$$folder/team && \
+		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception >$$folder/people; wait; } 2>$$folder/said; \
+		rm -rf $$folder
 	@touch $@
 
 clean:
