@@ -136,6 +136,30 @@ def test_goals_that_are_no_list_of_facts(tmp_path: Path) -> None:
     assert all(done for _, done in drawn.scene(states[3]).goal)
 
 
+FOREIGN = """(define (domain odd)
+  (:requirements :adl :derived-predicates)
+  (:predicates (box ?x) (room ?x) (in ?x ?y) (moved ?x) (free ?x))
+  (:derived (free ?y) (not (exists (?x) (in ?x ?y))))
+  (:action bring :parameters (?x ?y ?z) :precondition (and (box ?x) (in ?x ?y) (free ?z) (not (= ?y ?z)))
+    :effect (and (in ?x ?z) (not (in ?x ?y)) (moved ?x))))"""
+ODD = """(define (problem p) (:domain odd) (:objects a b c x)
+  (:init (box x) (room a) (room b) (room c) (in x a)) (:goal (and (in x c) (moved x))))"""
+
+
+def test_tasks_with_derived_facts_are_drawn(tmp_path: Path) -> None:
+    (tmp_path / "domain.pddl").write_text(FOREIGN)
+    (tmp_path / "p.pddl").write_text(ODD)
+    for profile in ("", "[places]\nin = '?1 in ?2'\n[types]\nroom = {shape = 'panel'}"):
+        if profile:
+            (tmp_path / "drawing.toml").write_text(profile)
+        drawn = Artist(load(tmp_path / "p.pddl"))
+        before, after = (drawn.draw(values) for values in drawn.subject.follow(["(bring x a c)"]))
+        assert sorted(objects_in(after.svg)) == ["a", "b", "c", "x"]
+        assert "Goal: 0 of 2" in before.text
+        assert "Goal: 2 of 2" in after.text
+        assert "axiom" not in after.svg
+
+
 def test_tasks_whose_files_are_gone_are_drawn(tmp_path: Path) -> None:
     for file in ("domain.pddl", "tiny.pddl"):
         shutil.copy(KITTING / file, tmp_path)

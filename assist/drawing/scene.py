@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from .profile import Look, Profile, Rule
@@ -88,13 +88,9 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
     for key in sorted(placed, key=order.__getitem__):
         how, where = placed[key]
         (nodes[where].on if how == "on" else nodes[where].inside).append(nodes[key])
-    for predicate, rule in profile.marks.items():
-        for fact in sorted(facts):
-            if (
-                fact[0] == predicate
-                and (key := rule.of(fact)[0] if isinstance(rule.what, int) else f"#{rule.what}") in nodes
-            ):
-                nodes[key].marks.append(str(rule.where))
+    for rule, fact in _said_by(profile.marks, facts):
+        if (key := _ends(rule, fact)[0]) in nodes:
+            nodes[key].marks.append(str(rule.where))
     _colour(profile, facts, nodes)
     goal = [(say_wanted(profile, wanted), subject.holds(wanted, facts, values)) for wanted in subject.goal]
     for wanted, (_, done) in zip(subject.goal, goal, strict=True):
@@ -119,6 +115,15 @@ def say_wanted(profile: Profile, wanted: Wanted) -> str:
     what, where = (end if "#" not in end else end.replace("#", " ").strip() for end in _ends(rule, wanted.atom))
     middle = f"{'not ' * wanted.negated}{rule.how} " if rule.how else "not " * wanted.negated
     return f"{what} {middle}{where}"
+
+
+def _said_by(rules: Mapping[str, Rule], facts: Iterable[Atom]) -> Iterator[tuple[Rule, Atom]]:
+    """Give the facts of which rules say something, in the order of the rules."""
+    by_predicate: dict[str, list[Atom]] = {}
+    for fact in sorted(facts):
+        by_predicate.setdefault(fact[0], []).append(fact)
+    for predicate, rule in rules.items():
+        yield from ((rule, fact) for fact in by_predicate.get(predicate, ()))
 
 
 def _ends(rule: Rule, fact: Atom) -> tuple[str, str]:
@@ -157,13 +162,9 @@ def _places(
         if what in nodes and where in nodes and what not in placed and at is None:
             placed[what] = how, where
 
-    by_predicate: dict[str, list[Atom]] = {}
-    for fact in sorted(facts):
-        by_predicate.setdefault(fact[0], []).append(fact)
-    for predicate, rule in profile.places.items():
-        for fact in by_predicate.get(predicate, ()):
-            what, where = rule.of(fact)
-            put(what, rule.how, where)
+    for rule, fact in _said_by(profile.places, facts):
+        what, where = rule.of(fact)
+        put(what, rule.how, where)
     for name in subject.objects:
         inside = profile.look(subject, name).inside
         if inside is not None:
@@ -172,7 +173,7 @@ def _places(
 
 
 def _colour(profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
-    pairs = sorted(rule.of(fact) for name, rule in profile.colours.items() for fact in facts if fact[0] == name)
+    pairs = sorted(rule.of(fact) for rule, fact in _said_by(profile.colours, facts))
     leaders = {leader for _, leader in pairs}
     number = {key: count for count, key in enumerate(key for key in nodes if key in leaders)}
     for what, leader in pairs:
@@ -200,12 +201,11 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
 
 def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
     """Write on each node with what it is connected, and how far that is."""
-    for predicate, rule in profile.links.items():
-        for fact in sorted(fact for fact in facts if fact[0] == predicate):
-            what, where = Rule(rule.what, rule.how, rule.where).of(fact)
-            if what in nodes and where in nodes:
-                length = "" if rule.part is None else subject.numbers.get((rule.part, *fact[1:]), "")
-                nodes[what].notes.append(f"{where} {length}".strip())
+    for rule, fact in _said_by(profile.links, facts):
+        what, where = Rule(rule.what, rule.how, rule.where).of(fact)
+        if what in nodes and where in nodes:
+            length = "" if rule.part is None else subject.numbers.get((rule.part, *fact[1:]), "")
+            nodes[what].notes.append(f"{where} {length}".strip())
 
 
 def _roots(subject: Subject, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]) -> list[Node]:

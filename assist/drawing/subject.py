@@ -153,8 +153,8 @@ class Subject:
 
 
 def atom(fact: str) -> Atom | None:
-    """Read a fact of a grounded task; None where it is that something does not hold."""
-    found = re.fullmatch(r"Atom ([^(]+)\((.*)\)", fact)
+    """Read a fact of a grounded task; None where it is that something does not hold, or one of the translator's own."""
+    found = re.fullmatch(r"Atom (?!new-axiom@)([^(]+)\((.*)\)", fact)
     return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
 
 
@@ -215,7 +215,7 @@ def _grounded_goal(task: Task, whole: str = "the goal") -> tuple[Wanted, ...]:
     for variable, value in task.goal:
         fact = task.variables[variable].facts[value]
         one = atom(fact.removeprefix("Negated"))
-        if one is None or one[0].startswith("new-axiom"):
+        if one is None:
             found.append(Wanted(None, False, whole, variable, value))
         else:
             negated = fact.startswith("Negated")
