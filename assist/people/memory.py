@@ -48,17 +48,14 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     if not terms:
         return plain
     states, slots = np.nonzero(plain.applicable & ~plain.goal[:, None])
-    edges = _Edges(plain, goals_met(table, np.arange(len(plain))), dict(terms), states, slots)
-    first = np.full(len(plain), NOTHING_YET)
-    # The pairs: each state as if nothing had come before it, then where each choice leads.
-    to = np.concatenate([np.arange(len(plain)), plain.targets[states, slots]])
-    came = np.concatenate([first, np.arange(len(states))])
-    begins = np.zeros(len(plain), dtype=bool)
-    begins[plain.initial] = True
-    begins[np.setdiff1d(np.arange(len(plain)), plain.targets[states, slots])] = True  # what nothing leads to
-    kept = np.concatenate([np.flatnonzero(begins), np.arange(len(plain), len(to))])
-    row, pair = _merged(edges, to[kept], came[kept])
-    to, came = to[kept][pair], came[kept][pair]
+    edges = _Edges(plain, goals_met(table, np.arange(len(plain))), terms, states, slots)
+    every, reached = np.arange(len(plain)), plain.targets[states, slots]
+    # The pairs: states that an episode may begin in, or that nothing leads to, then where each choice leads.
+    begins = np.union1d(plain.initial, np.setdiff1d(every, reached))
+    to = np.concatenate([begins, reached])
+    came = np.concatenate([np.full(len(begins), NOTHING_YET), np.arange(len(reached))])
+    row, pair = _merged(edges, to, came)
+    to, came = to[pair], came[pair]
     needed = len(to) * plain.applicable.shape[1] * (26 + 8 * len(terms)) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
@@ -69,13 +66,13 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     anywhere = np.zeros(len(plain), dtype=np.int64)  # a row of each state: where a goal's choices would lead
     anywhere[to[::-1]] = np.arange(len(to))[::-1]
     follows = anywhere[plain.targets]
-    follows[states, slots] = row[int(begins.sum()) :]
+    follows[states, slots] = row[len(begins) :]
     own = np.arange(len(to))
     return replace(
         plain,
         h=plain.h[to], goal=plain.goal[to], applicable=plain.applicable[to], actions=plain.actions[to],
         targets=np.where(plain.applicable[to], follows[to], own[:, None]), costs=plain.costs[to],
-        optimal=plain.optimal[to], initial=int(row[np.searchsorted(np.flatnonzero(begins), plain.initial)]),
+        optimal=plain.optimal[to], initial=int(row[np.searchsorted(begins, plain.initial)]),
         state=state, terms=tuple(terms), features=edges.features(to, came),
     )  # fmt: skip
 
