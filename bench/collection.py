@@ -1,6 +1,6 @@
 """Other people's tasks: the first instance of each domain of the public collection `aibasel/downward-benchmarks`.
 
-    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [--read] [--instance K] [--out FILE] [--before FILE]
+    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--instance K] [--out FILE] [--before FILE]
 
 Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and
 memory. The result is one line of JSON for each (status, method, states, seconds, what was said), and a table; with
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import subprocess
 import sys
 import time
@@ -20,6 +21,7 @@ from pathlib import Path
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may take to end by itself
+VERIFY = 20.0  # seconds in which 20 states are compared with Fast Downward's A*
 
 
 def instances(folder: Path, number: int) -> list[tuple[Path, Path]]:
@@ -51,17 +53,19 @@ def solve(domain: str, problem: str, seconds: float, memory: float) -> dict[str,
     from planner import instance
     from planner.solving import SolveOptions, solve_instance
 
-    record = solve_instance(instance(problem, domain), SolveOptions(time_limit=seconds, memory_limit=memory))
+    record = solve_instance(
+        instance(problem, domain), SolveOptions(time_limit=seconds, memory_limit=memory, verify_seconds=VERIFY)
+    )
     said = record["error"]["message"] if record["error"] else record["note"]
     kept = ("status", "method", "states", "cost", "verified", "peak_memory_mb")
-    return {**{key: record[key] for key in kept}, "said": said}
+    return {**{key: record[key] for key in kept}, "search": record["seconds"].get("search"), "said": said}
 
 
 def run(domain: Path, problem: Path, options: argparse.Namespace) -> dict[str, object]:
     """Read or solve one instance in a new process."""
     own = [sys.executable, __file__, "--one", str(domain), str(problem)]
     own += ["--seconds", str(options.seconds), "--memory", str(options.memory)] + ["--read"] * options.read
-    start = time.monotonic()
+    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     try:
         done = subprocess.run(own, capture_output=True, text=True, timeout=options.seconds + GRACE)
     except subprocess.TimeoutExpired:
@@ -72,7 +76,10 @@ def run(domain: Path, problem: Path, options: argparse.Namespace) -> dict[str, o
         else:
             result = {"status": "died", "said": (done.stderr.strip().splitlines() or ["nothing"])[-1]}
     place = problem.parts[-2:] if problem.parent.name != "mprime-renamed" else problem.parts[-3:]
-    return {"instance": "/".join(place), **result, "seconds": round(time.monotonic() - start, 2)}
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    seconds = time.monotonic() - start
+    return {"instance": "/".join(place), **result, "seconds": round(seconds, 2), "cpu": round(cpu, 2)}
 
 
 def show(rows: list[dict[str, object]], before: dict[object, dict[str, object]]) -> None:
@@ -89,6 +96,7 @@ def show(rows: list[dict[str, object]], before: dict[object, dict[str, object]])
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("domains", nargs="*", metavar="DOMAIN", help="these folders only")
     parser.add_argument("--read", action="store_true", help="read only")
     parser.add_argument("--instance", type=int, default=1, help="which instance of each domain")
     parser.add_argument("--seconds", type=float, default=60.0)
@@ -108,6 +116,8 @@ def main() -> None:
         return
     rows = []
     for domain, problem in instances(Path(folder), options.instance):
+        if options.domains and not {*options.domains} & {*problem.parts}:
+            continue
         rows.append(run(domain, problem, options))
         print(f"{rows[-1]['instance']}: {rows[-1]['status']}, {rows[-1]['seconds']} s", file=sys.stderr)
         if options.out is not None:

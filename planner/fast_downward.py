@@ -232,7 +232,7 @@ def _output(process: subprocess.Popen[str], text: str | None, limits: Limits) ->
     end = math.inf if limits.seconds is None else time.monotonic() + limits.seconds
     while True:
         left = end - time.monotonic()
-        wait = left if limits.stop is None else min(left, 0.05)
+        wait = left if limits.stop is None else min(left, 0.02)
         try:
             return process.communicate(text, timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:

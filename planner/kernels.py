@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .atomics import exchange_free, fetch_min, fetch_or, prefetch
-from .reached import ask_for, find_slot, first_slot, number_of
+from .reached import ask_for, close_one, find_slot, first_slot, is_closed, number_of
 from .successors import Ints, Words
 
 PENDING = 256
@@ -240,10 +240,11 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
+def spread_back(tests, decoder, states, closed, distance, d, block, start, out, filled):
     """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
 
-    Returns as `spread` does. Several threads may work on one array of distances.
+    Returns as `spread` does. Several threads may work on one array of distances. `closed` is as `reached.close` fills
+    it, which saves most predecessors' further look-ups, or empty.
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
     pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
@@ -260,7 +261,7 @@ def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     transitions += 1
                     target = after(tests, words, move, index)
-                    if target >= 0:
+                    if target >= 0 and not is_closed(closed, target):
                         ask_for(states, target)
                         pending[waiting] = target
                         waiting += 1
@@ -276,6 +277,7 @@ def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
             if numbers[j] >= 0 and distance[numbers[j]] > d and fetch_min(distance, numbers[j], d) > d:
                 out[filled] = pending[j]
                 filled += 1
+                close_one(closed, pending[j])
     return i, filled, transitions
 
 
@@ -292,10 +294,11 @@ def mark(decoder, block, masks, values, marks):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def relax(tests, decoder, states, block, start, d, distance, out, through, filled):
+def relax(tests, decoder, states, closed, block, start, d, distance, out, through, filled):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and their new distance.
 
-    Several threads may work on one array of distances.
+    Several threads may work on one array of distances. `closed` is as for `spread_back`; states are closed as they are
+    settled.
 
     Returns
     -------
@@ -314,12 +317,13 @@ def relax(tests, decoder, states, block, start, d, distance, out, through, fille
             i += 1
             if distance[number_of(states, index)] != d:
                 continue  # it has been reached on a cheaper way since it was pushed
+            close_one(closed, index)
             decode(decoder, index, words)
             t = holding(tests, words, 0)
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     target = after(tests, words, move, index)
-                    if target >= 0:
+                    if target >= 0 and not is_closed(closed, target):
                         ask_for(states, target)
                         pending[waiting], values[waiting] = target, d + tests.cost[move]
                         waiting += 1

@@ -26,7 +26,7 @@ from .searches import Progress
 from .sweep import sweep
 from .task import Task
 
-HEAD_START = 0.5
+HEAD_START = 0.05
 """Seconds before the first state is asked for while a sweep is under way."""
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .atomics import prefetch
+from .atomics import fetch_or, prefetch
 from .successors import Ints, Words
 
 AHEAD = 16
@@ -196,3 +196,32 @@ def label(states, distance, d, block):
         if i + AHEAD < len(block):
             ask_for(states, block[i + AHEAD])
         distance[number_of(states, block[i])] = d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def close(states, distance, unreached, closed):
+    """Fill a bitmap of the indices that no search has to look at: of no state, or of one that has a distance."""
+    number = 0
+    for word in range(len(states.bits)):
+        rest = states.bits[word]
+        left = ~rest
+        while rest != 0:
+            lowest = rest & (~rest + np.uint64(1))
+            if distance[number] != unreached:
+                left |= lowest
+            number += 1
+            rest ^= lowest
+        closed[word] = left
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_closed(closed, index):
+    """Tell whether an index is closed; where there is no bitmap, none is."""
+    return len(closed) != 0 and closed[index >> 6] & (np.uint64(1) << np.uint64(index & 63)) != 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def close_one(closed, index):
+    """Close an index, where there is a bitmap; several threads may do so."""
+    if len(closed):
+        fetch_or(closed, index >> 6, np.uint64(1) << np.uint64(index & 63))

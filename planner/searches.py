@@ -41,6 +41,8 @@ SMALL_BITMAP = 1 << 29
 SPARSE = 1 << 10
 """Indices per state from which on a larger bitmap gives way to a hash table; tasks with more are rare."""
 
+CLOSED = 0.75
+"""Share of the memory that may be in use once the backward search has a bitmap of its own."""
 
 T = TypeVar("T")
 
@@ -311,6 +313,8 @@ class Searches:
             for block in frontier:
                 reached.label(states, distance, 0, block)
         done = sum(map(len, frontier)) if so_far is None else int((distance != np.iinfo(dtype).max).sum())
+        closed = self._closed(states, distance, in_use)
+        in_use += closed.nbytes
         while frontier:
             if self.checkpoint and self.checkpoint.due and len(states.bits):
                 arrays = {"bits": states.bits, "distance": distance, "frontier": np.concatenate(frontier)}
@@ -323,12 +327,20 @@ class Searches:
                 wider = distance.astype(dtype)
                 wider[distance == narrow] = np.iinfo(dtype).max
                 distance = wider
-            push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, distance, d)
+            push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, closed, distance, d)
             frontier, _ = self._layer(push, frontier, in_use, total)
             done += sum(map(len, frontier))
             self.progress("cost-to-go", done)
         largest = d - cost  # the last layer was empty
         return distance if largest >= np.iinfo(np.uint8).max else distance.astype(smallest_type(largest), copy=False)
+
+    def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
+        """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
+        fits = in_use + states.bits.nbytes <= self.budget.memory * CLOSED
+        closed = np.empty(len(states.bits) if fits else 0, dtype=np.uint64)
+        if len(closed):
+            reached.close(states, distance, np.iinfo(distance.dtype).max, closed)
+        return closed
 
     def _any_costs(self, states: States, total: int, frontier: list[Ints], largest: int) -> NDArray[Any]:
         """Settle the states in the order of their distance (Dial 1969), costs of zero included."""
@@ -340,6 +352,8 @@ class Searches:
         size = max(BLOCK, 4 * self.backward.most)
         for block in frontier:
             reached.label(states, distance, 0, block)
+        closed = self._closed(states, distance, in_use)
+        in_use += closed.nbytes
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
         held = sum(map(len, frontier))  # indices that wait
@@ -365,7 +379,17 @@ class Searches:
                     stop = 0
                     while stop < len(block):
                         stop, filled = kernels.relax(
-                            self.backward, self.coding.decoder, states, block, stop, d, distance, out, through, 0
+                            self.backward,
+                            self.coding.decoder,
+                            states,
+                            closed,
+                            block,
+                            stop,
+                            d,
+                            distance,
+                            out,
+                            through,
+                            0,
                         )
                         pushed.append((out[:filled].copy(), through[:filled].copy()))
                 return pushed
