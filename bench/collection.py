@@ -1,10 +1,12 @@
 """Other people's tasks: the first instance of each domain of the public collection `aibasel/downward-benchmarks`.
 
-    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--instance K] [--out FILE] [--before FILE]
+    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--instance K] [--out FILE]
+                                                           [--before FILE] [--busy N]
 
 Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and
 memory. The result is one line of JSON for each (status, method, states, seconds, what was said), and a table; with
-`--before FILE` the table has an earlier run's figures beside.
+`--before FILE` the table has an earlier run's figures beside. What `--out FILE` has already is not run again. On a
+machine that others use, `--busy N` allows N times as much time on the clock; processor time is limited in any case.
 Domains made for satisficing and agile tracks, and split ones, are left out.
 """
 
@@ -14,6 +16,7 @@ import argparse
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -61,25 +64,34 @@ def solve(domain: str, problem: str, seconds: float, memory: float) -> dict[str,
     return {**{key: record[key] for key in kept}, "search": record["seconds"].get("search"), "said": said}
 
 
+def name_of(problem: Path) -> str:
+    """The name of an instance in the collection."""
+    return "/".join(problem.parts[-2:] if problem.parent.name != "mprime-renamed" else problem.parts[-3:])
+
+
 def run(domain: Path, problem: Path, options: argparse.Namespace) -> dict[str, object]:
     """Read or solve one instance in a new process."""
     own = [sys.executable, __file__, "--one", str(domain), str(problem)]
-    own += ["--seconds", str(options.seconds), "--memory", str(options.memory)] + ["--read"] * options.read
+    patience = options.seconds * options.busy
+    own += ["--seconds", str(patience), "--memory", str(options.memory), "--busy", str(options.busy)] + [
+        "--read"
+    ] * options.read
     start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
     try:
-        done = subprocess.run(own, capture_output=True, text=True, timeout=options.seconds + GRACE)
+        done = subprocess.run(own, capture_output=True, text=True, timeout=patience + GRACE)
     except subprocess.TimeoutExpired:
-        result: dict[str, object] = {"status": "limit", "said": f"no end after {options.seconds + GRACE:g} s"}
+        result: dict[str, object] = {"status": "limit", "said": f"no end after {patience + GRACE:g} s"}
     else:
         if done.returncode == 0:
             result = json.loads(done.stdout.splitlines()[-1])
+        elif done.returncode == -signal.SIGXCPU:
+            result = {"status": "limit", "said": f"out of processor time ({options.seconds + GRACE:g} s)"}
         else:
             result = {"status": "died", "said": (done.stderr.strip().splitlines() or ["nothing"])[-1]}
-    place = problem.parts[-2:] if problem.parent.name != "mprime-renamed" else problem.parts[-3:]
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     seconds = time.monotonic() - start
-    return {"instance": "/".join(place), **result, "seconds": round(seconds, 2), "cpu": round(cpu, 2)}
+    return {"instance": name_of(problem), **result, "seconds": round(seconds, 2), "cpu": round(cpu, 2)}
 
 
 def show(rows: list[dict[str, object]], before: dict[object, dict[str, object]]) -> None:
@@ -100,6 +112,7 @@ def main() -> None:
     parser.add_argument("--read", action="store_true", help="read only")
     parser.add_argument("--instance", type=int, default=1, help="which instance of each domain")
     parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--busy", type=float, default=1.0, help="how many times slower than an idle machine it may be")
     parser.add_argument("--memory", type=float, default=6000.0, help="MB")
     parser.add_argument("--out", type=Path, help="a file for the records, as JSON Lines")
     parser.add_argument("--before", type=Path, help="the records of an earlier run")
@@ -107,6 +120,8 @@ def main() -> None:
     options = parser.parse_args()
     if options.one:
         domain, problem = options.one
+        _, most = resource.getrlimit(resource.RLIMIT_CPU)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(options.seconds / options.busy + GRACE), most))
         done = read(domain, problem) if options.read else solve(domain, problem, options.seconds, options.memory)
         print(json.dumps(done))
         return
@@ -114,9 +129,11 @@ def main() -> None:
     if folder is None:
         print("DOWNWARD_BENCHMARKS is not set to the collection's folder: nothing to do")
         return
-    rows = []
+    kept = options.out.read_text().splitlines() if options.out is not None and options.out.is_file() else []
+    rows = [json.loads(line) for line in kept]
+    known = {row["instance"] for row in rows}
     for domain, problem in instances(Path(folder), options.instance):
-        if options.domains and not {*options.domains} & {*problem.parts}:
+        if name_of(problem) in known or (options.domains and not {*options.domains} & {*problem.parts}):
             continue
         rows.append(run(domain, problem, options))
         print(f"{rows[-1]['instance']}: {rows[-1]['status']}, {rows[-1]['seconds']} s", file=sys.stderr)
@@ -126,7 +143,7 @@ def main() -> None:
     before = {}
     if options.before is not None:
         before = {row["instance"]: row for row in map(json.loads, options.before.read_text().splitlines())}
-    show(rows, before)
+    show(sorted(rows, key=lambda row: str(row["instance"])), before)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ module of that name, asks Fast Downward for one state at a time. `verify` compar
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
@@ -103,10 +103,13 @@ class Table:
     distance : unsigned integer array, shape (n,)
         h* in the task's cost units, in the smallest type that holds it; the type's largest value marks
         a dead end.
+    note : str or None
+        Why it was made in a way that takes much longer than usual, if it was.
     """
 
     space: StateSpace
     distance: NDArray[np.unsignedinteger]
+    note: str | None = None
 
     def __post_init__(self) -> None:
         self.distance.flags.writeable = False
@@ -247,7 +250,7 @@ def backward(
     costs: Ints,
     goal: NDArray[np.bool_],
     *,
-    deadline: float | None = None,
+    check: Callable[[int], None] = lambda _states: None,
 ) -> Ints:
     """Compute the distance of every state to the goal states along given edges (Dijkstra 1959).
 
@@ -258,18 +261,13 @@ def backward(
     targets, sources, costs : int arrays, shape (m,)
         Edges from `sources` to `targets`; costs of 0 or more.
     goal : bool array, shape (n,)
-    deadline : float, optional
-        A time on `time.monotonic()`'s clock.
+    check : callable, optional
+        Called with n before each distance; it may raise `LimitError`.
 
     Returns
     -------
     int64 array, shape (n,)
         `UNREACHED` where there is no way.
-
-    Raises
-    ------
-    LimitError
-        The deadline has passed.
     """
     by_target = np.argsort(targets, kind="stable")
     into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
@@ -280,8 +278,7 @@ def backward(
     distance[goal] = 0
     waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
     while waiting:
-        if deadline is not None and time.monotonic() > deadline:
-            raise LimitError("out of time in the backward search")
+        check(len(goal))
         d = min(waiting)
         frontier = np.unique(np.concatenate(waiting.pop(d)))
         frontier = frontier[~settled[frontier] & (distance[frontier] == d)]

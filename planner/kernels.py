@@ -165,7 +165,8 @@ def decode_all(decoder, indices, states):
 def spread(tests, decoder, closed, block, start, out, filled):
     """Push the successors that are not closed yet, and close them.
 
-    Several threads may work on one bitmap: which of them pushes a successor is left open, but one does.
+    Several threads may work on one bitmap: which of them pushes a successor is left open, but one does. The words of
+    many successors are asked for before the first is looked at, since the memory takes long to answer.
 
     Returns
     -------
@@ -176,33 +177,40 @@ def spread(tests, decoder, closed, block, start, out, filled):
     transitions : int
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
+    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
     transitions = 0
-    for i in range(start, len(block)):
-        if filled + tests.most > len(out):
-            return i, filled, transitions
-        index = block[i]
-        decode(decoder, index, words)
-        t = holding(tests, words, 0)
-        while t < len(tests.word):
-            for move in range(tests.first[t], tests.first[t + 1]):
-                transitions += 1
-                target = after(tests, words, move, index)
-                if target < 0:
-                    continue
-                bit = np.uint64(1) << np.uint64(target & 63)
-                if not closed[target >> 6] & bit and not fetch_or(closed, target >> 6, bit) & bit:
-                    out[filled] = target
-                    filled += 1
-            t = holding(tests, words, t + 1)
-    return len(block), filled, transitions
+    i = start
+    while i < len(block):
+        waiting, begun = 0, i
+        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+            index = block[i]
+            decode(decoder, index, words)
+            t = holding(tests, words, 0)
+            while t < len(tests.word):
+                for move in range(tests.first[t], tests.first[t + 1]):
+                    transitions += 1
+                    target = after(tests, words, move, index)
+                    if target >= 0:
+                        prefetch(closed, target >> 6)
+                        pending[waiting] = target
+                        waiting += 1
+                t = holding(tests, words, t + 1)
+            i += 1
+        if i == begun:
+            break
+        for target in pending[:waiting]:
+            bit = np.uint64(1) << np.uint64(target & 63)
+            if not closed[target >> 6] & bit and not fetch_or(closed, target >> 6, bit) & bit:
+                out[filled] = target
+                filled += 1
+    return i, filled, transitions
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
     """Push the successors that are not in a hash table yet, at most `room`, and put them there.
 
-    Returns as `spread` does. Several threads may work on one table. The places of many successors are asked for before
-    the first is looked at, since the memory takes long to answer.
+    Returns as `spread` does. Several threads may work on one table.
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
     pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
@@ -240,11 +248,11 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def spread_back(tests, decoder, states, closed, distance, d, block, start, out, filled):
+def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
     """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
 
-    Returns as `spread` does. Several threads may work on one array of distances. `closed` is as `reached.close` fills
-    it, which saves most predecessors' further look-ups, or empty.
+    Returns as `spread` does. Several threads may work on one array of distances. For sets of states without a bitmap,
+    and where the memory is short of one for `spread`.
     """
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
     pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
@@ -261,7 +269,7 @@ def spread_back(tests, decoder, states, closed, distance, d, block, start, out, 
                 for move in range(tests.first[t], tests.first[t + 1]):
                     transitions += 1
                     target = after(tests, words, move, index)
-                    if target >= 0 and not is_closed(closed, target):
+                    if target >= 0:
                         ask_for(states, target)
                         pending[waiting] = target
                         waiting += 1
@@ -277,7 +285,6 @@ def spread_back(tests, decoder, states, closed, distance, d, block, start, out, 
             if numbers[j] >= 0 and distance[numbers[j]] > d and fetch_min(distance, numbers[j], d) > d:
                 out[filled] = pending[j]
                 filled += 1
-                close_one(closed, pending[j])
     return i, filled, transitions
 
 
@@ -297,8 +304,8 @@ def mark(decoder, block, masks, values, marks):
 def relax(tests, decoder, states, closed, block, start, d, distance, out, through, filled):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and their new distance.
 
-    Several threads may work on one array of distances. `closed` is as for `spread_back`; states are closed as they are
-    settled.
+    Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which
+    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty.
 
     Returns
     -------
@@ -323,14 +330,21 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     target = after(tests, words, move, index)
-                    if target >= 0 and not is_closed(closed, target):
-                        ask_for(states, target)
+                    if target >= 0:
+                        if len(closed):
+                            prefetch(closed, target >> 6)
                         pending[waiting], values[waiting] = target, d + tests.cost[move]
                         waiting += 1
                 t = holding(tests, words, t + 1)
         if i == begun:
             break
+        asked = 0
         for j in range(waiting):
+            if not is_closed(closed, pending[j]):
+                ask_for(states, pending[j])
+                pending[asked], values[asked] = pending[j], values[j]
+                asked += 1
+        for j in range(asked):
             number = number_of(states, pending[j])
             if number >= 0 and values[j] < distance[number] and values[j] < fetch_min(distance, number, values[j]):
                 out[filled], through[filled] = pending[j], values[j]

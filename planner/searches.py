@@ -310,8 +310,8 @@ class Searches:
             dtype = distance.dtype.type
         else:
             distance, d = np.full(total, np.iinfo(dtype).max, dtype=dtype), 0
-            for block in frontier:
-                reached.label(states, distance, 0, block)
+        for block in frontier:
+            reached.label(states, distance, d, block)
         done = sum(map(len, frontier)) if so_far is None else int((distance != np.iinfo(dtype).max).sum())
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
@@ -327,12 +327,35 @@ class Searches:
                 wider = distance.astype(dtype)
                 wider[distance == narrow] = np.iinfo(dtype).max
                 distance = wider
-            push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, closed, distance, d)
+            push: Push
+            if len(closed):
+                push = partial(self._label_and_spread, states, closed, distance, d - cost)
+            else:
+                push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, distance, d)
             frontier, _ = self._layer(push, frontier, in_use, total)
             done += sum(map(len, frontier))
             self.progress("cost-to-go", done)
         largest = d - cost  # the last layer was empty
         return distance if largest >= np.iinfo(np.uint8).max else distance.astype(smallest_type(largest), copy=False)
+
+    def _label_and_spread(
+        self,
+        states: States,
+        closed: Words,
+        distance: NDArray[Any],
+        d: int,
+        block: Ints,
+        start: int,
+        out: Ints,
+        filled: int,
+    ) -> tuple[int, int, int]:
+        """Give the states of a sorted block their distance, and push the predecessors that are not closed.
+
+        In this order, what is looked up of one state lies beside what is looked up of the next.
+        """
+        if start == 0:
+            reached.label(states, distance, d, block)
+        return kernels.spread(self.backward, self.coding.decoder, closed, block, start, out, filled)
 
     def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
         """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""

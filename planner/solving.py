@@ -206,6 +206,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             notes.append(f"solved on demand: {answers.reason}")
         else:
             table = answers
+            notes += [table.note] if table.note else []
     if table is not None:
         finite = table.distance[~table.dead_end]
         record.update(

@@ -7,8 +7,7 @@ here keeps the packed states themselves, in breadth-first order; `sweep` has a m
 
 from __future__ import annotations
 
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -198,7 +197,9 @@ class Listed:
         return self.rows
 
 
-def explore(task: Task, *, max_states: int | None = None, deadline: float | None = None) -> StateSpace:
+def explore(
+    task: Task, *, max_states: int | None = None, check: Callable[[int], None] = lambda _states: None
+) -> StateSpace:
     """Enumerate the reachable states of any task, breadth first, with all transitions in memory.
 
     Parameters
@@ -206,13 +207,13 @@ def explore(task: Task, *, max_states: int | None = None, deadline: float | None
     task : Task
     max_states : int, optional
         The largest number of states that may be stored.
-    deadline : float, optional
-        A time on `time.monotonic()`'s clock.
+    check : callable, optional
+        Called before each layer with how many states there are; it may raise `LimitError`.
 
     Raises
     ------
     LimitError
-        More states than `max_states`, or the deadline has passed.
+        More states than `max_states`.
     """
     packing = Packing.of(task)
     successors = Successors(task, packing)
@@ -222,8 +223,7 @@ def explore(task: Task, *, max_states: int | None = None, deadline: float | None
     edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
     first = 0  # number of the layer's first state
     while len(layer):
-        if deadline is not None and time.monotonic() > deadline:
-            raise LimitError(f"out of time after {len(seen)} states")
+        check(len(seen))
         rows, actions, after = successors.edges(layer)
         edges.append((rows + first, actions, after))
         first += len(layer)

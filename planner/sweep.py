@@ -125,12 +125,14 @@ def sweep(
     budget = Budget(max_states, memory, deadline, stop)
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    moves = None if any(v.axiom_layer >= 0 for v in task.variables) else split_operators(task)
-    coding = None
-    if moves is not None:
-        coding, moves = choose(task, moves)
-    if moves is None or coding is None:
-        return _slow_sweep(task, budget)
+    if any(variable.axiom_layer >= 0 for variable in task.variables):
+        return _slow_sweep(task, budget, "it has derived variables")
+    moves = split_operators(task)
+    if moves is None:
+        return _slow_sweep(task, budget, "its operators split into very many moves")
+    coding, moves = choose(task, moves)
+    if coding is None:
+        return _slow_sweep(task, budget, "its states take more than 62 bits each")
     searches = Searches(
         coding,
         build_tests(moves, coding, task.costs),
@@ -146,8 +148,8 @@ def sweep(
     return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance)
 
 
-def _slow_sweep(task: Task, budget: Budget) -> Table:
-    """Sweep with all transitions in memory, which does for every task."""
+def _slow_sweep(task: Task, budget: Budget, why: str) -> Table:
+    """Sweep with all transitions in memory, which does for every task; the table's note says why."""
     # At most so many operators are applicable at once: those that agree on the value of some variable.
     most = len(task.operators)
     for variable, description in enumerate(task.variables):
@@ -159,7 +161,7 @@ def _slow_sweep(task: Task, budget: Budget) -> Table:
     affordable = int(budget.memory / per_state)
     limit = affordable if budget.max_states is None else min(affordable, budget.max_states)
     try:
-        space = explore(task, max_states=limit, deadline=budget.deadline)
+        space = explore(task, max_states=limit, check=budget.check_time)
     except LimitError:
         budget.check_time(limit)
         if limit == budget.max_states:
@@ -167,5 +169,6 @@ def _slow_sweep(task: Task, budget: Budget) -> Table:
         raise MemoryLimitError(
             f"{budget.memory / 1e6:.0f} MB of memory may not do for more than {limit} states"
         ) from None
-    distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, deadline=budget.deadline)
-    return Table(space, compact(distance))
+    distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, check=budget.check_time)
+    note = f"swept with all transitions in memory, which is some hundred times slower than without: {why}"
+    return Table(space, compact(distance), note)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import random
+import threading
 import time
 
 import numpy as np
@@ -143,11 +144,28 @@ def test_random_tasks(seed, costs, hashed, monkeypatch):
         check(random_task(rng, costs=costs))
 
 
+@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
+def test_random_tasks_where_memory_is_short(costs, monkeypatch):
+    monkeypatch.setattr(searches, "CLOSED", 0)
+    rng = random.Random(f"short {costs}")
+    for _ in range(25):
+        check(random_task(rng, costs=costs))
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_random_tasks_with_axioms(seed):
     rng = random.Random(seed)
     for _ in range(20):
-        check(random_task(rng, axioms=True, costs=range(3)))
+        task = random_task(rng, axioms=True, costs=range(3))
+        check(task)
+        assert "derived variables" in sweep(task).note
+
+
+def test_the_plain_sweep_can_be_stopped():
+    task, stop = random_task(random.Random(0), axioms=True), threading.Event()
+    stop.set()
+    with pytest.raises(LimitError, match="stopped"):
+        sweep(task, stop=stop)
 
 
 @pytest.mark.parametrize("seed", range(2))
