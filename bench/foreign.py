@@ -1,6 +1,6 @@
 """Time and memory of the sweep on encodings that are not this project's, beside its own kitting ladder.
 
-    python bench/foreign.py [NAME...] [--sparse] [--out FILE]
+    python bench/foreign.py [NAME...] [--sparse] [--record FILE]
 
 Encodings that this file writes (`counters`, `stacks`, `grid`, `transport`), `domains/depot`, and instances of the
 public benchmark collection, where the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs in a
@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from tables import Columns, record_option, write_record
 
 HERE = Path(__file__).resolve().parent
 DOMAINS = HERE.parent / "domains"
@@ -145,10 +146,25 @@ def transport(places: int, vans: int, parcels: int, capacity: int) -> tuple[str,
 
 
 GENERATED = {
-    "counters": lambda: counters(4, (5, 4, 4), 3),
+    "counters": lambda: counters(4, (5, 5, 4), 3),
     "stacks": lambda: stacks(7, 4),
     "grid": lambda: grid(6, 6, 4),
     "transport": lambda: transport(6, 2, 5, 2),
+}
+
+SHOWN = {
+    "counters": "counters: goods counted at places and on a van",
+    "stacks": "stacks: seven boxes on four stands",
+    "grid": "grid: four tokens on 36 cells",
+    "transport": "transport: two vans of capacity two",
+}
+COLUMNS: Columns = {
+    "instance": lambda row: SHOWN.get(row["instance"], f"`{row['instance']}`"),
+    "states": lambda row: f"{row['states']:,}",
+    "M states/s": lambda row: f"{row['rate']:.2f}",
+    "ratio": lambda row: f"{row['ratio']:.1f}",
+    "transitions per state": lambda row: f"{row['transitions'] / row['states']:.1f}",
+    "bytes per state": lambda row: f"{row['bytes']:.1f}",
 }
 
 
@@ -171,7 +187,7 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
     if sparse:
         searches = importlib.import_module("planner.searches")
         searches.SMALL_BITMAP = searches.SPARSE = 0  # type: ignore[attr-defined]
-    for small in ("kitting/tiny.pddl", "depot/two-columns.pddl"):
+    for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())
     task = load(file, domain)
@@ -192,10 +208,10 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
 @click.command()
 @click.argument("names", nargs=-1)
 @click.option("--sparse", is_flag=True, help="Forbid bitmaps.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the rows here, as JSON.")
+@record_option
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Write the generated instances instead.")
 @click.option("--one", type=click.Path(path_type=Path), hidden=True)
-def main(names: tuple[str, ...], sparse: bool, out: Path | None, target: Path | None, one: Path | None) -> None:
+def main(names: tuple[str, ...], sparse: bool, record: Path | None, target: Path | None, one: Path | None) -> None:
     """Sweep instances in other people's encodings, and the kitting ladder."""
     if one is not None:
         click.echo(json.dumps(measure(one, sparse)))
@@ -228,8 +244,10 @@ def main(names: tuple[str, ...], sparse: bool, out: Path | None, target: Path | 
                 f"{name:34}{row['states']:>12,}{rate[0] / 1e6:>12.2f}{rate[1] / rate[0]:>7.1f}"
                 f"{row['transitions'] / row['states']:>8.1f}{row['bytes']:>8.1f}{indices:>10}"
             )
-    if out is not None:
-        out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    for row in rows:
+        row["rate"] = row["states"] / row["cpu"] / 1e6
+        row["ratio"] = rows[0]["rate"] / row["rate"]
+    write_record(record, COLUMNS, rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Sweeping all states, asking for single ones, and `cost_to_go`, which does both until one of them is done.
 
-    python bench/methods.py [NAME...] [--repeat N] [--limit S] [--out FILE]
+    python bench/methods.py [NAME...] [--repeat N] [--limit S]
 
 Cases of which some are swept by far faster and some asked for by far faster: a task, and states of random walks through
 it whose cost-to-go is wanted. Each method runs in a process of its own, which reads the task and loads compiled code
@@ -22,6 +22,7 @@ from typing import Any
 import click
 import numpy as np
 from foreign import GENERATED, write
+from tables import Columns, record_option, write_record
 
 from planner import OnDemand, cost_to_go, load, sweep
 
@@ -45,6 +46,19 @@ CASES = {
 METHODS = ("sweep", "on demand", "cost_to_go")
 LARGEST = 100_000_000
 """States that are swept at most."""
+
+
+def number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+COLUMNS: Columns = {
+    "task, states wanted": lambda row: f"`{row['case'].replace(', ', '`, ')}",
+    "sweep, s": lambda row: number(row["seconds"]["sweep"]),
+    "on demand, s": lambda row: number(row["seconds"]["on demand"]),
+    "`cost_to_go`, s": lambda row: number(row["seconds"]["cost_to_go"]),
+    "times the better": lambda row: number(row["times"]),
+}
 
 
 def seconds_of(method: str, task_name: str, count: int) -> dict[str, Any]:
@@ -92,9 +106,11 @@ def measured(name: str, method: str, limit: float) -> dict[str, Any]:
 @click.argument("names", nargs=-1)
 @click.option("--repeat", type=click.IntRange(min=1), default=3, show_default=True)
 @click.option("--limit", type=float, default=120.0, show_default=True, help="Seconds for one method.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the rows here, as JSON.")
+@record_option
 @click.option("--one", nargs=3, type=(click.Choice(METHODS), str, int), hidden=True)
-def main(names: tuple[str, ...], repeat: int, limit: float, out: Path | None, one: tuple[str, str, int] | None) -> None:
+def main(
+    names: tuple[str, ...], repeat: int, limit: float, record: Path | None, one: tuple[str, str, int] | None
+) -> None:
     """Compare the ways to come by the cost-to-go of some states."""
     if one is not None:
         click.echo(json.dumps(seconds_of(*one)))
@@ -116,10 +132,9 @@ def main(names: tuple[str, ...], repeat: int, limit: float, out: Path | None, on
         chosen = finished["cost_to_go"][-1]["method"] if finished["cost_to_go"] else None
         times = None if own is None or best is None else own / best
         rows.append({"case": name, "seconds": seconds, "times": times, "chosen": chosen})
-        shown = "".join(f"{'-' if s is None else format(s, '.2f'):>12}" for s in seconds.values())
-        click.echo(f"{name:34}{shown}{'-' if times is None else format(times, '.2f'):>8}  {chosen}")
-    if out is not None:
-        out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        shown = "".join(f"{number(s):>12}" for s in seconds.values())
+        click.echo(f"{name:34}{shown}{number(times):>8}  {chosen}")
+    write_record(record, COLUMNS, rows)
 
 
 if __name__ == "__main__":

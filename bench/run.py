@@ -29,6 +29,7 @@ CASES = {
     "growth": ("--repeat 3", "--repeat 1 --steps 1"),
     "honesty": ("--quick --time-limit 5", "--quick --instances paper-fixed --time-limit 1"),
     "live": ("--steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
+    "methods": ("--repeat 1 --limit 30", "kitting/tiny --repeat 1"),
     "on_demand": ("--states 20", "--states 2"),
     "pomdp": ("--timeout 20 --solvers kitassist", "--timeout 2 --solvers kitassist --settings 0.95/1/0"),
     "study": ("", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),

@@ -10,11 +10,12 @@ the numbers of values.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from .mutexes import Mutexes
 from .reached import find_slot
@@ -22,6 +23,9 @@ from .successors import Ints
 
 MOST_VALUES = 1 << 16
 """Joint values of one cluster at most."""
+
+MOST_WORK = 1 << 31
+"""Moves that are tried on projected values, some five seconds' worth, before clusters stay as they are."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Projections:
         first, moves = mutexes.first, mutexes.moves
         self.sizes = np.diff(first)
         self.initial = np.asarray(initial, dtype=np.int64)
+        self.work = 0  # moves that have been tried on projected values
         self.after = np.full((len(moves), len(self.sizes)), -1, dtype=np.int64)
         words = (int(self.sizes.max(initial=1)) + 63) // 64
         # Bit `value` of `allowed[move, variable]`: whether the variable may have the value where the move is applied.
@@ -73,7 +78,8 @@ class Projections:
     def explore(self, variables: Sequence[int], most: int) -> Ints | None:
         """Give the values that variables can take together, shape (n, variables); None if more than `most`."""
         columns = list(variables)
-        touching = (self.after[:, columns] >= 0).any(axis=1)
+        touching: NDArray[np.bool_] = np.any(self.after[:, columns] >= 0, axis=1)
+        self.work += 2 * len(touching) + 300 * int(touching.sum())  # to cut the projection, in the same measure
         after = self.after[touching][:, columns]
         allowed = self.allowed[touching][:, columns]
         if len(after):
@@ -88,15 +94,24 @@ class Projections:
             np.ascontiguousarray(after), np.ascontiguousarray(allowed), self.initial[columns], factors,
             self.sizes[columns], most,
         )  # fmt: skip
+        self.work += len(after) * (len(keys) or most)
         if len(keys) == 0:
             return None
         return np.sort(keys)[:, None] // factors % self.sizes[columns]
 
 
 def clusters(
-    mutexes: Mutexes, initial: Sequence[int], variables: Sequence[int], *, alone: bool = False
+    mutexes: Mutexes,
+    initial: Sequence[int],
+    variables: Sequence[int],
+    *,
+    alone: bool = False,
+    check: Callable[[], None] = lambda: None,
 ) -> list[Cluster]:
-    """Merge some of the variables into clusters; unless `alone`, one that is left is a cluster of its own."""
+    """Merge some of the variables into clusters; unless `alone`, one that is left is a cluster of its own.
+
+    `check` is called again and again, and may raise `LimitError`.
+    """
     projections = Projections(mutexes, initial)
     found: dict[int, Cluster] = {}
     for number, v in enumerate(variables):
@@ -110,9 +125,11 @@ def clusters(
     gains: dict[tuple[int, int], tuple[float, Cluster | None]] = {}
     while True:
         for a in found:
+            check()
             for b in found:
                 if a < b and (a, b) not in gains:
-                    gains[a, b] = _merged(projections, found[a], found[b], linked)
+                    worthwhile = projections.work < MOST_WORK
+                    gains[a, b] = _merged(projections, found[a], found[b], linked) if worthwhile else (0.0, None)
         best = max(gains, key=lambda pair: (gains[pair][0], -pair[0], -pair[1]), default=None)
         if best is None or gains[best][0] <= 0:
             break

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,15 +102,15 @@ class Coding:
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder)
 
     @classmethod
-    def dense(cls, task: Task, mutexes: Mutexes) -> Coding | None:
+    def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> Coding | None:
         """Number the states by clusters, but for the variables that invariants determine; None as above.
 
-        The moves are those of the mutexes.
+        The moves are those of the mutexes. `check` is called again and again, and may raise `LimitError`.
         """
         sizes = [len(variable.facts) for variable in task.variables]
         left_out = determined(task, mutexes.moves)
         implied = {d.variable for d in left_out}
-        merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied])
+        merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied], check=check)
         left_out, merged = _joined(left_out, merged, mutexes.first)
         uses = Counter(v for move in mutexes.moves for v in move.facts)
         merged.sort(key=lambda c: (sum(uses[v] for v in c.variables), c.variables))
@@ -218,14 +218,19 @@ class Coding:
         return self.packing.unpack(words)
 
 
-def choose(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
-    """Choose the coding of a task, and leave out moves that can never be applied; no coding if 63 bits do not do."""
+def choose(task: Task, moves: list[Move], check: Callable[[], None] = lambda: None) -> tuple[Coding | None, list[Move]]:
+    """Choose the coding of a task, and leave out moves that can never be applied; no coding if 63 bits do not do.
+
+    `check` is called again and again, and may raise `LimitError`.
+    """
     groups, possible = exactly_one(task, moves)
     coding = Coding.of(task, groups, possible)
     if coding is not None and coding.size <= MANY:
         return coding, possible
+    check()
     mutexes = Mutexes.of(task, possible)
-    denser = None if mutexes is None else Coding.dense(task, mutexes)
+    check()
+    denser = None if mutexes is None else Coding.dense(task, mutexes, check)
     if mutexes is None or denser is None or (coding is not None and denser.size >= coding.size):
         return coding, possible
     return denser, mutexes.moves

@@ -14,6 +14,7 @@ import threading
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -130,7 +131,7 @@ def sweep(
     moves = split_operators(task)
     if moves is None:
         return _slow_sweep(task, budget, "its operators split into very many moves")
-    coding, moves = choose(task, moves)
+    coding, moves = choose(task, moves, partial(budget.check_time, 1))
     if coding is None:
         return _slow_sweep(task, budget, "its states take more than 62 bits each")
     searches = Searches(
