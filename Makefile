@@ -1,9 +1,9 @@
-# `make demo` and `make test` do everything on a machine that has Python 3.11+, make and git.
+# `make demo`, `make live` and `make test` do everything on a machine that has Python 3.11+, make and git.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench bench-smallest study docs clean
+.PHONY: demo live test lint bench bench-smallest study docs clean
 
 # Compiled code that calls what other files compile is kept when only those change (numba looks at one file), so that it
 # is thrown away here.
@@ -18,6 +18,10 @@ demo: $(VENV)/.demo $(VENV)/.compiled
 		--trace demo/trace.jsonl --figure demo/episode.png
 	@echo
 	@echo "One episode as a picture: demo/episode.png; every action of all of them: demo/trace.jsonl"
+
+# A first look at the live assistant for one person: two others are simulated; the links are printed.
+live: $(VENV)/.live $(VENV)/.compiled
+	@$(BIN)/kitassist serve domains/kitting/paper.pddl --humans 3 --simulate 2 --c-suggest 0.2
 
 test: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
@@ -65,6 +69,10 @@ $(VENV)/bin/python:
 
 $(VENV)/.demo: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots]'
+	@touch $@
+
+$(VENV)/.live: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[web]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt

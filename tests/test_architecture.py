@@ -30,7 +30,7 @@ ROOMS = {
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
-        web server client""",
+        description web server client""",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
         bounds solve simulate policy bound export draw log fit study serve commands""",
 }

@@ -313,3 +313,7 @@ def test_the_interface_is_described(web: Web) -> None:
         "/api/health", "/api/people/{name}", "/api/people/{name}/actions", "/api/people/{name}/undo", "/api/robot",
         "/api/robot/arrived", "/api/team", "/api/team/people", "/api/team/people/{name}", "/api/log",
     }  # fmt: skip
+    page = web.client.get("/docs").text
+    assert "<code>POST /api/people/{name}/actions</code>" in page
+    assert "<code>followed</code>, optional: boolean or null" in page
+    assert "src=" not in page

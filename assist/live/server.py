@@ -192,6 +192,7 @@ def serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[s
 async def _serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[str, ...]], None]) -> None:
     access = Access.kept(plan.folder / "secret", address(listening))
     service = Service(plan.session(), access, tick=plan.tick)
+    service.simulated = frozenset(plan.simulated)
     # No access log: addresses of pages have tokens in them.
     server = _Server(
         uvicorn.Config(

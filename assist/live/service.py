@@ -76,6 +76,7 @@ class Service:
             access.token(person)
         self.outlook = self.session.outlook()
         self.visited = asyncio.Event()
+        self.simulated: frozenset[str] = frozenset()
         self._entries: dict[str, bytes] = {}
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
@@ -243,7 +244,8 @@ class Service:
         for person in people:
             with suppress(AbsentError):
                 entry = self.session.entry(person)
-                more = {"connected": person in self._watchers, "join": self.access.join_url(person)}
+                connected = person in self._watchers or person in self.simulated
+                more = {"connected": connected, "join": self.access.join_url(person)}
                 found[person] = _json(entry | more)
         return found
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, HTTPException, Query, Request, Response, WebSocket, WebSocketDisconnect
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse
 from fastapi.security import HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
@@ -23,6 +23,7 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 from planner import LimitError
 
 from ..drawing import svg
+from . import description
 from .access import Caller
 from .course import AbsentError, Event
 from .journal import JournalError
@@ -472,6 +473,10 @@ def _pages(app: FastAPI) -> None:
         caller = request.app.state.service.access.whose(token)
         if caller is None or caller.person != person:
             raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> Response:
+        return HTMLResponse(description.page(app.openapi()))
 
     @app.get("/join/{name}/{token}", include_in_schema=False)
     async def worker(request: Request, name: str, token: str) -> Response:
