@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import graph_task
 
-from planner import LimitError, Table, sweep
+from planner import LimitError, Limits, MismatchError, Table, astar, sweep, verify
 from planner.costtogo import UNREACHED, backward, compact, optimal_choices, random_states, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
@@ -100,9 +100,70 @@ def test_distances_backwards_by_hand() -> None:
 
 
 def test_some_states_at_random(table: Table) -> None:
-    for count in (0, 1, 3):
+    for count in (0, 1, 3, len(table) - 2, len(table) - 1):
         drawn = random_states(table.space, count, np.random.default_rng(0))
         assert len(set(drawn)) == count
         assert table.initial not in drawn
         assert set(drawn) <= set(range(len(table)))
-    assert sorted([table.initial, *random_states(table.space, 99, np.random.default_rng(0))]) == list(range(len(table)))
+    for count in (len(table), 99):
+        drawn = random_states(table.space, count, np.random.default_rng(0))
+        assert sorted([table.initial, *drawn]) == list(range(len(table)))
+
+
+def test_where_every_action_costs_something_any_of_several_plans_will_do() -> None:
+    """Two ways at every step, from 5 to 0, and two edges each."""
+    steps = [(5, 4), (5, 3), (4, 2), (4, 1), (3, 2), (3, 1), (2, 0), (1, 0)]
+    edges = [(*step, 2) for step in steps for _ in range(2)]
+    table = sweep(graph_task(edges, start=5))
+    plan = table.optimal_plan()
+    assert plan is not None
+    walked = [edges[int(action.strip("()").split()[1])] for action in plan]
+    assert [origin for origin, _, _ in walked] == [5, *(target for _, target, _ in walked[:-1])]
+    assert (walked[-1][1], len(walked)) == (0, 3)
+    assert table.optimal_choices().all()
+
+
+def test_a_task_without_actions() -> None:
+    there, elsewhere = sweep(graph_task([], goal=1)), sweep(graph_task([(0, 2, 1)], goal=2))
+    assert there.optimal_plan() == []
+    assert there.optimal_choices().tolist() == []
+    assert elsewhere.optimal_plan() is None
+    assert elsewhere[elsewhere.initial] == np.inf
+
+
+def test_a_table_cannot_be_written_into(table: Table) -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        table.distance[0] = 0
+
+
+def test_states_are_compared_with_fast_downward(table: Table) -> None:
+    for count, compared in ((0, 1), (1, 1), (3, 3), (7, 7), (99, 7)):
+        assert verify(table, count, np.random.default_rng(0)) == compared
+    assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
+    assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
+    assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+
+
+@pytest.mark.parametrize("wrong", [1, 5])
+def test_a_wrong_table_is_noticed(table: Table, node: dict[int, int], wrong: int) -> None:
+    state = next(state for state, number in node.items() if number == wrong)
+    distance = table.distance.copy()
+    distance[state] = 9
+    says = {1: 4, 5: "inf"}[wrong]
+    message = rf"^cost-to-go of state {state} is 9, but Fast Downward's A\* says {says} \(.*at\({wrong}\)"
+    with pytest.raises(MismatchError, match=message):
+        verify(Table(table.space, distance), 7, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("start", H)
+def test_one_state_by_fast_downward(table: Table, start: int) -> None:
+    cost, plan = astar(table.task, [start], limits=Limits(seconds=60))
+    assert (cost, type(cost)) == (H[start], float)
+    assert (plan is None) == (start in (5, 6))
+    if plan is not None:
+        assert table.task.plan_cost(plan) == cost
+    if start == 1:
+        assert astar(table.task)[0] == 4
+        assert astar(table.task, [1], search="astar(blind())")[0] == 4
+        with pytest.raises(LimitError, match="out of memory"):
+            astar(table.task, [1], limits=Limits(memory_mb=1))
