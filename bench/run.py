@@ -29,6 +29,8 @@ CASES = {
     "growth": ("--repeat 3", "--repeat 1 --steps 1"),
     "honesty": ("--quick --time-limit 5", "--quick --instances paper-fixed --time-limit 1"),
     "live": ("--steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
+    "live_load": ("--people 50 --seconds 60", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),
+    "live_timing": ("", "--instance domains/kitting/tiny.pddl --humans 1 --episodes 2"),
     "methods": ("--repeat 1 --limit 30", "kitting/tiny --repeat 1"),
     "on_demand": ("--states 20", "--states 2"),
     "pomdp": ("--timeout 20 --solvers kitassist", "--timeout 2 --solvers kitassist --settings 0.95/1/0"),

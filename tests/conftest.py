@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from assist.cli import main
+from assist.cli import main, progress
 from assist.people.choices import Choices
 from assist.study.protocol import read
 from assist.study.study import Study
@@ -43,6 +43,12 @@ def solvable(instances: list[Instance]) -> list[Instance]:
 
 def named(instance: Instance) -> str:
     return str(instance.problem.relative_to(DOMAINS))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_line_comes_between() -> None:
+    """What commands print in this process does not depend on how long they take."""
+    progress.BETWEEN_LINES = 1e6  # seconds
 
 
 @pytest.fixture(scope="session")
