@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from assist.learning import Log, Observations, observe, replay
+from assist.learning.recording import situation
+from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
 from planner import CostToGo
 
@@ -120,11 +123,53 @@ def record(
     return rows
 
 
-def observed(answers: CostToGo, rows: list[dict]) -> list[Observations]:
+def record_with_terms(
+    answers: CostToGo, beta: np.ndarray, weights: np.ndarray, actions: int, rng: np.random.Generator
+) -> list[dict]:
+    """Let people act to whom the terms matter that are given, and write down what they do; nothing is suggested.
+
+    Parameters
+    ----------
+    beta : float array, shape (K,)
+    weights : float array, shape (K, J)
+    actions : int
+        Of each person, in as many episodes as that takes.
+    """
+    count, words = len(beta), Vocabulary.of(answers.task.actions)
+    names = People(beta, beta).names()
+    x = np.full(count, answers.initial, dtype=np.int64)
+    last, previous = (np.full(count, NOTHING_YET, dtype=np.int64) for _ in range(2))
+    episode, step = np.ones(count, dtype=np.int64), np.zeros(count, dtype=np.int64)
+    rows: list[dict] = []
+    for _ in range(actions):
+        q, options, targets = perceived_costs(answers, People(beta, beta), np.arange(count), x)
+        met = goals_met(answers, targets.ravel()).reshape(targets.shape)
+        here = Situation(
+            answers.task.actions, words, x, options >= 0, options, targets, goals_met(answers, x), met, last, previous
+        )
+        bias = np.einsum("kaj,kj->ka", features(here), weights)
+        p = choice(q, options >= 0, beta, bias)
+        slot = np.minimum((p.cumsum(axis=1) <= rng.random((count, 1))).sum(axis=1), (options >= 0).sum(axis=1) - 1)
+        taken = options[np.arange(count), slot]
+        rows += [
+            {"person": names[k], "episode": f"{episode[k]}", "step": int(step[k]), "action": answers.task.actions[a]}
+            for k, a in enumerate(taken.tolist())
+        ]
+        previous, last, x = x, taken, targets[np.arange(count), slot]
+        done = answers.is_goal(x)
+        episode, step = episode + done, np.where(done, 0, step + 1)
+        last, previous = np.where(done, NOTHING_YET, last), np.where(done, NOTHING_YET, previous)
+        x = np.where(done, answers.initial, x)
+    return rows
+
+
+def observed(answers: CostToGo, rows: list[dict], terms: Mapping[str, Term] | None = None) -> list[Observations]:
     """Read what `record` has written, as `kitassist fit` does."""
     recording, faults = replay(Log.of(rows), answers)
     assert not faults
     h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
     wanted = recording.wanted()
     h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
-    return observe(recording, h, goal)
+    if terms is None:
+        return observe(recording, h, goal)
+    return observe(recording, h, goal, tuple(terms), features(situation(recording, answers), terms))

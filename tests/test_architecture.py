@@ -20,8 +20,8 @@ ROOMS = {
         invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices decision terms memory choice_model own human compiled belief",
     "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
-    "assist.learning": """actions log recording observations likelihood estimates misconception
-        diagnostics population record people summary""",
+    "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
+        diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
@@ -32,7 +32,7 @@ ROOMS = {
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         description web server client""",
     "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
-        bounds solve simulate policy bound export draw log fit study serve commands""",
+        bounds solve simulate policy bound export draw log learned fit study serve commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 

@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from planner import storage
-
-from .console import EXIT_FAILED, one_line_errors, print_json, print_table
-from .log import log_options, people_of
-from .options import INPUT_FILE, OUTPUT_FILE, OUTPUT_FOLDER, domain_option, instance_argument, separate_files
-from .progress import progress_bar
+from .console import EXIT_FAILED, one_line_errors
+from .learned import show_comparison, show_people
+from .log import log_options, people_of, replayed
+from .options import INPUT_FILE, OUTPUT_FILE, OUTPUT_FOLDER, apart, domain_option, instance_argument, separate_files
 from .task import one_instance
-
-FEWEST = 3  # people whose distribution is printed unasked
 
 
 @click.command()
@@ -38,43 +33,32 @@ FEWEST = 3  # people whose distribution is printed unasked
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str, domain: str | None, file: Path, out: Path | None, population: Path | None, family: str | None,
-    figures: Path | None, as_json: bool, **options: Any,
+    figures: Path | None, misconceptions: bool, terms: bool, compare: bool, folds: int, seed: int, as_json: bool,
+    **options: Any,
 ) -> None:  # fmt: skip
     """Learn expertise, influence and trust of people from the LOG of their actions.
 
     LOG has a line of JSON for each action: {"person": "...", "episode": "...", "step": 0, "action": "(name arg ...)",
     "suggestion": "(...)" or null}; or it is CSV with these columns.
     """
-    from ..learning import population as populations
-    from ..learning.summary import lines_of, table_of
-    from ..plots import people as pictures
     from ..plots import style
 
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
+    apart({"--misconception": misconceptions, "--terms": terms, "--compare": compare})
+    apart({"--population": population, "--compare": compare})
+    apart({"--family": family, "--terms": terms, "--compare": compare})
     with one_line_errors("interrupted; states that were evaluated on demand are kept"):
         found = one_instance(instance, domain)
         inputs = {"INSTANCE": found.problem, "its domain": found.domain, "LOG": file}
         separate_files({"--out": out, "--population": population}, inputs)
         if figures:
             style.require()
-        people = people_of(found, file, **options)
-        records = people.as_dicts()
-        general = None
-        if population or (not as_json and len(people) >= FEWEST):
-            with progress_bar("fitting the population", populations.ETAS) as advance:
-                general = people.distribution(family=family, progress=advance)
-        if population and general:
-            with storage.atomic(population) as path:
-                path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")
-        if out:
-            storage.write_records(out, records)
-        if figures:
-            pictures.draw([record.fit for record in people.values()], figures)
-    if as_json:
-        print_json(records)
-    else:
-        print_table(table_of(people), width=160)
-        click.echo("".join(f"{line}\n" for line in lines_of(people, general)), nl=False)
-    if not people.complete:
+        known = replayed(found, file, **options)
+        if compare:
+            complete = show_comparison(known, folds, out, figures, as_json=as_json)
+        else:
+            people = people_of(known, misconceptions=misconceptions, terms=terms, seed=seed)
+            complete = show_people(people, out, population, family, figures, as_json=as_json)
+    if not complete:
         sys.exit(EXIT_FAILED)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 import numpy as np
@@ -29,15 +29,31 @@ from .options import (
 from .progress import progress_bar, status_line
 
 if TYPE_CHECKING:
+    from ..learning.comparison import Comparison
+    from ..learning.likelihood import Method
+    from ..learning.log import Fault, Log
     from ..learning.people import People
+    from ..learning.recording import Recording
 
 
 def log_options(command: Command) -> Command:
-    """Add the options that say what a log is and how people are estimated; `people_of` takes them all."""
+    """Add the options that say what a log is and how people are estimated; `replayed` takes those of the log."""
     options: tuple[Option[Any], ...] = (
         click.option(
             "--misconception", "misconceptions", is_flag=True,
             help="Also estimate sigma, and what people take for the cost-to-go.",
+        ),
+        click.option(
+            "--terms", is_flag=True,
+            help="Also estimate what else than cost speaks for actions; everybody is taken for one of a population.",
+        ),
+        click.option(
+            "--compare", is_flag=True,
+            help="Compare choice models instead: how well each predicts people whom it was not fitted to.",
+        ),
+        click.option(
+            "--folds", type=click.IntRange(2), default=8, show_default=True,
+            help="Groups of people that --compare leaves out in turn.",
         ),
         click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given."),
         scale_option,
@@ -70,7 +86,19 @@ def log_options(command: Command) -> Command:
     return with_options(command, options)
 
 
-def people_of(
+class Replayed(NamedTuple):
+    """A log that was followed through its task, and what that takes to learn from it."""
+
+    log: Log
+    walked: OnDemand
+    recording: Recording
+    h: NDArray[np.float64]
+    faults: tuple[Fault, ...]
+    method: Method
+    jobs: int
+
+
+def replayed(
     found: Instance,
     file: Path,
     *,
@@ -78,15 +106,13 @@ def people_of(
     rename: tuple[str, ...],
     gaps: bool,
     strict: bool,
-    misconceptions: bool,
-    seed: int,
     jobs: int | None,
     max_states: int,
     time_limit: float | None,
     cache: Path | None,
     **setting: Any,
-) -> People:
-    """Learn about the people of a log on the task of an instance; errors are those of a command.
+) -> Replayed:
+    """Follow a log through the task of an instance; errors are those of a command.
 
     Raises
     ------
@@ -95,7 +121,7 @@ def people_of(
     """
     from ..learning.likelihood import Method
     from ..learning.log import read_log, told
-    from ..learning.people import LogError, learn, require_actions
+    from ..learning.people import LogError, require_actions
     from ..learning.recording import replay
 
     names = _renamed(rename)
@@ -120,12 +146,36 @@ def people_of(
     jobs = jobs or os.cpu_count() or 1
     try:
         require_actions(log, recording, walked)
-        h = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
-        with progress_bar("fitting people", len(recording.people)) as advance:
+    except LogError as error:
+        fail(str(error), EXIT_FAILED)
+    h = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
+    return Replayed(log, walked, recording, h, faults, method, jobs)
+
+
+def people_of(known: Replayed, *, misconceptions: bool, terms: bool, seed: int) -> People:
+    """Learn about the people of a log; errors are those of a command."""
+    from ..learning.people import LogError, learn
+
+    try:
+        with progress_bar("fitting people", len(known.recording.people)) as advance:
             return learn(
-                log, walked, recording, h, faults=faults, method=method, misconceptions=misconceptions, seed=seed,
-                jobs=jobs, progress=advance,
+                known.log, known.walked, known.recording, known.h, faults=known.faults, method=known.method,
+                misconceptions=misconceptions, terms=terms, seed=seed, jobs=known.jobs, progress=advance,
             )  # fmt: skip
+    except LogError as error:
+        fail(str(error), EXIT_FAILED)
+
+
+def comparison_of(known: Replayed, folds: int) -> Comparison:
+    """Compare choice models on the people of a log; errors are those of a command."""
+    from ..learning.comparison import compare_observed
+    from ..learning.people import LogError, observed
+    from ..people.terms import TERMS
+
+    try:
+        observations, _ = observed(known.log, known.walked, known.recording, known.h, TERMS)
+        with progress_bar("comparing models", len(TERMS) + 2) as advance:
+            return compare_observed(observations, known.method, folds=folds, name=str(known.log.name), progress=advance)
     except LogError as error:
         fail(str(error), EXIT_FAILED)
 

@@ -103,6 +103,13 @@ def with_options(command: Command, options: Sequence[Option[Any]]) -> Command:
     return command
 
 
+def apart(options: Mapping[str, object]) -> None:
+    """Refuse options that stand beside each other, by their names, where only one of them has a meaning."""
+    given = [name for name, value in options.items() if value]
+    if len(given) > 1:
+        raise click.UsageError(f"{' and '.join(given)}: expected one of them")
+
+
 def range_option(name: str, default: Range, text: str) -> Option[Command]:
     """Give an option with two numbers."""
     return click.option(name, nargs=2, type=NUMBER, metavar="LOW HIGH", default=default, show_default=True, help=text)

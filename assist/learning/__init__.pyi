@@ -1,3 +1,6 @@
+from .comparison import Comparison as Comparison
+from .comparison import Predictions as Predictions
+from .comparison import compare as compare
 from .diagnostics import Calibration as Calibration
 from .diagnostics import Check as Check
 from .diagnostics import calibrate as calibrate
@@ -5,6 +8,7 @@ from .diagnostics import check as check
 from .estimates import Estimate as Estimate
 from .estimates import Fit as Fit
 from .estimates import maximum_likelihood as maximum_likelihood
+from .hierarchy import Hierarchy as Hierarchy
 from .likelihood import Method as Method
 from .likelihood import log_likelihood as log_likelihood
 from .log import Entry as Entry

@@ -13,9 +13,9 @@ search: theta is cut off at 0 and 1, so that the likelihood has kinks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numba
 import numpy as np
@@ -71,6 +71,8 @@ class Fit:
         The rate that was given.
     method : Method
         How it was learned.
+    weights : mapping of str to Estimate
+        Of the terms that speak for choices besides cost; empty where none were asked for.
     """
 
     observations: Observations
@@ -80,11 +82,13 @@ class Fit:
     log_likelihood: float
     known_eta: float | None
     method: Method
+    weights: Mapping[str, Estimate] = field(default_factory=dict)
 
     def probabilities(self) -> Floats:
         """Give the probability of each choice at the estimates, shape (N, A), lapses included."""
         o = self.observations
-        p = choice(o.excess, o.applicable, np.full(len(o), self.beta.value))
+        bias = o.features @ np.array([weight.value for weight in self.weights.values()]) if self.weights else None
+        p = choice(o.excess, o.applicable, np.full(len(o), self.beta.value), bias)
         return lapse(influence(p, o.suggested, self.thetas()), o.applicable, self.method.lapse)
 
     def thetas(self) -> Floats:

@@ -43,6 +43,10 @@ class Observations:
         h* of the state.
     goal : bool array, shape (N, A)
         Which targets are goal states.
+    terms : tuple of str
+        What besides cost may speak for a choice.
+    features : float array, shape (N, A, terms)
+        How much of it each choice has.
     """
 
     person: str
@@ -58,6 +62,8 @@ class Observations:
     state: Ints
     cost_to_go: Floats
     goal: NDArray[np.bool_]
+    terms: tuple[str, ...]
+    features: Floats
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -76,7 +82,13 @@ class Observations:
         return int((self.regret > 0).sum())
 
 
-def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Observations]:
+def observe(
+    recording: Recording,
+    h: Floats,
+    goal: NDArray[np.bool_],
+    terms: tuple[str, ...] = (),
+    features: Floats | None = None,
+) -> list[Observations]:
     """Give each person's observations, in the order of `recording.people`.
 
     Parameters
@@ -86,8 +98,13 @@ def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Ob
         h* of the states that `recording.wanted()` names, infinite at dead ends; others are not read.
     goal : bool array, shape (states,)
         Which of them are goal states.
+    terms : tuple of str
+        The names of what besides cost may speak for a choice.
+    features : float array, shape (N, A, terms), optional
+        How much of it each choice has.
     """
     r = recording
+    features = np.zeros((*r.applicable.shape, 0)) if features is None else features
     ahead = np.where(r.applicable, h[r.targets], np.inf)
     q = np.where(r.applicable, r.costs + ahead, np.inf)
     best = q.min(axis=1, initial=np.inf)
@@ -110,7 +127,7 @@ def observe(recording: Recording, h: Floats, goal: NDArray[np.bool_]) -> list[Ob
             Observations(
                 person, names, excess[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
                 r.suggested[own], gain[own], begins[own], r.state[own], best[own],
-                goal[r.targets[own]] & r.applicable[own],
+                goal[r.targets[own]] & r.applicable[own], terms, features[own],
             )
         )  # fmt: skip
     return result

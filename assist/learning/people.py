@@ -17,17 +17,20 @@ from planner import CostToGo, LimitError
 
 from ..people.decision import Floats
 from ..people.human import Mixture
+from ..people.terms import TERMS, Term, features
 from .diagnostics import check
 from .estimates import maximum_likelihood
+from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
 from .log import Fault, Log, in_order
 from .misconception import fit_misconception, require_memory
-from .observations import Ints, observe
-from .population import PopulationFit, fit_population
+from .observations import Ints, Observations, observe
+from .population import PopulationFit, fit_population, population_of
 from .record import Record, nothing_known
-from .recording import Recording, replay
+from .recording import Recording, replay, situation
 
 Progress = Callable[[int], None]
+Terms = bool | Mapping[str, Term]
 
 
 class LogError(ValueError):
@@ -50,6 +53,8 @@ class People(Mapping[str, Record]):
         How estimates were made.
     facts : callable
         Gives what holds in states, shape (M,), of the task.
+    hierarchy : Hierarchy or None
+        The population that people were taken from, where terms were asked for.
     """
 
     records: tuple[Record, ...]
@@ -57,6 +62,7 @@ class People(Mapping[str, Record]):
     faults: tuple[Fault, ...]
     method: Method
     facts: Callable[[Ints], list[list[str]]]
+    hierarchy: Hierarchy | None = None
 
     def __getitem__(self, person: str) -> Record:
         for record in self.records:
@@ -76,7 +82,15 @@ class People(Mapping[str, Record]):
         return not self.faults and not self.unknown and not any(record.left_out for record in self.records)
 
     def distribution(self, *, family: str | None = None, progress: Progress | None = None) -> PopulationFit:
-        """Estimate how beta and theta are distributed over people; parameters as of `fit_population`."""
+        """Estimate how beta and theta are distributed over people; parameters as of `fit_population`.
+
+        Where terms were asked for it is the population that people were taken from: beta is log-normal, theta
+        logit-normal, and weights are normal.
+        """
+        if self.hierarchy is not None:
+            if family not in (None, "log-normal"):
+                raise ValueError(f"family '{family}': expected log-normal, which beta is taken to be where terms are")
+            return population_of(self.hierarchy)
         observations = [record.fit.observations for record in self.records]
         return fit_population(observations, self.method, family=family, progress=progress)
 
@@ -111,6 +125,7 @@ def fit(
     rename: Mapping[str, str] | None = None,
     method: Method | None = None,
     misconceptions: bool = False,
+    terms: Terms = False,
     strict: bool = False,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
@@ -131,6 +146,9 @@ def fit(
         How estimates are made: level of the intervals, lapses, what is known beforehand.
     misconceptions : bool
         Whether to estimate sigma and what people take for the cost-to-go, too; a second or more for each person.
+    terms : bool, or mapping of str to callable
+        Whether to estimate the weights of terms as well, those that are given (`TERMS`) or one's own by their names.
+        Everybody is then taken for one of a population (`hierarchy`).
     strict : bool
         Whether to refuse a log that cannot be used completely.
     seed : int or numpy.random.Generator
@@ -154,6 +172,22 @@ def fit(
     UserWarning
         Some lines cannot be used, or some states were not evaluated; `People.faults` has the lines.
     """
+    recording, h, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
+    return learn(
+        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, terms=terms, seed=seed,
+        jobs=jobs, progress=progress,
+    )  # fmt: skip
+
+
+def replayed(
+    costs: CostToGo,
+    log: Log,
+    *,
+    drop: Sequence[str] = (),
+    rename: Mapping[str, str] | None = None,
+    strict: bool = False,
+) -> tuple[Recording, Floats, tuple[Fault, ...]]:
+    """Follow a log through its task, and look up the cost-to-go of what was met; parameters as of `fit`."""
     recording, found = replay(log, costs, drop=drop, rename=rename)
     faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
     if faults:
@@ -161,7 +195,7 @@ def fit(
         if strict:
             raise LogError(message)
         others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
-        warnings.warn(message + others, stacklevel=2)
+        warnings.warn(message + others, stacklevel=3)
     require_actions(log, recording, costs)
     wanted, h = recording.wanted(), np.full(len(costs), np.nan)
     try:
@@ -170,12 +204,9 @@ def fit(
         known = getattr(costs, "known", None)
         if strict or known is None:
             raise
-        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=2)
+        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=3)
         h[wanted] = known(wanted)
-    return learn(
-        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, seed=seed, jobs=jobs,
-        progress=progress,
-    )  # fmt: skip
+    return recording, h, faults
 
 
 def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
@@ -199,6 +230,7 @@ def learn(
     faults: tuple[Fault, ...] = (),
     method: Method | None = None,
     misconceptions: bool = False,
+    terms: Terms = False,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -211,28 +243,27 @@ def learn(
         Of the task, as it was replayed on; it is not asked for costs.
     h : float array, shape (states,)
         h* of the states that `recording.wanted()` names, NaN where it is not known.
-    faults, method, misconceptions, seed, jobs, progress
+    faults, method, misconceptions, terms, seed, jobs, progress
         As for `fit`; faults are all that was found.
     """
     method = method or Method()
-    recording, left_out = recording.evaluated(h)
-    if not len(recording):
-        raise LogError(f"{log.name}: the states after every action took too long")
-    if not math.isfinite(h[recording.wanted()].min()):
-        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
-    wanted, goal = recording.wanted(), np.zeros(len(h), dtype=bool)
-    goal[wanted] = costs.is_goal(wanted)
+    if misconceptions and terms:
+        raise ValueError("misconceptions and terms: expected one of them, since nobody has estimated both at once")
+    observations, left_out = observed(log, costs, recording, h, terms)
     rng = np.random.default_rng(seed)
-    records = []
-    tell = None if misconceptions else progress
-    observations = observe(recording, h, goal)
     if misconceptions:
         require_memory(observations)
-    for fitted in maximum_likelihood(observations, method, jobs=jobs, progress=tell):
+    population = None
+    if terms:
+        fits, population = fit_terms(observations, method)
+    else:
+        fits = maximum_likelihood(observations, method, jobs=jobs, progress=None if misconceptions else progress)
+    records = []
+    for fitted in fits:
         misconception = fit_misconception(fitted) if misconceptions else None
         person = fitted.observations.person
         records.append(Record(fitted, check(fitted, rng), misconception, left_out.get(person, 0)))
-        if misconceptions and progress is not None:
+        if (misconceptions or terms) and progress is not None:
             progress(1)
 
     def facts(states: Ints) -> list[list[str]]:
@@ -245,6 +276,34 @@ def learn(
             "no action can be used" if left_out.get(person) else "no episode can be used",
             left_out.get(person, 0),
         )
-        for person in sorted(named - set(recording.people), key=in_order)
+        for person in sorted(named - {o.person for o in observations}, key=in_order)
     }
-    return People(tuple(records), unknown, faults, method, facts)
+    return People(tuple(records), unknown, faults, method, facts, population)
+
+
+def observed(
+    log: Log, costs: CostToGo, recording: Recording, h: Floats, terms: Terms = False
+) -> tuple[list[Observations], dict[str, int]]:
+    """Give what each person could choose from and what they chose, and how many actions of whom are left out.
+
+    Parameters
+    ----------
+    log, costs, recording, h, terms
+        As for `learn`.
+
+    Raises
+    ------
+    LogError
+        Of nothing the cost-to-go is known, or nobody can reach the goal.
+    """
+    recording, left_out = recording.evaluated(h)
+    if not len(recording):
+        raise LogError(f"{log.name}: the states after every action took too long")
+    if not math.isfinite(h[recording.wanted()].min()):
+        raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
+    wanted, goal = recording.wanted(), np.zeros(len(h), dtype=bool)
+    goal[wanted] = costs.is_goal(wanted)
+    if not terms:
+        return observe(recording, h, goal), left_out
+    own = TERMS if terms is True else terms
+    return observe(recording, h, goal, tuple(own), features(situation(recording, costs), own)), left_out

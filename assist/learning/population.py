@@ -15,19 +15,22 @@ The people who were recorded are a sample, and by chance differ from those whom 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import chdtri, ndtr
+from scipy.special import chdtri, logit, ndtr
 
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population, Range
 from .estimates import largest_beta
+from .hierarchy import Hierarchy
 from .likelihood import Method, log_likelihood
 from .observations import Observations
+from .weighing import BETA, FIRST_TERM, THETA
 
 BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
 THETA_FAMILIES = ("uniform", "normal")
@@ -109,6 +112,8 @@ class PopulationFit:
         Of all that was recorded.
     shares : float array, shape (B, T)
         The probability of each cell of (beta, theta).
+    weights : mapping of str to (float, float)
+        Mean and standard deviation of each term's weight; empty where no terms were asked for.
     """
 
     people: int
@@ -117,6 +122,7 @@ class PopulationFit:
     eta: float | None
     log_likelihood: float
     shares: Floats
+    weights: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False
@@ -142,7 +148,12 @@ class PopulationFit:
         else:
             pieces = [(a * b, beta, span) for a, beta in self.beta.pieces() for b, span in heard]
         total = sum(share for share, _, _ in pieces)
-        parts = tuple(Population(beta, span, sigma) for _, beta, span in pieces)
+        # Uniform, with the mean and the standard deviation that weights have.
+        ranges = {
+            name: (mean - math.sqrt(3) * spread, mean + math.sqrt(3) * spread)
+            for name, (mean, spread) in self.weights.items()
+        }
+        parts = tuple(Population(beta, span, sigma, weights=ranges) for _, beta, span in pieces)
         return Mixture(parts, tuple(share / total for share, _, _ in pieces))
 
     def as_dict(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
@@ -154,6 +165,7 @@ class PopulationFit:
             "theta": None if self.theta is None else asdict(self.theta),
             "eta": self.eta,
             "log_likelihood": self.log_likelihood,
+            **({"weights": {name: list(one) for name, one in self.weights.items()}} if self.weights else {}),
             "parts": [
                 {"share": share, **part.as_dict()} for share, part in zip(mixture.shares, mixture.parts, strict=True)
             ],
@@ -181,7 +193,7 @@ def mixture(record: dict[str, Any]) -> Mixture:
             parts.append(Population((float(b), float(c)), (float(t), float(u)), (float(v), float(w)), weights=weights))
             shares.append(float(part["share"]))
         return Mixture(tuple(parts), tuple(shares))
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({error!r})") from None
 
 
@@ -262,6 +274,42 @@ def fit_population(
     return PopulationFit(
         len(observations), margins[0], margins[1] if told else None, eta if known else None, score + top, shares
     )
+
+
+def population_of(found: Hierarchy) -> PopulationFit:
+    """Describe the population that people with terms were taken from.
+
+    Parameters
+    ----------
+    found : Hierarchy
+    """
+    likelihood, told = found.likelihood, found.likelihood.steps.told
+    ranges = likelihood.ranges
+    edges = (
+        np.linspace(0.0, ranges.high[BETA], CELLS[0] + 1),
+        np.clip(logit(np.linspace(0.0, 1.0, CELLS[1] + 1)), ranges.low[THETA], ranges.high[THETA]),
+    )
+    margins, cells = [], []
+    for axis, family, value in ((BETA, "log-normal", ranges.beta), (THETA, "logit-normal", ranges.theta)):
+        mean, spread = float(found.mean[axis]), float(found.spread[axis])
+        cells.append(_within(edges[axis], mean, spread))
+        recorded = _within(edges[axis], found.at[:, axis, None], found.deviation[:, axis, None]).mean(axis=0)
+        margins.append(Margin.of(family, (mean, spread), value(edges[axis]), cells[axis], recorded))
+    count = len(ranges.low) - FIRST_TERM
+    weights = {
+        name: (float(found.mean[FIRST_TERM + j]), float(found.spread[FIRST_TERM + j]))
+        for j, name in zip(range(count), likelihood.steps.terms, strict=True)
+    }
+    return PopulationFit(
+        len(likelihood.steps.people), margins[0], margins[1] if told else None, likelihood.eta if told else None,
+        found.evidence, np.outer(cells[0], cells[1] if told else [1.0]), weights,
+    )  # fmt: skip
+
+
+def _within(edges: Floats, mean: Floats | float, spread: Floats | float) -> Floats:
+    """Give the share of each cell under a normal distribution, cut off at the ends of the cells."""
+    shares = np.diff(ndtr((edges - mean) / spread), axis=-1)
+    return np.asarray(shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-300), dtype=np.float64)
 
 
 def _summit(x: Floats, y: Floats) -> float:

@@ -22,7 +22,8 @@ class Record:
     """What was learned about one person.
 
     A parameter about which the person's actions say nothing is None, and its interval the whole range; without
-    suggestions theta and eta have no interval either, nor has eta where it was given.
+    suggestions theta and eta have no interval either, nor has eta where it was given. Where terms were asked for,
+    other people's actions say something about everybody, so that there is always an estimate.
 
     Attributes
     ----------
@@ -46,7 +47,7 @@ class Record:
     @property
     def beta(self) -> float | None:
         """Expertise, per cost unit."""
-        return _value(self.fit.beta)
+        return _value(self.fit.beta, self.fit)
 
     @property
     def beta_interval(self) -> Interval:
@@ -56,7 +57,7 @@ class Record:
     @property
     def theta(self) -> float | None:
         """Influence of the robot at the beginning of an episode."""
-        return _value(self.fit.theta)
+        return _value(self.fit.theta, self.fit)
 
     @property
     def theta_interval(self) -> Interval | None:
@@ -66,12 +67,22 @@ class Record:
     @property
     def eta(self) -> float | None:
         """Rate of the trust update."""
-        return _value(self.fit.eta)
+        return _value(self.fit.eta, self.fit)
 
     @property
     def eta_interval(self) -> Interval | None:
         """All values of eta that are not rejected."""
         return None if self.fit.eta is None else self.fit.eta.interval
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weights of the terms that speak for choices besides cost, by name."""
+        return {name: estimate.value for name, estimate in self.fit.weights.items()}
+
+    @property
+    def weights_interval(self) -> dict[str, Interval]:
+        """All values of each weight that are not rejected."""
+        return {name: estimate.interval for name, estimate in self.fit.weights.items()}
 
     @property
     def actions(self) -> int:
@@ -99,7 +110,9 @@ class Record:
             )
         elif beta.open_below:
             notes.append("the actions may be random: the interval of beta includes 0")
-        for name, estimate in (("theta", self.fit.theta), ("eta", self.fit.eta)):
+        others = [("theta", self.fit.theta), ("eta", self.fit.eta)]
+        others += [(f"the weight of {name}", estimate) for name, estimate in self.fit.weights.items()]
+        for name, estimate in others:
             if estimate is not None and not estimate.identified:
                 notes.append(f"these actions say nothing about {name}")
         if self.check.p is not None and self.check.p < STRIKING:
@@ -118,7 +131,13 @@ class Record:
         told = o.suggested != NOTHING
         record: dict[str, Any] = {"person": o.person}
         for name, estimate in (("beta", self.fit.beta), ("theta", self.fit.theta), ("eta", self.fit.eta)):
-            record |= _estimate(name, estimate)
+            record |= _estimate(name, estimate, self.fit)
+        if self.fit.weights:
+            record |= {
+                "weights": self.weights,
+                "weights_interval": {name: list(ends) for name, ends in self.weights_interval.items()},
+                "weights_open": {name: _open(estimate) for name, estimate in self.fit.weights.items()},
+            }
         record |= {
             "episodes": len(o.episodes),
             "actions": len(o),
@@ -144,15 +163,18 @@ def nothing_known(person: str, error: str, left_out: int = 0) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _value(estimate: Estimate | None) -> float | None:
-    return None if estimate is None or not estimate.identified else estimate.value
+def _value(estimate: Estimate | None, fit: Fit) -> float | None:
+    return None if estimate is None or not (estimate.identified or fit.weights) else estimate.value
 
 
-def _estimate(name: str, estimate: Estimate | None) -> dict[str, Any]:
-    if estimate is None:
+def _open(estimate: Estimate) -> list[str]:
+    return [side for side, is_open in (("below", estimate.open_below), ("above", estimate.open_above)) if is_open]
+
+
+def _estimate(name: str, estimate: Estimate | None, fit: Fit | None = None) -> dict[str, Any]:
+    if estimate is None or fit is None:
         return {name: None, f"{name}_interval": None, f"{name}_open": None}
-    sides = [side for side, is_open in (("below", estimate.open_below), ("above", estimate.open_above)) if is_open]
-    return {name: _value(estimate), f"{name}_interval": list(estimate.interval), f"{name}_open": sides}
+    return {name: _value(estimate, fit), f"{name}_interval": list(estimate.interval), f"{name}_open": _open(estimate)}
 
 
 def _misconception(m: Misconception, facts: Callable[[Ints], list[list[str]]] | None) -> dict[str, Any]:

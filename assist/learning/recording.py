@@ -17,10 +17,16 @@ from numpy.typing import NDArray
 from planner import CostToGo
 from planner.arrays import read_only
 
-from ..people.choices import STAND_STILL
+from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
+from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
 from .actions import Matcher, UnmatchedError, Words, words_of
 from .log import Entry, Fault, Log, Names, in_order
+
+OF_STEPS = (
+    "episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested", "actions", "last", "previous",
+)  # fmt: skip
+"""What a recording has of each step, but for who took it."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +56,11 @@ class Recording:
         What each costs, in cost units.
     chosen, suggested : int arrays, shape (N,)
         Slots; `NOTHING` where nothing was suggested.
+    actions : int array, shape (N, A)
+        The ground action in each slot; `WAIT` in empty ones, and where the person could only stand still.
+    last, previous : int arrays, shape (N,)
+        The ground action of the person's choice before, and the state in which they made it; `NOTHING_YET` where an
+        episode begins.
     """
 
     people: tuple[str, ...]
@@ -63,6 +74,9 @@ class Recording:
     costs: NDArray[np.float64]
     chosen: NDArray[np.int64]
     suggested: NDArray[np.int64]
+    actions: NDArray[np.int64]
+    last: NDArray[np.int64]
+    previous: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -97,12 +111,29 @@ class Recording:
             self,
             people=tuple(self.people[k] for k in who),
             person=person,
-            **{
-                name: getattr(self, name)[kept]
-                for name in ("episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested")
-            },
+            **{name: getattr(self, name)[kept] for name in OF_STEPS},
         )
         return left, {self.people[k]: int(counts[k]) for k in np.flatnonzero(counts)}
+
+
+def situation(recording: Recording, costs: CostToGo) -> Situation:
+    """Give what people could choose from, and what they had done last, in the form that terms look at.
+
+    Parameters
+    ----------
+    recording : Recording
+    costs : CostToGo
+        The one that the log was replayed on.
+    """
+    r = recording
+    met = np.zeros(len(costs), dtype=np.int64)
+    seen = np.unique(np.concatenate([r.state, r.targets.ravel()]))
+    met[seen] = goals_met(costs, seen)
+    names = costs.task.actions
+    return Situation(
+        names, Vocabulary.of(names), r.state, r.applicable, r.actions, r.targets, met[r.state], met[r.targets], r.last,
+        r.previous,
+    )  # fmt: skip
 
 
 def replay(
@@ -276,6 +307,8 @@ def _recording(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
     person, episode, step, state, chosen, suggested = (np.zeros(len(taken), dtype=np.int64) for _ in range(6))
     applicable, price = np.zeros((len(taken), width), dtype=bool), np.zeros((len(taken), width))
     after = np.zeros((len(taken), width), dtype=np.int64)
+    actions = np.full((len(taken), width), WAIT, dtype=np.int64)
+    last, previous = (np.full(len(taken), NOTHING_YET, dtype=np.int64) for _ in range(2))
     for row, (place, choice) in enumerate(taken):
         person[row], episode[row], step[row] = number[choice.entry.person], place, choice.entry.step
         state[row], chosen[row], suggested[row] = choice.state, choice.chosen, choice.suggested
@@ -284,5 +317,11 @@ def _recording(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
         after[row] = choice.state
         after[row, filled] = choice.targets
         price[row, filled] = costs[choice.actions] if len(choice.actions) else 1.0
+        actions[row, : len(choice.actions)] = choice.actions
+        if row and place == episode[row - 1]:
+            last[row], previous[row] = actions[row - 1, chosen[row - 1]], state[row - 1]
     names = tuple(walk.taken[0].entry.episode for walk in walks)
-    return Recording(people, names, person, episode, step, state, applicable, after, price, chosen, suggested)
+    return Recording(
+        people, names, person, episode, step, state, applicable, after, price, chosen, suggested, actions, last,
+        previous,
+    )  # fmt: skip

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
+from .comparison import Comparison
 from .log import in_order
 from .people import People
 from .population import PopulationFit
@@ -19,9 +20,12 @@ def table_of(people: People) -> Table:
         table.add_column(name, justify="right")
     if any(record.misconception is not None for record in people.values()):
         table.add_column("sigma", justify="right")
+    terms = list(next((record.fit.weights for record in people.values()), {}))
+    for name in terms:
+        table.add_column(name, justify="right")
     for name in _everybody(people):
         if name not in people:
-            table.add_row(name, *["-"] * 7)
+            table.add_row(name, *["-"] * (7 + len(terms)))
             continue
         record = people[name]
         fit, m = record.fit, record.misconception
@@ -33,6 +37,7 @@ def table_of(people: People) -> Table:
         cells.append("-" if record.check.p is None else f"{record.check.p:.3f}")
         if m is not None:
             cells.append(_interval(m.sigma, m.interval, m.open_above))
+        cells += [_interval(one.value, one.interval, one.open_above) for one in fit.weights.values()]
         table.add_row(name, *cells)
     return table
 
@@ -49,8 +54,29 @@ def lines_of(people: People, found: PopulationFit | None) -> Iterable[str]:
         if margin is not None:
             spread = f"mean {margin.mean:.2f}, standard deviation {margin.spread:.2f}"
             yield f"{whose}: {name} is {margin.family}, {spread}"
+    for name, (mean, spread) in found.weights.items():
+        yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {spread:.2f}"
     if found.eta is not None:
         yield f"{whose}: eta {found.eta:.2f}"
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Give how well each choice model predicts people whom it was not fitted to."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("model")
+    for name in ("parameters", "nats per choice", "less than boltzmann", "better for", "beta"):
+        table.add_column(name, justify="right")
+    table.add_column("weights")
+    reference = comparison.models[0].nats_per_choice
+    for row in comparison.models:
+        less = "-" if row.better_for is None else f"{100 * (1 - row.nats_per_choice / reference):.1f} %"
+        better = "-" if row.better_for is None else f"{row.better_for} of {len(comparison.people)}"
+        weights = ", ".join(f"{name} {value:.2f}" for name, value in row.weights.items())
+        table.add_row(
+            row.model, f"{row.parameters}", f"{row.nats_per_choice:.3f} ± {row.stderr:.3f}", less, better,
+            f"{row.beta:.2f}", weights,
+        )  # fmt: skip
+    return table
 
 
 def _everybody(people: People) -> list[str]:

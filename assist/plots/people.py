@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..learning.comparison import Comparison
 from ..learning.diagnostics import calibrate
 from ..learning.estimates import Fit
 from ..people.decision import NOTHING
@@ -40,6 +41,49 @@ def draw(fits: list[Fit], folder: Path) -> list[Path]:
     for file, figure in zip(files, pictures.values(), strict=True):
         save(figure, file)
     return files
+
+
+def draw_comparison(comparison: Comparison, folder: Path) -> Path:
+    """Write the picture of a comparison of choice models into a folder; return its file.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    require()
+    file = folder / "comparison.png"
+    save(comparison_figure(comparison), file)
+    return file
+
+
+def comparison_figure(comparison: Comparison) -> Figure:
+    """Draw how well each choice model predicts people whom it was not fitted to, and whom of them better.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 0.9 + 0.55 * len(comparison.models)), layout="constrained")
+    means, people = figure.subplots(1, 2)
+    reference, rows = comparison.models[0], np.arange(len(comparison.models))[::-1]
+    for row, model in zip(rows, comparison.models, strict=True):
+        means.errorbar(model.nats_per_choice, row, xerr=1.96 * model.stderr, fmt="o", color=BLUE, capsize=3)
+        less = reference.of_people - model.of_people
+        if model.better_for is not None:
+            spread = np.linspace(-0.28, 0.28, len(less))[np.argsort(np.argsort(less))]
+            people.scatter(less, row + spread, s=9, color=np.where(less > 0, GREEN, ORANGE), linewidths=0)
+    means.set_yticks(rows, [model.model for model in comparison.models])
+    means.set(xlabel="nats per choice of people left out, with 95 % interval", ylim=(-0.6, len(rows) - 0.4))
+    people.set_yticks(rows, [""] * len(rows))
+    people.set(xlabel=f"less than {reference.model}, one mark per person", ylim=(-0.6, len(rows) - 0.4))
+    people.axvline(0.0, color=GREY, linewidth=1)
+    for axis in (means, people):
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.grid(axis="x", alpha=0.3)
+    return figure
 
 
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:

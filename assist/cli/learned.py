@@ -1,0 +1,67 @@
+"""What was learned from a log, written to files and to the screen."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from planner import storage
+
+from .console import print_json, print_table
+from .log import Replayed, comparison_of
+from .progress import progress_bar
+
+if TYPE_CHECKING:
+    from ..learning.people import People
+
+FEWEST = 3  # people whose distribution is printed unasked
+
+
+def show_people(
+    people: People, out: Path | None, population: Path | None, family: str | None, figures: Path | None, *,
+    as_json: bool,
+) -> bool:  # fmt: skip
+    """Write and print estimates and, where asked for, their distribution; tell whether all of the log was used."""
+    from ..learning import population as populations
+    from ..learning.summary import lines_of, table_of
+    from ..plots import people as pictures
+
+    records = people.as_dicts()
+    general = None
+    if population or (not as_json and len(people) >= FEWEST):
+        with progress_bar("fitting the population", populations.ETAS) as advance:
+            general = people.distribution(family=family, progress=advance)
+    if population and general:
+        with storage.atomic(population) as path:
+            path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")
+    if out:
+        storage.write_records(out, records)
+    if figures:
+        pictures.draw([record.fit for record in people.values()], figures)
+    if as_json:
+        print_json(records)
+    else:
+        print_table(table_of(people), width=160)
+        click.echo("".join(f"{line}\n" for line in lines_of(people, general)), nl=False)
+    return people.complete
+
+
+def show_comparison(known: Replayed, folds: int, out: Path | None, figures: Path | None, *, as_json: bool) -> bool:
+    """Compare choice models, write and print how they do; tell whether every line of the log was used."""
+    from ..learning.summary import comparison_table
+    from ..plots import people as pictures
+
+    comparison = comparison_of(known, folds)
+    document = comparison.as_dict()
+    if out:
+        storage.write_records(out, document["people"])
+    if figures:
+        pictures.draw_comparison(comparison, figures)
+    if as_json:
+        print_json(document)
+    else:
+        print_table(comparison_table(comparison), width=160)
+    return not known.faults and sum(comparison.actions) == len(known.recording)

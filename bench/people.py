@@ -1,0 +1,338 @@
+"""Which choice models predict real people, and whether the weights of simulated people are recovered.
+
+    python bench/people.py COMMAND [--help]
+
+`tower` reads recordings of people at the Tower of London from the folder that the environment variable TOWER_RECORDINGS
+names (the folder of `data/tower_of_london/subject_data` of https://github.com/WeiJiMaLab/rush_hour, see `recordings`),
+fits choice models to some people and some problems, and predicts other people at other problems. `recover` simulates
+people with known weights and counts how many intervals cover them. `huge` times `kitassist fit --compare` on a log of
+a task with millions of states.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import click
+import numpy as np
+from recordings import Solved, make_up, moves_of, problem_text, read_all
+from simulated_people import observed, record_with_terms
+
+from assist.learning import Log, Method, observe, replay
+from assist.learning.comparison import Fold, held_out, summed_up
+from assist.learning.hierarchy import fit_hierarchy, fit_terms
+from assist.learning.observations import Observations
+from assist.learning.recording import Recording, situation
+from assist.learning.weighing import Likelihood
+from assist.people import TERMS, Situation, Term, features
+from planner import Instance, Table, cost_to_go, load
+from planner.costtogo import UNREACHED, backward
+
+ROOT = Path(__file__).resolve().parent.parent
+TOWER = ROOT / "domains" / "tower" / "domain.pddl"
+RECORDS = ROOT / "bench" / "records"
+LAPSE = 0.01
+FOLDS = (8, 5)  # of people, of problems
+NEAR = 3  # actions from the goal
+WEIGHTS = (0.5, -1.0, 0.6, -1.0), (0.5, 1.0, 0.6, 0.8)  # of simulated people: means, standard deviations
+
+
+def best(table: Table, s: Situation) -> np.ndarray:
+    """Whether an action begins a cheapest way."""
+    q = np.where(s.applicable, np.asarray(table.task.costs)[s.actions] + table.h[s.targets], np.inf)
+    return q == q.min(axis=1, keepdims=True)
+
+
+def settled(table: Table, s: Situation) -> np.ndarray:
+    """How many more goal facts hold and need not be given up again: the goal can be reached while they hold."""
+    rows, sources = table.space.transitions, table.space.sources
+    count = np.zeros(len(table), dtype=np.int64)
+    for fact in table.task.goal:
+        held = table.space.numbering.where([fact])
+        kept = held[sources] & held[rows.targets]
+        ways = backward(rows.targets[kept], sources[kept], table.space.costs[kept], table.space.goal)
+        count += held & (ways != UNREACHED)
+    return count[s.targets] - count[s.state][:, None]
+
+
+def opens(table: Table, s: Situation) -> np.ndarray:
+    """How many goal facts the next action could gain."""
+    rows, sources = table.space.transitions, table.space.sources
+    count = sum(table.space.numbering.where([fact]).astype(np.int64) for fact in table.task.goal)
+    found = np.zeros(len(table), dtype=np.int64)
+    np.maximum.at(found, sources, count[rows.targets] - count[sources])
+    return found[s.targets]
+
+
+def horizon(depth: int, table: Table, s: Situation) -> np.ndarray:
+    """Minus the cost of the rest, as far as somebody sees it who looks a few actions ahead of the goal."""
+    return -np.minimum(table.h[s.targets], depth)
+
+
+def subject(s: Situation) -> np.ndarray:
+    """Whether the first argument is the last action's first argument."""
+    first = np.array([*(hash(name[1:-1].split()[1]) for name in s.names), 0])
+    return (first[s.actions] == first[s.last][:, None]) & (s.last >= 0)[:, None]
+
+
+OWN: dict[str, Callable[[Table, Situation], np.ndarray]] = {
+    "best": best, "settled": settled, "opens": opens, "horizon-2": partial(horizon, 2),
+    "horizon-4": partial(horizon, 4), "subject": lambda _, s: subject(s),
+}  # fmt: skip
+
+
+def context(recording: Recording, solved: Mapping[tuple[str, str], Solved], table: Table) -> dict[str, np.ndarray]:
+    """What is known of each step besides, shape (N,): how far the goal is, the time taken, which problem it is."""
+    places = zip(recording.person, recording.episode, strict=True)
+    numbers = [solved[recording.people[person], recording.episodes[episode]] for person, episode in places]
+    seconds = np.array([one.seconds[step] for one, step in zip(numbers, recording.step, strict=True)])
+    return {
+        "near": (table.h[recording.state] <= NEAR).astype(float),
+        "slow": np.log(np.maximum(seconds, 0.05)),
+        "later": np.array([one.order for one in numbers]) / 25,
+        "begin": (recording.step == 0).astype(float),
+    }
+
+
+def revisits(recording: Recording) -> np.ndarray:
+    """Whether a choice leads to where its episode has been, shape (N, A)."""
+    result = np.zeros(recording.targets.shape)
+    seen: set[int] = set()
+    for row, (step, state) in enumerate(zip(recording.step.tolist(), recording.state.tolist(), strict=True)):
+        seen = {state} if step == 0 else seen | {state}
+        result[row] = [target in seen for target in recording.targets[row].tolist()]
+    return result
+
+
+CROSSED = {
+    "near": ("cost", "best", "goals", "settled"), "slow": ("cost", "best"), "later": ("cost", "best"),
+    "begin": ("best", "goals", "settled"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Data:
+    """What all people did at all problems; everything in the order of the likelihood's steps."""
+
+    likelihood: Likelihood
+    problem: np.ndarray
+    first: np.ndarray
+
+
+def observations_of(problem: int, every: list[Solved], folder: Path) -> list[Observations]:
+    """Write a problem and its log in PDDL, replay it and work out all terms."""
+    file = folder / f"problem-{problem}.pddl"
+    file.write_text(problem_text(f"problem-{problem}", every[0].initial, every[0].target))
+    table = cost_to_go(load(Instance(file, TOWER)))
+    solved = {(f"p{one.person:03d}", str(problem)): one for one in every}
+    entries = [
+        {"person": person, "episode": episode, "step": step, "action": action}
+        for (person, episode), one in solved.items()
+        for step, action in enumerate(moves_of(one))
+    ]
+    recording, faults = replay(Log.of(entries), table)
+    assert not faults, faults[0]
+    here, h = situation(recording, table), table.h
+    terms: dict[str, Term] = {**TERMS, **{name: partial(own, table) for name, own in OWN.items()}}
+    values = dict(zip(terms, np.moveaxis(features(here, terms), 2, 0), strict=True))
+    values["revisit"] = revisits(recording) * recording.applicable
+    values["cost"] = np.where(recording.applicable, -(recording.costs + h[recording.targets]), 0.0)
+    for name, weight in context(recording, solved, table).items():
+        values |= {f"{one} x {name}": values[one] * weight[:, None] for one in CROSSED[name]}
+    del values["cost"]
+    return observe(recording, h, table.space.goal, tuple(values), np.stack([*values.values()], axis=2))
+
+
+def read_data(every: list[Solved]) -> Data:
+    """Bring all problems together."""
+    found: list[Observations] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for problem in sorted({one.problem for one in every}):
+            found += observations_of(problem, [one for one in every if one.problem == problem], Path(folder))
+    likelihood = Likelihood.of(found, Method(lapse=LAPSE))
+    number = {person: place for place, person in enumerate(likelihood.steps.people)}
+    person = np.concatenate([np.full(len(o), number[o.person]) for o in found])
+    problem = np.concatenate([np.full(len(o), int(o.episodes[0])) for o in found])
+    return Data(likelihood, problem[np.argsort(person, kind="stable")], likelihood.steps.begins)
+
+
+def crossed(data: Data, people: int, problems: int) -> Iterable[Fold]:
+    """Predict some people at some problems from other people at other problems, each pair once."""
+    who, what = data.likelihood.steps.person % people, data.problem % problems
+    for k in range(people):
+        for j in range(problems):
+            yield (who != k) & (what != j), (who == k) & (what == j)
+
+
+FOUR = ("goals", "arguments", "name", "back")
+BEST = (*FOUR, "subject", "best", "settled", "opens", "best x near", "cost x near", "goals x near", "settled x near")
+MODELS: dict[str, tuple[tuple[str, ...], bool]] = {
+    "uniform": ((), False), "best-or-random": (("best",), False), "boltzmann": ((), True),
+    **{term: ((term,), True) for term in FOUR}, "terms": (FOUR, True),
+    "terms, best-or-random": ((*FOUR, "best"), True),
+    "terms, subject": ((*FOUR, "subject"), True),
+    "terms, subject, best-or-random": ((*FOUR, "subject", "best"), True),
+    "terms, subject, best-or-random, settled": ((*FOUR, "subject", "best", "settled"), True),
+    "best model": (BEST, True),
+}  # fmt: skip
+MORE = {
+    "revisit": ("revisit",), "horizon of 2": ("horizon-2",), "horizon of 4": ("horizon-4",),
+    "response times": ("cost x slow", "best x slow"), "learning over problems": ("cost x later", "best x later"),
+    "first moves": ("best x begin", "goals x begin", "settled x begin"),
+}  # fmt: skip
+"""What is added to the best model to see whether it helps."""
+
+
+@click.group()
+def main() -> None:
+    """Compare choice models on real people, and recover simulated ones."""
+
+
+@main.command()
+@click.option("--made-up", type=int, metavar="N", help="Sessions of N people whom nobody has recorded, in their stead.")
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the record here.")
+@click.option("--quick", is_flag=True, help="Nothing but the models, by person.")
+def tower(made_up: int | None, out: Path | None, quick: bool) -> None:
+    """Predict people at the Tower of London."""
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as made:
+        if made_up:
+            make_up(Path(made), made_up, 4, np.random.default_rng(0))
+        elif "TOWER_RECORDINGS" not in os.environ:
+            sys.exit(
+                "TOWER_RECORDINGS is not set; expected the folder with the recordings, a .csv file for each person"
+            )
+        every = read_all(Path(made if made_up else os.environ["TOWER_RECORDINGS"]))
+    data = read_data(every)
+    likelihood, steps = data.likelihood, data.likelihood.steps
+    problems = int(data.problem.max()) + 1
+    folds = [*crossed(data, FOLDS[0], 1 if quick else min(FOLDS[1], problems))]
+    if quick:
+        folds = [(steps.person % FOLDS[0] != k, steps.person % FOLDS[0] == k) for k in range(FOLDS[0])]
+    record: dict[str, object] = {
+        "people": len(steps.people), "problems": problems, "solved": len(every), "choices": len(steps),
+        "lapse": LAPSE, "folds": list(FOLDS), "models": [], "added": [], "lapses": [], "own_weights": [], "check": [],
+    }  # fmt: skip
+    reference: np.ndarray | None = None
+
+    def row(name: str, logs: np.ndarray, parameters: int, chosen: np.ndarray | None = None) -> dict[str, object]:
+        nonlocal reference
+        known = likelihood if chosen is None else replace(likelihood, steps=steps.only(chosen))
+        mean, error, each = summed_up(known, logs if chosen is None else logs[chosen])
+        result: dict[str, object] = {"model": name, "parameters": parameters, "nats": mean, "stderr": error}
+        if chosen is None:
+            reference = each if name == "boltzmann" else reference
+        if reference is not None and chosen is None:
+            result["better_for"] = int((each < reference).sum())
+        click.echo(f"{name:42} {mean:.4f} ± {error:.4f} {result.get('better_for', '')}")
+        return result
+
+    found: dict[str, np.ndarray] = {}
+    for name, (terms, costs) in MODELS.items():
+        found[name] = held_out(likelihood.with_terms(terms), folds, costs=costs)
+        record["models"].append(row(name, found[name], len(terms) + costs))
+    if not quick:
+        for name, extra in MORE.items():
+            logs = held_out(likelihood.with_terms((*BEST, *extra)), folds)
+            record["added"].append(row(f"+ {name}", logs, len(BEST) + 1 + len(extra)))
+        for lapse in (0.001, 0.003, 0.02, 0.03, 0.05):
+            logs = held_out(replace(likelihood, lapse=lapse).with_terms(BEST), folds)
+            record["lapses"].append({"lapse": lapse, **row(f"lapse {lapse:g}", logs, len(BEST) + 1)})
+        by_problem = [(data.problem % FOLDS[1] != j, data.problem % FOLDS[1] == j) for j in range(FOLDS[1])]
+        for name in ("boltzmann", "terms", "best model"):
+            shared = held_out(likelihood.with_terms(MODELS[name][0]), by_problem)
+            own = personal(likelihood, MODELS[name][0], by_problem)
+            for kind, logs in (("shared", shared), ("own", own)):
+                record["own_weights"].append(
+                    {"kind": kind, **row(f"{name}, {kind} weights", logs, 0, steps.person >= 0)}
+                )
+        whom = ~data.first & (steps.person < 160)
+        by_person = [((k != steps.person % 4) & whom, (k == steps.person % 4) & whom) for k in range(4)]
+        for name in ("uniform", "best-or-random", "boltzmann", "terms", "terms, subject"):
+            logs = held_out(likelihood.with_terms(MODELS[name][0]), by_person, costs=MODELS[name][1])
+            record["check"].append(row(f"check: {name}", logs, 0, whom))
+    record["seconds"] = time.perf_counter() - start
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def personal(likelihood: Likelihood, terms: Iterable[str], folds: Iterable[Fold]) -> np.ndarray:
+    """Predict each choice with the person's own weights, from what they did at other problems."""
+    smaller = likelihood.with_terms(terms)
+    steps = smaller.steps
+    result = np.zeros(len(steps))
+    for learned, predicted in folds:
+        people = fit_hierarchy(replace(smaller, steps=steps.only(learned)), 20)
+        result[predicted] = replace(smaller, steps=steps.only(predicted)).log_probability(people.at)
+    return result
+
+
+@main.command()
+@click.option("--instance", default="kitting/paper", show_default=True)
+@click.option("--people", type=int, default=100, show_default=True)
+@click.option("--actions", type=int, default=80, show_default=True)
+@click.option("--seeds", type=int, default=3, show_default=True)
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the record here.")
+def recover(instance: str, people: int, actions: int, seeds: int, out: Path | None) -> None:
+    """Count how many intervals cover the beta and the weights of simulated people."""
+    table = cost_to_go(load(ROOT / "domains" / f"{instance}.pddl"))
+    rows = []
+    for kind in ("with terms", "without terms"):
+        for seed in range(seeds):
+            rng = np.random.default_rng(seed)
+            beta = np.exp(rng.uniform(np.log(0.3), np.log(3.0), people))
+            weights = np.stack(
+                [rng.normal(m, s, people) for m, s in ((0.5, 0.5), (-1, 1), (0.6, 0.6), (-1, 0.8))], axis=1
+            )
+            weights *= kind == "with terms"
+            told = record_with_terms(table, beta, weights, actions, rng)
+            fits, _ = fit_terms(observed(table, told, TERMS), Method())
+            covered = {"beta": np.mean([_in(fit.beta.interval, true) for fit, true in zip(fits, beta, strict=True)])}
+            for j, name in enumerate(TERMS):
+                held = [_in(fit.weights[name].interval, w) for fit, w in zip(fits, weights[:, j], strict=True)]
+                covered[name] = np.mean(held)
+            rows.append({"people": kind, "seed": seed, "covered": {name: float(c) for name, c in covered.items()}})
+            click.echo(f"{kind} {seed}: {', '.join(f'{name} {100 * c:.0f} %' for name, c in covered.items())}")
+    if out:
+        record = {"instance": instance, "people": people, "actions": actions, "rows": rows}
+        out.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def _in(interval: tuple[float, float], value: float) -> bool:
+    return interval[0] <= value <= interval[1]
+
+
+@main.command()
+@click.option("--instance", default="depot/nine-items", show_default=True)
+@click.option("--people", type=int, default=32, show_default=True)
+@click.option("--actions", type=int, default=30, show_default=True)
+def huge(instance: str, people: int, actions: int) -> None:
+    """Time `kitassist fit --compare` on a log of people who choose by terms."""
+    file = ROOT / "domains" / f"{instance}.pddl"
+    rng = np.random.default_rng(0)
+    beta = np.exp(rng.uniform(np.log(0.5), np.log(3.0), people))
+    weights = np.tile([0.5, 2.0, 0.6, -1.0], (people, 1))
+    table = cost_to_go(load(file))
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log.jsonl"
+        with log.open("w") as lines:
+            lines.writelines(json.dumps(e) + "\n" for e in record_with_terms(table, beta, weights, actions, rng))
+        command = [Path(sys.executable).parent / "kitassist", "fit", file, log, "--compare", "--cache", folder]
+        start = time.perf_counter()
+        done = subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True)
+        click.echo(done.stdout)
+        click.echo(f"{len(table):,} states, {people} people, {actions} actions: {time.perf_counter() - start:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
