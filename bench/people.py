@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parent.parent
 TOWER = ROOT / "domains" / "tower" / "domain.pddl"
 RECORDS = ROOT / "bench" / "records"
 LAPSE = 0.01
-FOLDS = (8, 5)  # of people, of problems
+FOLDS = (6, 4)  # of people, of problems
 NEAR = 3  # actions from the goal
 WEIGHTS = (0.5, -1.0, 0.6, -1.0), (0.5, 1.0, 0.6, 0.8)  # of simulated people: means, standard deviations
 
@@ -244,11 +244,11 @@ def tower(made_up: int | None, out: Path | None, quick: bool) -> None:
         for name, extra in MORE.items():
             logs = held_out(likelihood.with_terms((*BEST, *extra)), folds)
             record["added"].append(row(f"+ {name}", logs, len(BEST) + 1 + len(extra)))
-        for lapse in (0.001, 0.003, 0.02, 0.03, 0.05):
+        for lapse in (0.001, 0.02, 0.05):
             logs = held_out(replace(likelihood, lapse=lapse).with_terms(BEST), folds)
             record["lapses"].append({"lapse": lapse, **row(f"lapse {lapse:g}", logs, len(BEST) + 1)})
         by_problem = [(data.problem % FOLDS[1] != j, data.problem % FOLDS[1] == j) for j in range(FOLDS[1])]
-        for name in ("boltzmann", "terms", "best model"):
+        for name in ("boltzmann", "terms"):
             shared = held_out(likelihood.with_terms(MODELS[name][0]), by_problem)
             own = personal(likelihood, MODELS[name][0], by_problem)
             for kind, logs in (("shared", shared), ("own", own)):
@@ -272,7 +272,7 @@ def personal(likelihood: Likelihood, terms: Iterable[str], folds: Iterable[Fold]
     steps = smaller.steps
     result = np.zeros(len(steps))
     for learned, predicted in folds:
-        people = fit_hierarchy(replace(smaller, steps=steps.only(learned)), 20)
+        people = fit_hierarchy(replace(smaller, steps=steps.only(learned)), 12)
         result[predicted] = replace(smaller, steps=steps.only(predicted)).log_probability(people.at)
     return result
 

@@ -199,21 +199,32 @@ def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, known: bool = Tru
     costs : bool
         Whether costs speak for choices.
     """
-    result = np.full(len(likelihood.steps), np.nan)
+    result, at = np.full(len(likelihood.steps), np.nan), None
     for learned, predicted in folds:
         some = replace(likelihood, steps=likelihood.steps.only(learned))
-        fitted, at = pooled(some, known=known, costs=costs)
+        fitted, at = pooled(some, at, known=known, costs=costs)
         steps = likelihood.steps.only(predicted).together()
         result[predicted] = replace(fitted, steps=steps).log_probability(at)
     return result
 
 
-def pooled(likelihood: Likelihood, *, known: bool = True, costs: bool = True) -> tuple[Likelihood, Floats]:
-    """Find the coordinates, shape (1, P), that fit all people together best, and the likelihood in which they do."""
+def pooled(
+    likelihood: Likelihood, near: Floats | None = None, *, known: bool = True, costs: bool = True
+) -> tuple[Likelihood, Floats]:
+    """Find the coordinates, shape (1, P), that fit all people together best, and the likelihood in which they do.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    near : float array, shape (1, P), optional
+        Where to begin.
+    known, costs
+        As of `held_out`.
+    """
     together = replace(likelihood, steps=likelihood.steps.together())
     fixed = fixed_of(likelihood, 1)
     fixed[:, BETA] = not costs
-    at = np.where(fixed, 0.0, start_of(likelihood, 1))
+    at = np.where(fixed, 0.0, start_of(likelihood, 1) if near is None else near)
     found: list[tuple[float, Likelihood, Floats]] = []
     for rate in [likelihood.eta] if known or not likelihood.steps.told else RATES.tolist():
         tried = replace(together, eta=rate)

@@ -31,7 +31,7 @@ ROUNDS = 60  # of EM
 NARROWEST = 0.05
 """The least spread that a population is taken to have, as a share of a third of a coordinate's range."""
 RATES = np.linspace(0.0, 1.0, 11)  # of trust that are tried
-ENDS = 12  # steps to the end of an interval
+ENDS = 20  # steps to the end of an interval, at most
 
 
 @dataclass(frozen=True)
@@ -181,8 +181,8 @@ def _end(
         bracketed = np.isfinite(root_outside)
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(bracketed, (wanted - root_inside) / (root_outside - root_inside), np.nan)
-        # Roots are almost linear in the coordinate; a little is kept from the ends, so that both come nearer.
-        next_in = inside + np.clip(share, 0.05, 0.95) * (outside - inside)
+        # Roots are almost linear in the coordinate; where they are not, a bracket still shrinks.
+        next_in = inside + np.clip(share, 0.2, 0.8) * (outside - inside)
         next_out = np.clip(inside + side * step, likelihood.ranges.low[axis], likelihood.ranges.high[axis])
         value = np.where(done, inside, np.where(bracketed, next_in, next_out))
         now[:, axis] = value
@@ -194,6 +194,7 @@ def _end(
         step = np.where(over, step, 2 * step)
         done |= ~over & (np.abs(value - end) <= 1e-9)
         done |= np.isfinite(root_outside) & (np.abs(outside - inside) <= 1e-3 * span)
+        done |= np.abs(root - wanted) <= 1e-3
         if done.all():
             break
     with np.errstate(invalid="ignore", divide="ignore"):

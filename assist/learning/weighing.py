@@ -31,7 +31,7 @@ BETA, THETA = 0, 1
 """The coordinates that everybody has; those of terms follow."""
 
 FIRST_TERM = 2
-CERTAIN = 1e-6  # theta nearer to 0 or 1 than this is taken for this near
+CERTAIN = 1e-9  # theta nearer to 0 or 1 than this is taken for this near
 FAR = 12.0
 """The logarithm of the odds that the largest weight gives to what choices usually differ by."""
 
@@ -357,9 +357,11 @@ def maximise(
     length = np.ones(len(at))
     for _ in range(rounds):
         stuck = fixed | ((at <= low) & (gradient < 0)) | ((at >= high) & (gradient > 0))
-        slope = np.where(stuck, 0.0, gradient)
-        bend = np.where(stuck[:, :, None] | stuck[:, None], 0.0, curvature) + (1e-9 + stuck[:, :, None]) * unit
-        step = np.linalg.solve(bend, slope[:, :, None])[:, :, 0]
+        for _ in range(2):  # the second time without those that would leave their range
+            slope = np.where(stuck, 0.0, gradient)
+            bend = np.where(stuck[:, :, None] | stuck[:, None], 0.0, curvature) + (1e-9 + stuck[:, :, None]) * unit
+            step = np.linalg.solve(bend, slope[:, :, None])[:, :, 0]
+            stuck = stuck | ((at <= low) & (step < 0)) | ((at >= high) & (step > 0))
         step *= np.minimum(1.0, LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         tried = np.clip(at + length[:, None] * step, low, high)
         promised = (slope * step).sum(axis=1)

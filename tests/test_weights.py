@@ -1,0 +1,269 @@
+"""What terms weigh for people: learned from what they did, and compared by how well it predicts others."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import KITTING, invoke, table_of
+from recordings import board_of, make_up, moves_of, problem_text, read_all
+from scipy.optimize import minimize, minimize_scalar
+from simulated_people import People, observed, record, record_with_terms
+
+from assist.learning import Log, Method, compare, fit, mixture
+from assist.learning.comparison import by_person, held_out, pooled
+from assist.learning.hierarchy import fit_hierarchy, intervals
+from assist.learning.observations import Observations
+from assist.learning.weighing import BETA, THETA, Likelihood, maximise
+from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
+from planner import Instance, Table, sweep
+from planner import load as load_task
+
+WEIGHTS = np.array([0.6, -1.0, 0.5, -0.8])
+COUNT = 16
+
+
+def paper() -> Table:
+    return table_of(Instance(KITTING / "paper-fixed.pddl", KITTING / "domain.pddl"))
+
+
+@cache
+def rows() -> tuple[dict, ...]:
+    """What people did who have these weights, and a beta of 1."""
+    rng = np.random.default_rng(1)
+    return tuple(record_with_terms(paper(), np.ones(COUNT), np.tile(WEIGHTS, (COUNT, 1)), 60, rng))
+
+
+@cache
+def alone() -> Likelihood:
+    return Likelihood.of(observed(paper(), list(rows()), TERMS), Method())
+
+
+@cache
+def advised() -> tuple[Likelihood, Observations]:
+    """A person who gets suggestions, and whose trust moves."""
+    people = People(np.array([0.8]), np.array([0.6]), 0.1)
+    told = record(paper(), people, episodes=4, rng=np.random.default_rng(2), suggest=0.5)
+    (o,) = observed(paper(), told, TERMS)
+    return Likelihood.of([o], Method(eta=0.1)), o
+
+
+def test_derivatives_are_those_of_differences() -> None:
+    for likelihood in (alone(), advised()[0]):
+        people = len(likelihood.steps.people)
+        at = np.tile([4.0, 0.2, *WEIGHTS], (people, 1)) + np.random.default_rng(0).normal(0, 0.1, (people, 6))
+        value, gradient, curvature = likelihood.derivatives(at)
+        assert value.shape == (people,)
+        for axis in range(6):
+            step = np.zeros(6)
+            step[axis] = 1e-5
+            change = likelihood.derivatives(at + step)[0] - likelihood.derivatives(at - step)[0]
+            assert gradient[:, axis] == pytest.approx(change / 2e-5, rel=1e-5, abs=1e-6)
+        assert np.linalg.eigvalsh(curvature).min() > -1e-9
+
+
+def test_probabilities_are_those_of_the_model() -> None:
+    likelihood, o = advised()
+    at = np.array([[4.0, 0.4, *WEIGHTS]])
+    beta, theta = float(likelihood.ranges.beta(at[0, BETA])), float(likelihood.ranges.theta(at[0, THETA]))
+    found = []
+    for i in range(len(o)):
+        if o.begins[i]:
+            now = theta
+        p = choice(o.excess[i], o.applicable[i], beta, o.features[i] @ WEIGHTS)
+        p = lapse(influence(p, o.suggested[i], now), o.applicable[i], 1e-3)
+        found.append(np.log(p[o.chosen[i]]))
+        if o.suggested[i] != NOTHING:
+            now = min(max(now + 0.1 * o.gain[i], 0.0), 1.0)
+    assert (o.suggested != NOTHING).any()
+    # Theta is kept from 0 and 1 by a billionth.
+    assert likelihood.log_probability(at) == pytest.approx(np.array(found), abs=1e-8)
+
+
+def test_weights_mean_what_a_choice_model_makes_of_them(tiny: Table) -> None:
+    """A log's likelihood is that of `Weighted` on the states with memory in which the log was."""
+    told = record_with_terms(tiny, np.ones(1), WEIGHTS[None], 12, np.random.default_rng(3))
+    likelihood = Likelihood.of(observed(tiny, told, TERMS), Method())
+    at = np.array([[np.log1p(1.0 / likelihood.ranges.small), 0.0, *WEIGHTS]])
+    choices = remembered(tiny, TERMS)
+    assert isinstance(choices, Choices)
+    q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
+    p = lapse(Weighted(dict(zip(TERMS, WEIGHTS, strict=True)))(choices, q, np.ones(1))[0], choices.applicable, 1e-3)
+    state, found = choices.initial, []
+    for entry in told:
+        state = choices.initial if entry["step"] == 0 else state
+        names = [choices.name(state, slot) for slot in np.flatnonzero(choices.applicable[state])]
+        slot = names.index(entry["action"])
+        found.append(np.log(p[state, slot]))
+        state = int(choices.targets[state, slot])
+    assert likelihood.log_probability(at) == pytest.approx(np.array(found), abs=1e-9)
+
+
+def test_newton_finds_what_scipy_finds() -> None:
+    whole = replace(alone(), steps=alone().steps.together())
+    fixed = np.array([[False, True, False, False, False, False]])
+    at, value, _ = maximise(whole, np.zeros((1, 6)), fixed)
+    best = minimize(
+        lambda x: -whole.derivatives(np.array([[x[0], 0.0, *x[1:]]]))[0][0], np.r_[3.0, WEIGHTS], method="Nelder-Mead",
+        options={"maxiter": 4000, "maxfev": 4000, "xatol": 1e-5, "fatol": 1e-7},
+    )  # fmt: skip
+    assert value[0] == pytest.approx(-best.fun, abs=1e-4)
+    assert at[0, 2:] == pytest.approx(best.x[1:], abs=0.01)
+
+
+def test_intervals_end_where_the_profile_likelihood_has_fallen() -> None:
+    low, high, best = intervals(alone(), np.tile([4.0, 0.0, *WEIGHTS], (COUNT, 1)), 0.95)
+    ranges, axis = alone().ranges, 2
+    checked = 0
+    for k in range(COUNT):
+        only = replace(alone(), steps=replace(alone().steps.only(alone().steps.person == k).together()))
+        for end in (low[k, axis], high[k, axis]):
+            if abs(end) >= ranges.high[axis]:
+                continue
+            start = np.array([[4.0, 0.0, *WEIGHTS]])
+            start[0, axis] = end
+            fixed = np.array([[False, True, True, False, False, False]])
+            _, reached, _ = maximise(only, start, fixed)
+            assert 2 * (best[k] - reached[0]) == pytest.approx(3.841, abs=0.02)
+            checked += 1
+    assert checked >= COUNT
+
+
+def test_people_are_recovered_and_lean_on_each_other() -> None:
+    found = fit_hierarchy(alone())
+    whole, at = pooled(alone())
+    deviation = np.sqrt(np.diag(np.linalg.inv(np.delete(np.delete(whole.derivatives(at)[2][0], 1, 0), 1, 1))))[1:]
+    assert (np.abs(found.mean[2:] - WEIGHTS) < 3 * deviation).all()
+    own, _, _ = maximise(alone(), found.at, np.tile([False, True, False, False, False, False], (COUNT, 1)))
+    error, without = (np.abs(at[:, 2:] - WEIGHTS).mean() for at in (found.at, own))
+    assert error < without / 2  # these people are all alike
+    people = fit(paper(), Log.of(rows()), terms=True)
+    covered = [
+        ends[0] <= weight <= ends[1]
+        for person in people.values()
+        for ends, weight in zip(person.weights_interval.values(), WEIGHTS, strict=True)
+    ]
+    assert len(covered) == 4 * COUNT
+    assert np.mean(covered) > 0.85
+    assert all(ends[0] <= person.weights[name] <= ends[1] for person in people.values()
+               for name, ends in person.weights_interval.items())  # fmt: skip
+    first = people["person-01"]
+    assert list(first.as_dict()["weights"]) == list(TERMS)
+    assert first.fit.probabilities().sum(axis=1) == pytest.approx(1.0)
+    population = people.population()
+    assert mixture(json.loads(json.dumps(people.distribution().as_dict()))) == population
+    for name, weight in zip(TERMS, WEIGHTS, strict=True):
+        low, high = population.weights[name]
+        assert low - 1 < weight < high + 1
+        assert (low + high) / 2 == pytest.approx(people.hierarchy.mean[2 + list(TERMS).index(name)])
+
+
+def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
+    some = Log.of(row for row in rows() if row["person"] == "person-03")
+    (person,) = fit(paper(), some, terms=True).values()
+    (observations,) = observed(paper(), [row for row in rows() if row["person"] == "person-03"], TERMS)
+    own = Likelihood.of([observations], Method())
+    _, best, _ = maximise(own, np.array([[4.0, 0.0, *WEIGHTS]]), np.array([[False, True] + [False] * 4]))
+    assert best[0] - 1 < person.fit.log_likelihood <= best[0]
+
+
+def test_folds_are_apart_and_whoever_is_predicted_was_not_seen() -> None:
+    folds = by_person(alone(), 5)
+    for learned, predicted in folds:
+        assert not set(alone().steps.person[learned]) & set(alone().steps.person[predicted])
+    assert (sum(predicted.astype(int) for _, predicted in folds) == 1).all()
+    boltzmann = alone().with_terms([])
+    logs = held_out(boltzmann, folds)
+    learned, predicted = folds[0]
+
+    def minus(coordinate: float, which: np.ndarray) -> float:
+        some = replace(boltzmann, steps=boltzmann.steps.only(which).together())
+        return -float(some.derivatives(np.array([[coordinate, 0.0]]))[0][0])
+
+    best = minimize_scalar(lambda x: minus(x, learned), bounds=(0.0, boltzmann.ranges.high[BETA]), method="bounded")
+    assert -logs[predicted].sum() == pytest.approx(minus(best.x, predicted), abs=1e-3)
+
+
+def test_terms_predict_people_better_whose_choices_follow_them() -> None:
+    found = compare(paper(), Log.of(rows()), folds=4)
+    document = found.as_dict()
+    assert [row["model"] for row in document["comparison"]] == ["boltzmann", *TERMS, "terms"]
+    for row in document["comparison"]:
+        assert {"model", "parameters", "nats_per_choice", "stderr", "better_for", "people", "weights"} <= set(row)
+        assert row["people"] == COUNT
+    assert [row["parameters"] for row in document["comparison"]] == [1, 2, 2, 2, 2, 5]
+    assert found["terms"].nats_per_choice < found["boltzmann"].nats_per_choice - 2 * found["terms"].stderr / COUNT
+    assert found["terms"].better_for > COUNT / 2
+    total = sum(person["actions"] * person["nats_per_choice"]["terms"] for person in document["people"])
+    assert total / sum(person["actions"] for person in document["people"]) == pytest.approx(
+        found["terms"].nats_per_choice
+    )
+    _, at = pooled(alone())
+    assert list(found["terms"].weights.values()) == pytest.approx(at[0, 2:], abs=1e-3)
+
+
+def test_a_term_of_ones_own_is_compared_like_the_others() -> None:
+    own = {"first": lambda s: (np.arange(s.applicable.shape[1]) == 0) & (s.last >= 0)[:, None]}
+    found = compare(paper(), Log.of(rows()), terms=own, folds=2)
+    assert [row.model for row in found.models] == ["boltzmann", "first"]
+
+
+def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
+    log, people = tmp_path / "log.jsonl", tmp_path / "people.json"
+    log.write_text("".join(json.dumps(row) + "\n" for row in rows() if row["person"] < "person-07"))
+    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--folds", 3, "--json")
+    assert done.exit_code == 0
+    assert len(json.loads(done.stdout)["people"]) == 6
+    shown = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--figures", tmp_path)
+    assert "boltzmann" in shown.stdout
+    assert (tmp_path / "comparison.png").stat().st_size > 5000
+    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--terms", "--population", people, "--json")
+    assert set(json.loads(done.stdout)[0]["weights_interval"]) == set(TERMS)
+    assert set(json.loads(people.read_text())["parts"][0]["weights"]) == set(TERMS)
+    done = invoke("simulate", KITTING / "tiny.pddl", "--humans", 1, "--policy", "none", "--episodes", 2,
+                     "--population", people)  # fmt: skip
+    assert done.exit_code == 0
+    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare", "--terms")
+    assert (done.exit_code, "--terms and --compare: expected one of them" in done.stderr) == (2, True)
+    log.write_text("".join(json.dumps(row) + "\n" for row in rows() if row["person"] == "person-01"))
+    done = invoke("fit", KITTING / "paper-fixed.pddl", log, "--compare")
+    assert (done.exit_code, "one person; a comparison needs two or more" in done.stderr) == (1, True)
+
+
+def test_recordings_become_logs_of_the_tower(tmp_path: Path) -> None:
+    make_up(tmp_path / "made", 3, 2, np.random.default_rng(0))
+    every = read_all(tmp_path / "made")
+    assert [(one.person, one.problem, one.order) for one in every] == [
+        (k, j, j + 1) for k in range(3) for j in range(2)
+    ]
+    file = tmp_path / "one.pddl"
+    file.write_text(problem_text("one", every[0].initial, every[0].target))
+    table = sweep(load_task(Instance(file, KITTING.parent / "tower" / "domain.pddl")))
+    assert len(table) == 36
+    assert table.space.goal[table.space.follow(moves_of(every[0]))]
+    # A ball that is put back is no move, and a problem that ends elsewhere was given up.
+    source = tmp_path / "made" / "000.csv"
+    with source.open(newline="") as lines:
+        columns, *clicks = list(csv.reader(lines))
+    place = columns.index("current_position")
+    taken = next(i for i, row in enumerate(clicks) if row[0] == "tol_tohand")
+    before = json.dumps([[*peg, *[0] * (3 - len(peg))] for peg in every[0].initial])
+    assert board_of(before) == every[0].initial
+    back = [row.copy() for row in clicks[taken : taken + 2]]
+    back[1][place] = before
+    given_up = clicks[:-3] + clicks[-1:]
+    source.with_name("000.csv").write_text(_table(columns, clicks[:taken] + back + clicks[taken:]))
+    source.with_name("001.csv").write_text(_table(columns, given_up))
+    source.with_name("003.csv").write_text(_table(columns, [row for row in clicks if row[0] == "tol_practice"]))
+    again = read_all(tmp_path / "made")
+    assert again[0].boards == every[0].boards
+    assert [(one.person, one.problem) for one in again] == [(0, 0), (0, 1), (1, 0), (2, 0), (2, 1)]
+
+
+def _table(columns: list[str], rows: list[list[str]]) -> str:
+    return "".join(",".join(f'"{cell}"' for cell in row) + "\n" for row in [columns, *rows])
