@@ -26,6 +26,7 @@ import click
 import numpy as np
 from recordings import Solved, make_up, moves_of, problem_text, read_all
 from simulated_people import observed, record_with_terms
+from tables import cell, record_option, write_record
 
 from assist.learning import Log, Method, observe, replay
 from assist.learning.comparison import Fold, held_out, summed_up
@@ -192,6 +193,15 @@ MORE = {
 """What is added to the best model to see whether it helps."""
 
 
+COLUMNS = {
+    "model": cell("model"), "parameters": cell("parameters"), "nats per choice": cell("nats", ".3f", "stderr"),
+    "less than Boltzmann": cell("less"), "better for": cell("better"),
+}  # fmt: skip
+COVERED = {
+    "people": cell("people"), "seed": cell("seed"), **{name: cell(name, ".0%") for name in ("beta", *TERMS)},
+}  # fmt: skip
+
+
 @click.group()
 def main() -> None:
     """Compare choice models on real people, and recover simulated ones."""
@@ -199,18 +209,15 @@ def main() -> None:
 
 @main.command()
 @click.option("--made-up", type=int, metavar="N", help="Sessions of N people whom nobody has recorded, in their stead.")
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the record here.")
 @click.option("--quick", is_flag=True, help="Nothing but the models, by person.")
-def tower(made_up: int | None, out: Path | None, quick: bool) -> None:
+@record_option
+def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
     """Predict people at the Tower of London."""
-    start = time.perf_counter()
     with tempfile.TemporaryDirectory() as made:
         if made_up:
             make_up(Path(made), made_up, 4, np.random.default_rng(0))
         elif "TOWER_RECORDINGS" not in os.environ:
-            sys.exit(
-                "TOWER_RECORDINGS is not set; expected the folder with the recordings, a .csv file for each person"
-            )
+            sys.exit("TOWER_RECORDINGS is not set; expected the folder of the recordings, a .csv file for each person")
         every = read_all(Path(made if made_up else os.environ["TOWER_RECORDINGS"]))
     data = read_data(every)
     likelihood, steps = data.likelihood, data.likelihood.steps
@@ -218,62 +225,56 @@ def tower(made_up: int | None, out: Path | None, quick: bool) -> None:
     folds = [*crossed(data, FOLDS[0], 1 if quick else min(FOLDS[1], problems))]
     if quick:
         folds = [(steps.person % FOLDS[0] != k, steps.person % FOLDS[0] == k) for k in range(FOLDS[0])]
-    record: dict[str, object] = {
-        "people": len(steps.people), "problems": problems, "solved": len(every), "choices": len(steps),
-        "lapse": LAPSE, "folds": list(FOLDS), "models": [], "added": [], "lapses": [], "own_weights": [], "check": [],
-    }  # fmt: skip
-    reference: np.ndarray | None = None
+    click.echo(f"{len(steps.people)} people, {problems} problems, {len(every)} solved, {len(steps)} choices")
+    rows: list[dict[str, object]] = []
+    whole = np.ones(len(steps), dtype=bool)
+    means: dict[str, float] = {}
+    references: dict[str, np.ndarray] = {}
 
-    def row(name: str, logs: np.ndarray, parameters: int, chosen: np.ndarray | None = None) -> dict[str, object]:
-        nonlocal reference
-        known = likelihood if chosen is None else replace(likelihood, steps=steps.only(chosen))
-        mean, error, each = summed_up(known, logs if chosen is None else logs[chosen])
-        result: dict[str, object] = {"model": name, "parameters": parameters, "nats": mean, "stderr": error}
-        if chosen is None:
-            reference = each if name == "boltzmann" else reference
-        if reference is not None and chosen is None:
-            result["better_for"] = int((each < reference).sum())
-        click.echo(f"{name:42} {mean:.4f} ± {error:.4f} {result.get('better_for', '')}")
-        return result
+    def add(name: str, logs: np.ndarray, parameters: int, kind: str = "", some: np.ndarray = whole) -> None:
+        """Sum up; models of a kind are compared with the one of that kind that is called boltzmann."""
+        mean, error, each = summed_up(replace(likelihood, steps=steps.only(some)), logs[some])
+        if name == "boltzmann":
+            means[kind], references[kind] = mean, each
+        less = f"{100 * (1 - mean / means[kind]):.1f} %" if kind in means and name != "boltzmann" else ""
+        better = f"{int((each < references[kind]).sum())} of {len(each)}" if less and some is whole else ""
+        shown = f"{name}, {kind}" if kind else name
+        rows.append(
+            {"model": shown, "parameters": parameters, "nats": mean, "stderr": error, "less": less, "better": better}
+        )
+        click.echo(f"{shown:42} {mean:.4f} ± {error:.4f} {less} {better}")
 
-    found: dict[str, np.ndarray] = {}
     for name, (terms, costs) in MODELS.items():
-        found[name] = held_out(likelihood.with_terms(terms), folds, costs=costs)
-        record["models"].append(row(name, found[name], len(terms) + costs))
+        add(name, held_out(likelihood.with_terms(terms), folds, costs=costs), len(terms) + costs)
     if not quick:
         for name, extra in MORE.items():
             logs = held_out(likelihood.with_terms((*BEST, *extra)), folds)
-            record["added"].append(row(f"+ {name}", logs, len(BEST) + 1 + len(extra)))
+            add(f"best model + {name}", logs, len(BEST) + 1 + len(extra))
         for lapse in (0.001, 0.02, 0.05):
             logs = held_out(replace(likelihood, lapse=lapse).with_terms(BEST), folds)
-            record["lapses"].append({"lapse": lapse, **row(f"lapse {lapse:g}", logs, len(BEST) + 1)})
-        by_problem = [(data.problem % FOLDS[1] != j, data.problem % FOLDS[1] == j) for j in range(FOLDS[1])]
-        for name in ("boltzmann", "terms"):
-            shared = held_out(likelihood.with_terms(MODELS[name][0]), by_problem)
-            own = personal(likelihood, MODELS[name][0], by_problem)
-            for kind, logs in (("shared", shared), ("own", own)):
-                record["own_weights"].append(
-                    {"kind": kind, **row(f"{name}, {kind} weights", logs, 0, steps.person >= 0)}
-                )
+            add(f"best model, lapse {lapse:g}", logs, len(BEST) + 1)
         whom = ~data.first & (steps.person < 160)
         by_person = [((k != steps.person % 4) & whom, (k == steps.person % 4) & whom) for k in range(4)]
-        for name in ("uniform", "best-or-random", "boltzmann", "terms", "terms, subject"):
-            logs = held_out(likelihood.with_terms(MODELS[name][0]), by_person, costs=MODELS[name][1])
-            record["check"].append(row(f"check: {name}", logs, 0, whom))
-    record["seconds"] = time.perf_counter() - start
-    if out:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(record, indent=1) + "\n")
+        for name in ("uniform", "boltzmann", "best-or-random", "terms", "terms, subject"):
+            terms, costs = MODELS[name]
+            logs = held_out(likelihood.with_terms(terms), by_person, costs=costs)
+            add(name, logs, len(terms) + costs, "160 people, not first moves", whom)
+        by_problem = [(data.problem % FOLDS[1] != j, data.problem % FOLDS[1] == j) for j in range(FOLDS[1])]
+        for name in ("boltzmann", "terms"):
+            own = likelihood.with_terms(MODELS[name][0])
+            add(name, held_out(own, by_problem), len(own.steps.terms) + 1, "other problems")
+        for name in ("boltzmann", "terms"):
+            own = likelihood.with_terms(MODELS[name][0])
+            add(name, personal(own, by_problem), len(own.steps.terms) + 1, "other problems, own weights")
+    write_record(record, COLUMNS, rows)
 
 
-def personal(likelihood: Likelihood, terms: Iterable[str], folds: Iterable[Fold]) -> np.ndarray:
+def personal(likelihood: Likelihood, folds: Iterable[Fold]) -> np.ndarray:
     """Predict each choice with the person's own weights, from what they did at other problems."""
-    smaller = likelihood.with_terms(terms)
-    steps = smaller.steps
-    result = np.zeros(len(steps))
+    result = np.zeros(len(likelihood.steps))
     for learned, predicted in folds:
-        people = fit_hierarchy(replace(smaller, steps=steps.only(learned)), 12)
-        result[predicted] = replace(smaller, steps=steps.only(predicted)).log_probability(people.at)
+        people = fit_hierarchy(replace(likelihood, steps=likelihood.steps.only(learned)), 12)
+        result[predicted] = replace(likelihood, steps=likelihood.steps.only(predicted)).log_probability(people.at)
     return result
 
 
@@ -282,8 +283,8 @@ def personal(likelihood: Likelihood, terms: Iterable[str], folds: Iterable[Fold]
 @click.option("--people", type=int, default=100, show_default=True)
 @click.option("--actions", type=int, default=80, show_default=True)
 @click.option("--seeds", type=int, default=3, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="Write the record here.")
-def recover(instance: str, people: int, actions: int, seeds: int, out: Path | None) -> None:
+@record_option
+def recover(instance: str, people: int, actions: int, seeds: int, record: Path | None) -> None:
     """Count how many intervals cover the beta and the weights of simulated people."""
     table = cost_to_go(load(ROOT / "domains" / f"{instance}.pddl"))
     rows = []
@@ -301,11 +302,9 @@ def recover(instance: str, people: int, actions: int, seeds: int, out: Path | No
             for j, name in enumerate(TERMS):
                 held = [_in(fit.weights[name].interval, w) for fit, w in zip(fits, weights[:, j], strict=True)]
                 covered[name] = np.mean(held)
-            rows.append({"people": kind, "seed": seed, "covered": {name: float(c) for name, c in covered.items()}})
+            rows.append({"people": kind, "seed": seed, **covered})
             click.echo(f"{kind} {seed}: {', '.join(f'{name} {100 * c:.0f} %' for name, c in covered.items())}")
-    if out:
-        record = {"instance": instance, "people": people, "actions": actions, "rows": rows}
-        out.write_text(json.dumps(record, indent=1) + "\n")
+    write_record(record, COVERED, rows)
 
 
 def _in(interval: tuple[float, float], value: float) -> bool:

@@ -237,8 +237,9 @@ def _estimate(likelihood: Likelihood, axis: int, at: Floats, low: Floats, high: 
     """Give an estimate, and an interval that holds it."""
     ranges = likelihood.ranges
     ends = min(low[axis], at[axis]), max(high[axis], at[axis])
-    known = {BETA: ranges.beta, THETA: ranges.theta}.get(axis, lambda coordinate: coordinate)
-    value, first, last = (float(known(np.asarray(end))) for end in (at[axis], *ends))
+    points = np.array([at[axis], *ends])
+    shown = ranges.beta(points) if axis == BETA else ranges.theta(points) if axis == THETA else points
+    value, first, last = shown.tolist()
     return Estimate(
         value, (first, last), bool(ends[0] <= ranges.low[axis] + 1e-9), bool(ends[1] >= ranges.high[axis] - 1e-9)
     )

@@ -54,8 +54,8 @@ def lines_of(people: People, found: PopulationFit | None) -> Iterable[str]:
         if margin is not None:
             spread = f"mean {margin.mean:.2f}, standard deviation {margin.spread:.2f}"
             yield f"{whose}: {name} is {margin.family}, {spread}"
-    for name, (mean, spread) in found.weights.items():
-        yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {spread:.2f}"
+    for name, (mean, deviation) in found.weights.items():
+        yield f"{whose}: the weight of {name} is normal, mean {mean:.2f}, standard deviation {deviation:.2f}"
     if found.eta is not None:
         yield f"{whose}: eta {found.eta:.2f}"
 

@@ -216,7 +216,8 @@ class Likelihood:
             Of whom to give it; the others have zeros.
         """
         chosen, gradient, curvature = self._evaluate(at, np.ones(len(at), dtype=bool) if who is None else who)
-        return np.bincount(self.steps.person, chosen, len(at)), gradient, curvature
+        value = np.asarray(np.bincount(self.steps.person, chosen, len(at)), dtype=np.float64)
+        return value, gradient, curvature
 
     def _evaluate(self, at: Floats, who: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
         s = self.steps
