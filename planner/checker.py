@@ -32,6 +32,10 @@ PATIENCE = 300.0
 MAPPED_MB = 1000.0
 """Memory that loading libraries maps and never uses, beyond what a process may take."""
 
+ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
+"""What unified-planning takes from packages that its reader and its validator need for annotations only: importing them
+takes longer than all the rest."""
+
 INSTANCES = 100
 """So many are read by one process: the library keeps what it has read."""
 
@@ -184,10 +188,10 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
 
     threading.Thread(target=listen, daemon=True).start()
 
-    # unified-planning needs this package for an annotation only, and it takes longer to import than all the rest.
-    stand_in = types.ModuleType("ConfigSpace")
-    stand_in.ConfigurationSpace = object  # type: ignore[attr-defined]
-    sys.modules.setdefault("ConfigSpace", stand_in)
+    for package, name in ANNOTATIONS.items():
+        stand_in = types.ModuleType(package)
+        setattr(stand_in, name, object)
+        sys.modules.setdefault(package, stand_in)
 
     problem = None
     while True:

@@ -12,11 +12,13 @@ import importlib.metadata
 import os
 import platform
 import resource
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -168,12 +170,29 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     return record
 
 
+def _load_without_scipy() -> None:
+    """Load the part of numba that looks whether scipy is there, without loading scipy, which takes longer than numba.
+
+    It asks on behalf of `np.cov` only, which is not compiled here and has another way; what does need scipy loads it.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    sys.modules[blas] = None  # type: ignore[assignment]  # "not there"
+    try:
+        with suppress(ImportError):
+            import_module("numba.np.arraymath")
+    finally:
+        del sys.modules[blas]
+
+
 def _grounded(source: Source, checker: Checker, phases: _Phases) -> Task:
     """Ground an instance; while other programs are at it, load what is needed afterwards."""
     with phases.phase("translate"), ThreadPoolExecutor(1) as thread:
         grounding = thread.submit(ground, source, checker, phases.limits())
         from .sweep import sweep
 
+        _load_without_scipy()
         # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
         switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
         sweep(Task(source.instance, "", switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
