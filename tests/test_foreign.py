@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from conftest import KITTING, write_instance
 
+from assist.cli import main
 from planner import PDDLError, load, sweep, verify
 from planner.checking import InvalidPlanError
 from planner.replay import replay
@@ -79,6 +81,15 @@ def test_the_translator_has_the_last_word(domain: str, tmp_path: Path) -> None:
     assert record["cost"] == 3
     assert record["verified"] == record["states"] == 4
     assert record["note"].startswith("read by Fast Downward's translator, not checked by unified-planning: "), record
+
+
+def test_a_command_says_that_a_task_was_not_checked(tmp_path: Path) -> None:
+    instance = write_instance(tmp_path, *FOREIGN["either"])
+    out = str(tmp_path / "out.pomdp")
+    done = CliRunner().invoke(main, ["export", str(instance), "--format", "pomdp", "--out", out])
+    assert done.exit_code == 0, done.output
+    assert done.stderr.count("not checked by unified-planning") == 1, done.stderr
+    assert done.stderr.startswith(f"{instance}: read by Fast Downward's translator, not checked")
 
 
 def test_derived_predicates(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from .options import (
     with_options,
 )
 from .progress import progress_bar, status_line
+from .task import tell_note
 
 if TYPE_CHECKING:
     from ..learning.comparison import Comparison
@@ -130,6 +131,7 @@ def replayed(
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     task, log = load(found), read_log(file, gaps=gaps)
+    tell_note(task)
     if task.decided_by_translator:
         why = "the goal cannot be reached, or holds from the start; there is nothing to learn from"
         fail(f"{found}: {why}", EXIT_FAILED)

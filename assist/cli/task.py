@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from planner import Cache, CostToGo, Instance, InstanceError, Table, cost_to_go, find_instances, load
+import click
+
+from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
 
 from .console import EXIT_FAILED, fail
 
@@ -15,15 +17,23 @@ def one_instance(instance: str, domain: str | None) -> Instance:
     return found[0]
 
 
+def tell_note(task: Task) -> None:
+    """Say on stderr what a user has to know of how a task was read."""
+    if task.note:
+        click.echo(f"{task.instance}: {task.note}", err=True)
+
+
 def table_of(instance: Instance) -> Table:
     """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
     from ..study import tasks
     from ..study.study import StudyError
 
     try:
-        return tasks.table_of(instance)
+        table = tasks.table_of(instance)
     except StudyError as error:
         fail(str(error), EXIT_FAILED)
+    tell_note(table.task)
+    return table
 
 
 def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | None) -> CostToGo:
@@ -31,6 +41,7 @@ def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | No
     from ..people.choices import require_goal
 
     task = load(instance)
+    tell_note(task)
     known = cost_to_go(task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=Cache(task))
     try:
         require_goal(float(known.lookup([known.initial])[0]))
