@@ -263,4 +263,4 @@ def summed_up(likelihood: Likelihood, logs: Floats) -> tuple[float, float, Float
     total = np.bincount(likelihood.steps.person, -logs, people)
     mean = total.sum() / count.sum()
     spread = ((total - mean * count) ** 2).sum() * people / max(people - 1, 1)  # of a ratio, by the delta method
-    return float(mean), float(np.sqrt(spread) / count.sum()), total / count
+    return float(mean), float(np.sqrt(spread) / count.sum()), total / np.maximum(count, 1)
