@@ -47,7 +47,19 @@ class ChoiceModel(Protocol):
 
 
 def boltzmann(choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-    """Choose by cost-to-go alone, as in the paper (eq. 4); a `ChoiceModel`."""
+    """Choose by cost-to-go alone, as in the paper (eq. 4); a `ChoiceModel`.
+
+    Parameters
+    ----------
+    choices : Choices
+    q : float array, shape (n, A)
+        Perceived costs.
+    beta : float array, shape (B,)
+
+    Returns
+    -------
+    float array, shape (B, n, A)
+    """
     return np.stack([choice(q, choices.applicable, one) for one in beta])
 
 

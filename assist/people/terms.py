@@ -16,9 +16,10 @@ back        whether the action leads back to the state in which the last action 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,8 +111,12 @@ class Situation:
         read_only(self)
 
 
-Term = Callable[[Situation], Floats]
-"""Gives an array of shape (N, A); what it says of empty slots does not matter."""
+class Term(Protocol):
+    """Any function of this form."""
+
+    def __call__(self, s: Situation, /) -> Floats:
+        """Give a number for each choice, shape (N, A); what it says of empty slots does not matter."""
+        ...
 
 
 def goals(s: Situation) -> Floats:
@@ -168,7 +173,14 @@ def features(situation: Situation, terms: Mapping[str, Term] = TERMS) -> Floats:
 
 
 def goals_met(costs: CostToGo, states: ArrayLike) -> Ints:
-    """Count the goal facts that hold in states, shape (N,), of a table or on demand."""
+    """Count the goal facts that hold in states, shape (N,).
+
+    Parameters
+    ----------
+    costs : CostToGo
+        Of their task, as a table or on demand.
+    states : int array, shape (N,)
+    """
     numbers = np.asarray(states, dtype=np.int64).reshape(-1)
     variables, wanted = np.array(costs.task.goal, dtype=np.int64).reshape(-1, 2).T
     blocks = [numbers[first : first + BLOCK] for first in range(0, len(numbers), BLOCK)]
