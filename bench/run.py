@@ -27,6 +27,7 @@ CASES = {
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "foreign": ("", "--one domains/kitting/tiny.pddl"),
     "growth": ("--repeat 3", "--repeat 1 --steps 1"),
+    "habits": ("--pools 2", "--pools 2 --people 2 --humans 1 --instance paper-fixed"),
     "honesty": ("--quick --time-limit 5", "--quick --instances paper-fixed --time-limit 1"),
     "live": ("--steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
     "live_load": ("--people 50 --seconds 60", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),

@@ -94,9 +94,12 @@ def test_distances_backwards_by_hand() -> None:
     costs, goal = np.array([7, 1, 4, 3, 1]), np.array([True, False, False, False, False])
     assert backward(targets, sources, costs, goal).tolist() == [0, 4, 1, UNREACHED, UNREACHED]
     assert backward(targets, sources, costs, np.zeros(5, dtype=bool)).tolist() == [UNREACHED] * 5
-    assert backward(targets, sources, costs, goal, deadline=float("inf")).tolist()[:3] == [0, 4, 1]
-    with pytest.raises(LimitError, match="out of time in the backward search"):
-        backward(targets, sources, costs, goal, deadline=0.0)
+
+    def stop(states: int) -> None:
+        raise LimitError(f"stopped with {states} states")
+
+    with pytest.raises(LimitError, match="stopped with 5 states"):
+        backward(targets, sources, costs, goal, check=stop)
 
 
 def test_some_states_at_random(table: Table) -> None:

@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -96,9 +97,17 @@ def test_python_blocks(page: Path, place: Path) -> None:
 def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
     for page in PAGES:
         for language, text in BLOCK.findall(page.read_text()):
-            assert language in {"console", "pycon", "sh", "pddl", "text", "json", "{toctree}", "{eval-rst}"}, (
+            assert language in {"console", "pycon", "sh", "pddl", "toml", "text", "json", "{toctree}", "{eval-rst}"}, (
                 f"{name(page)}: ```{language}\n{text}"
             )
+
+
+@pytest.mark.parametrize("page", pages_with("toml"), ids=name)
+def test_drawings_shown_are_those_of_kitting(page: Path) -> None:
+    """The page may leave entries out."""
+    shipped = tomllib.loads((ROOT / "domains" / "kitting" / "drawing.toml").read_text())
+    for section, entries in tomllib.loads(blocks(page, "toml")).items():
+        assert entries.items() <= shipped[section].items()
 
 
 @pytest.mark.parametrize("page", pages_with("sh"), ids=name)
