@@ -5,9 +5,10 @@ BIN := $(VENV)/bin
 
 .PHONY: demo live test lint bench bench-smallest study docs clean
 
-# Compiled code that calls what other files compile is kept when only those change (numba looks at one file), so that it
-# is thrown away here.
-SHARED := assist/people/compiled.py planner/atomics.py planner/reached.py planner/trie.py
+# Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
+# file), so that it is thrown away here.
+SHARED := assist/learning/likelihood.py assist/people/compiled.py assist/person/qmdp.py \
+	planner/atomics.py planner/kernels.py planner/reached.py
 
 demo: $(VENV)/.demo $(VENV)/.compiled
 	@mkdir -p demo

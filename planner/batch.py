@@ -11,9 +11,11 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from .budget import available_memory
 from .pddl import Instance
+from .reports import Progress
 from .results import Results
 from .solving import Record, SolveOptions, solve_instance, unsolved
 from .workers import WorkerDiedError, outcomes
@@ -30,6 +32,7 @@ def solve_batch(
     resume: bool = False,
     scheduler: str | None = None,
     progress: Callable[[Record], None] | None = None,
+    stages: Callable[..., None] | None = None,
 ) -> list[Record]:
     """Solve many instances.
 
@@ -49,6 +52,8 @@ def solve_batch(
         have to see the same files at the same paths, and run one thread each.
     progress : callable, optional
         Called with each record as it comes in.
+    stages : callable, optional
+        Called, in a thread, with an instance and with what `solve_instance` calls its `progress` with.
 
     Returns
     -------
@@ -76,8 +81,14 @@ def solve_batch(
     work = [(instance, None if results is None else results.place(instance)) for instance in todo]
     timeout = None if options.time_limit is None else options.time_limit + GRACE
     shared = options if scheduler is not None else _shared(options, jobs)
+
+    def hear(item: tuple[Instance, Path | None], *stage: Any) -> None:
+        if stages is not None:
+            stages(item[0], *stage)
+
     try:
-        with closing(outcomes(_solve, work, (shared,), jobs=jobs, scheduler=scheduler, timeout=timeout)) as coming:
+        ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
+        with closing(outcomes(_solve, work, (shared,), **ways)) as coming:
             for (instance, _), outcome in coming:
                 record = _unsolved(instance, outcome, options) if isinstance(outcome, Exception) else outcome
                 records[str(instance.problem)] = record
@@ -103,9 +114,9 @@ def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
     return replace(options, memory_limit=limit, threads=options.threads or threads)
 
 
-def _solve(work: tuple[Instance, Path | None], options: SolveOptions) -> Record:
+def _solve(work: tuple[Instance, Path | None], options: SolveOptions, progress: Progress) -> Record:
     instance, place = work
-    return solve_instance(instance, options, place)
+    return solve_instance(instance, options, place, progress=progress)
 
 
 def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> Record:

@@ -7,8 +7,10 @@ module of that name, asks Fast Downward for one state at a time. `verify` compar
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
@@ -331,7 +333,14 @@ def astar(
 
 
 def verify(
-    table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None, limits: Limits = NO_LIMITS
+    table: Table,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    seconds: float | None = None,
+    limits: Limits = NO_LIMITS,
+    jobs: int = 1,
+    progress: Callable[[int], None] | None = None,
 ) -> int:
     """Compare a random sample of a table with Fast Downward's A*, the initial state first.
 
@@ -342,9 +351,13 @@ def verify(
         States to compare (all, where there are fewer).
     rng : numpy.random.Generator
     seconds : float, optional
-        Stop after this time; the state in hand is finished.
+        Stop after this time; the states in hand are finished.
     limits : Limits
         Of each single search; where one reaches them, no further state is compared.
+    jobs : int
+        Searches at a time.
+    progress : callable, optional
+        Called with how many states have been compared.
 
     Returns
     -------
@@ -357,22 +370,33 @@ def verify(
         A state whose values differ.
     """
     space = table.space
-    others = random_states(space, max(0, count - 1), rng)
-    start = time.monotonic()
-    done = 0
-    for state in [space.initial, *others]:
-        if seconds is not None and done and time.monotonic() - start > seconds:
-            break
+    states = [space.initial, *random_states(space, max(0, count - 1), rng)]
+    start, over = time.monotonic(), threading.Event()
+
+    def asked(number: int) -> float | None:
+        if over.is_set() or (seconds is not None and number and time.monotonic() - start > seconds):
+            return None
         try:
-            expected, _ = astar(space.task, space.values([state])[0].tolist(), limits=limits)
+            return astar(space.task, space.values([states[number]])[0].tolist(), limits=limits)[0]
         except LimitError:
-            break
-        if expected != table[state]:
-            raise MismatchError(
-                f"cost-to-go of state {state} is {table[state]:g}, but Fast Downward's A* says {expected:g} "
-                f"({', '.join(space.facts(state))})"
-            )
-        done += 1
+            return None
+
+    done = 0
+    with ThreadPoolExecutor(jobs) as pool:
+        try:
+            for state, expected in zip(states, pool.map(asked, range(len(states))), strict=True):
+                if expected is None:
+                    break
+                if expected != table[state]:
+                    raise MismatchError(
+                        f"cost-to-go of state {state} is {table[state]:g}, but Fast Downward's A* says {expected:g} "
+                        f"({', '.join(space.facts(state))})"
+                    )
+                done += 1
+                if progress is not None:
+                    progress(done)
+        finally:
+            over.set()
     return done
 
 

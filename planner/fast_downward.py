@@ -10,7 +10,6 @@ Handed on: SAS text, and plans as lists of ground action names; `None` where the
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import importlib.util
 import math
 import os
@@ -82,11 +81,15 @@ NO_LIMITS = Limits()
 
 def version() -> str:
     """Name the version of Fast Downward that the installed package bundles."""
+    import importlib.metadata  # takes its time
+
     return importlib.metadata.version("fast-downward.translate")
 
 
 def digest(instance: Instance) -> str:
     """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
+    import importlib.metadata
+
     found = hashlib.sha256(f"2 {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())

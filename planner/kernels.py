@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .atomics import exchange_free, fetch_min, fetch_or, prefetch
+from .compiled import njit
 from .reached import ask_for, close_one, find_slot, first_slot, is_closed, number_of
 from .successors import Ints, Words
 

@@ -22,7 +22,7 @@ from .budget import MAX_STATES, MemoryLimitError
 from .costtogo import Table
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
-from .searches import Progress
+from .reports import Progress
 from .sweep import sweep
 from .task import Task
 

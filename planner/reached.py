@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from .atomics import fetch_or, prefetch
+from .compiled import njit
 from .successors import Ints, Words
 
 AHEAD = 16

@@ -26,6 +26,7 @@ from .coding import Coding
 from .costtogo import smallest_type
 from .kernels import Tests
 from .reached import States
+from .reports import Progress
 from .successors import Ints, Words
 from .task import Fact
 
@@ -46,8 +47,6 @@ CLOSED = 0.75
 
 T = TypeVar("T")
 
-Progress = Callable[[str, int], None]
-
 Push = Callable[[Ints, int, Ints, int], tuple[int, int, int]]
 """Push the next states from a block: its indices, where to begin, the output and how much of it is in use; given are
 how far it came, how much of the output is in use, and how many transitions there were."""
@@ -65,7 +64,7 @@ class Searches:
     budget : Budget
     threads : int
     progress : callable
-        Called after each layer with what is under way and how many states it has.
+        Called after each layer with "states" or "cost-to-go", and how many states have been found, or have got theirs.
     checkpoint : Checkpoint or None
         Where searches of bitmaps, and breadth-first searches back from the goal, keep what they have found.
     """
@@ -109,7 +108,7 @@ class Searches:
                 frontier, count, keys = self._hashed_layer(frontier, keys, found)
             transitions += count
             found += sum(map(len, frontier))
-            self.progress("states", found)
+            self.progress("states", found, None)
             self.budget.check_states(found)
 
         if len(bits):
@@ -334,7 +333,7 @@ class Searches:
                 push = partial(kernels.spread_back, self.backward, self.coding.decoder, states, distance, d)
             frontier, _ = self._layer(push, frontier, in_use, total)
             done += sum(map(len, frontier))
-            self.progress("cost-to-go", done)
+            self.progress("cost-to-go", done, total)
         largest = d - cost  # the last layer was empty
         return distance if largest >= np.iinfo(np.uint8).max else distance.astype(smallest_type(largest), copy=False)
 
@@ -377,6 +376,7 @@ class Searches:
             reached.label(states, distance, 0, block)
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
+        self.progress("cost-to-go", 0, None)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
         held = sum(map(len, frontier))  # indices that wait

@@ -8,17 +8,14 @@ saves the cost-to-go table as `.npz` and the plan. The records' fields are a con
 from __future__ import annotations
 
 import errno
-import importlib.metadata
 import os
 import platform
 import resource
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +27,7 @@ from .errors import MismatchError
 from .fast_downward import FastDownwardError, LimitError, Limits
 from .pddl import Instance, PDDLError
 from .replay import replay
+from .reports import Progress
 from .source import Source
 from .storage import atomic
 from .task import Effect, Operator, Task, Variable, ground
@@ -70,20 +68,27 @@ class SolveOptions:
     threads: int | None = None
 
 
+COMPILING = "compiling"
+"""What is under way while code is compiled that is in no cache yet."""
+
+
 class _Phases:
     """Seconds spent in each named phase, and the deadline of all of them."""
 
-    def __init__(self, limit: float | None, memory_mb: float | None) -> None:
+    def __init__(self, limit: float | None, memory_mb: float | None, progress: Progress) -> None:
         self.seconds: dict[str, float] = {}
         self.memory_mb = memory_mb
+        self.progress = progress
         self.start = time.monotonic()
         self.deadline = None if limit is None else self.start + limit
 
     @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
+    def phase(self, name: str, doing: str | None = None) -> Iterator[None]:
         start = time.monotonic()
         if self.deadline is not None and start > self.deadline:
             raise LimitError(f"out of time before the phase '{name}'")
+        if doing is not None:
+            self.progress(doing, 0, None)
         try:
             yield
         finally:
@@ -96,6 +101,8 @@ class _Phases:
 
 def versions() -> dict[str, str]:
     """Name the versions that a result depends on."""
+    import importlib.metadata  # takes its time
+
     packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
     found = {key: importlib.metadata.version(package) for key, package in packages.items()}
     return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
@@ -123,7 +130,13 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
     }
 
 
-def solve_instance(instance: Instance, options: SolveOptions | None = None, place: Path | None = None) -> Record:
+def solve_instance(
+    instance: Instance,
+    options: SolveOptions | None = None,
+    place: Path | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Record:
     """Solve one instance and describe the outcome.
 
     Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
@@ -136,15 +149,17 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     options : SolveOptions, optional
     place : Path, optional
         Where the cost-to-go table and the plan are saved, without their endings `.npz` and `.plan`.
+    progress : callable, optional
+        Called with what is under way, how much of it is done, and of how much; None where nobody knows.
     """
     options = options or SolveOptions()
-    phases = _Phases(options.time_limit, options.memory_limit)
+    phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None))
     _reset_peak_memory()
     try:
         with phases.phase("read"):
             source = Source.of(instance)
-        with Checker(source, phases.limits()) as checker:
-            task = _grounded(source, checker, phases)
+        with Checker(source, phases.limits()) as checker, ExitStack() as until_solved:
+            task = _grounded(source, checker, phases, until_solved)
             # Only now: loading libraries maps far more memory than is ever used.
             with _memory_limit(options.memory_limit):
                 record = _solve(task, checker, options, place, phases)
@@ -170,29 +185,15 @@ def solve_instance(instance: Instance, options: SolveOptions | None = None, plac
     return record
 
 
-def _load_without_scipy() -> None:
-    """Load the part of numba that looks whether scipy is there, without loading scipy, which takes longer than numba.
-
-    It asks on behalf of `np.cov` only, which is not compiled here and has another way; what does need scipy loads it.
-    """
-    blas = "scipy.linalg.cython_blas"
-    if blas in sys.modules:
-        return
-    sys.modules[blas] = None  # type: ignore[assignment]  # "not there"
-    try:
-        with suppress(ImportError):
-            import_module("numba.np.arraymath")
-    finally:
-        del sys.modules[blas]
-
-
-def _grounded(source: Source, checker: Checker, phases: _Phases) -> Task:
-    """Ground an instance; while other programs are at it, load what is needed afterwards."""
-    with phases.phase("translate"), ThreadPoolExecutor(1) as thread:
+def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: ExitStack) -> Task:
+    """Ground an instance; while other programs are at it, load what is needed until it is solved."""
+    with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
         grounding = thread.submit(ground, source, checker, phases.limits())
+        from .compiled import compiling
+
+        until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
         from .sweep import sweep
 
-        _load_without_scipy()
         # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
         switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
         sweep(Task(source.instance, "", switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
@@ -219,6 +220,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
                 memory_limit_mb=memory,
                 deadline=phases.deadline,
                 jobs=options.threads,
+                progress=phases.progress,
                 checkpoint=None if place is None else place.with_name(f"{place.name}.sweep"),
             )
         if isinstance(answers, OnDemand):
@@ -235,14 +237,18 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             dead_ends=int(table.dead_end.sum()),
             max_cost_to_go=int(finite.max()) if len(finite) else None,
         )
-        with phases.phase("verify"):
+        what, count = "comparing states with A*", min(options.verify, len(table))
+        with phases.phase("verify", what):
             record["verified"] = verify(
-                table, options.verify, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits()
-            )
+                table, count, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits(),
+                # Each search may take the memory that is allowed.
+                jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
+                progress=lambda done: phases.progress(what, done, count),
+            )  # fmt: skip
         with phases.phase("plan"):
             cost, plan = table[table.initial], table.optimal_plan()
     else:
-        with phases.phase("search"):
+        with phases.phase("search", "A* from the initial state"):
             cost, plan = astar(task, limits=phases.limits())
         record.update(method="on-demand", verified=1)
     if plan is not None:
@@ -259,7 +265,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
     record["note"] = "; ".join(notes) or None
     if place is not None:
         table_file, plan_file = saved_files(place)
-        with phases.phase("save"):
+        with phases.phase("save", "saving"):
             if table is not None:
                 from .saved import save_table
 

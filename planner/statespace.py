@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .fast_downward import LimitError
+from .reports import Progress
 from .successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
 from .task import Fact, Task
 
@@ -198,7 +199,11 @@ class Listed:
 
 
 def explore(
-    task: Task, *, max_states: int | None = None, check: Callable[[int], None] = lambda _states: None
+    task: Task,
+    *,
+    max_states: int | None = None,
+    check: Callable[[int], None] = lambda _states: None,
+    progress: Progress = lambda *_: None,
 ) -> StateSpace:
     """Enumerate the reachable states of any task, breadth first, with all transitions in memory.
 
@@ -209,6 +214,8 @@ def explore(
         The largest number of states that may be stored.
     check : callable, optional
         Called before each layer with how many states there are; it may raise `LimitError`.
+    progress : callable, optional
+        Called after each layer with "states" and how many there are by then.
 
     Raises
     ------
@@ -235,6 +242,7 @@ def explore(
         if max_states is not None and len(seen) > max_states:
             raise LimitError(f"more than {max_states} states")
         layers.append(layer)
+        progress("states", len(seen), None)
 
     states = np.concatenate(layers)
     keys = packing.keys(states)

@@ -28,7 +28,8 @@ from .costtogo import Table, backward, compact
 from .fast_downward import LimitError
 from .moves import split_operators
 from .reached import States
-from .searches import Progress, Searches
+from .reports import Progress
+from .searches import Searches
 from .statespace import StateSpace, explore
 from .successors import Ints, Packing, Transitions
 from .task import Fact, Task
@@ -109,8 +110,8 @@ def sweep(
     stop : threading.Event, optional
         The sweep is given up once it is set.
     progress : callable, optional
-        Called after each layer of the search with what is under way, "states" or "cost-to-go", and how many states
-        have been found, or have got theirs.
+        Called after each layer of the search with what is under way, "states" or "cost-to-go", how many states have
+        been found, or have got theirs, and of how many (dead ends among them); None while nobody knows.
     checkpoint : Path, optional
         A folder in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task that
         is given it goes on from there. It is gone when the sweep is done.
@@ -126,21 +127,22 @@ def sweep(
     budget = Budget(max_states, memory, deadline, stop)
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    told = progress or (lambda *_: None)
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        return _slow_sweep(task, budget, "it has derived variables")
+        return _slow_sweep(task, budget, "it has derived variables", told)
     moves = split_operators(task)
     if moves is None:
-        return _slow_sweep(task, budget, "its operators split into very many moves")
+        return _slow_sweep(task, budget, "its operators split into very many moves", told)
     coding, moves = choose(task, moves, partial(budget.check_time, 1))
     if coding is None:
-        return _slow_sweep(task, budget, "its states take more than 62 bits each")
+        return _slow_sweep(task, budget, "its states take more than 62 bits each", told)
     searches = Searches(
         coding,
         build_tests(moves, coding, task.costs),
         build_tests([move.inverse() for move in moves], coding, task.costs),
         budget,
         threads,
-        progress or (lambda _what, _states: None),
+        told,
         None if checkpoint is None else Checkpoint.of(checkpoint, task, coding.size),
     )
     states, transitions, distance = searches.solve(int(coding.encode(task.initial)[0]), task.goal)
@@ -149,7 +151,7 @@ def sweep(
     return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance)
 
 
-def _slow_sweep(task: Task, budget: Budget, why: str) -> Table:
+def _slow_sweep(task: Task, budget: Budget, why: str, progress: Progress) -> Table:
     """Sweep with all transitions in memory, which does for every task; the table's note says why."""
     # At most so many operators are applicable at once: those that agree on the value of some variable.
     most = len(task.operators)
@@ -162,7 +164,7 @@ def _slow_sweep(task: Task, budget: Budget, why: str) -> Table:
     affordable = int(budget.memory / per_state)
     limit = affordable if budget.max_states is None else min(affordable, budget.max_states)
     try:
-        space = explore(task, max_states=limit, check=budget.check_time)
+        space = explore(task, max_states=limit, check=budget.check_time, progress=progress)
     except LimitError:
         budget.check_time(limit)
         if limit == budget.max_states:
@@ -170,6 +172,7 @@ def _slow_sweep(task: Task, budget: Budget, why: str) -> Table:
         raise MemoryLimitError(
             f"{budget.memory / 1e6:.0f} MB of memory may not do for more than {limit} states"
         ) from None
+    progress("cost-to-go", 0, None)
     distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, check=budget.check_time)
     note = f"swept with all transitions in memory, which is some hundred times slower than without: {why}"
     return Table(space, compact(distance), note)

@@ -13,13 +13,17 @@ import signal
 import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from functools import partial
 from multiprocessing import active_children, get_context, resource_tracker
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import processes
 from .errors import MissingExtraError
+from .reports import Listener, Reporter
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -40,6 +44,7 @@ def outcomes(
     jobs: int = 1,
     scheduler: str | None = None,
     timeout: float | None = None,
+    hear: Callable[..., None] | None = None,
 ) -> Generator[tuple[Item, Result | Exception]]:
     """Give each item with `work(item, *arguments)`, or with the exception that it ended in.
 
@@ -56,41 +61,68 @@ def outcomes(
         and run one thread each.
     timeout : float, optional
         Seconds after which a process of this machine is stopped; the item then comes with a `TimeoutError`.
+    hear : callable, optional
+        Called, in a thread, with an item and with what the work on it reports meanwhile; for that the work takes one
+        more argument, a `Reporter`. Nothing is heard of a cluster.
 
     Raises
     ------
     MissingExtraError
         A cluster is asked for, and the extra `cluster` is not installed.
     """
-    if scheduler is None:
-        return _in_processes(work, items, arguments, jobs, timeout)
-    return _on_cluster(work, items, arguments, scheduler)
+    if scheduler is not None:
+        return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
+    listener = None if hear is None else Listener(lambda number, *report: hear(items[number], *report))
+    return _in_processes(work, items, arguments, jobs, timeout, listener)
 
 
 def _in_processes(
-    work: Callable[..., Result], items: Sequence[Item], arguments: Sequence[Any], jobs: int, timeout: float | None
+    work: Callable[..., Result],
+    items: Sequence[Item],
+    arguments: Sequence[Any],
+    jobs: int,
+    timeout: float | None,
+    listener: Listener | None,
 ) -> Generator[tuple[Item, Result | Exception]]:
-    if not items:
-        return
-    if len(items) == 1 and LARGE.isdisjoint(sys.modules):
-        yield items[0], _in_a_fork(partial(work, items[0], *arguments), timeout)
-        return
+    with nullcontext() if listener is None else closing(listener):
+        if len(items) == 1 and LARGE.isdisjoint(sys.modules):
+            if listener is not None:
+                arguments = (*arguments, Reporter(listener.pipe, 0))
+            yield items[0], _in_a_fork(partial(work, items[0], *arguments), timeout, listener)
+        elif items:
+            yield from _in_a_pool(work, items, arguments, jobs, timeout, listener)
+
+
+def _in_a_pool(
+    work: Callable[..., Result],
+    items: Sequence[Item],
+    arguments: Sequence[Any],
+    jobs: int,
+    timeout: float | None,
+    listener: Listener | None,
+) -> Generator[tuple[Item, Result | Exception]]:
+    from multiprocessing.connection import Connection
+
     from pebble import ProcessExpired, ProcessPool
 
     # Started by the first worker otherwise, in the thread that starts all of them, where it lets Ctrl-C through again.
     resource_tracker.ensure_running()
     others = set(active_children())
+    pipe = None if listener is None else Connection(os.dup(listener.pipe), readable=False)
     pool = ProcessPool(
         max_workers=min(jobs, len(items)),
         context=get_context("spawn"),
-        initializer=processes.join,
-        initargs=(processes.guarded_group(),),
+        initializer=_begin,
+        initargs=(processes.guarded_group(), pipe),
     )
     try:
         with _interrupts_left_to_this_process():
             futures: dict[Future[Result], Item] = {
-                pool.schedule(work, args=(item, *arguments), timeout=timeout): item for item in items
+                pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
+                for number, item in enumerate(items)
             }
+            if listener is not None:
+                listener.start()
         for future in as_completed(futures):
             outcome: Any
             try:
@@ -108,9 +140,26 @@ def _in_processes(
         raise
     finally:
         pool.join()
+        if pipe is not None:
+            pipe.close()
 
 
-def _in_a_fork(work: Callable[[], Result], timeout: float | None) -> Result | Exception:
+_pipe: Connection | None = None  # of a worker, which is handed it as it begins
+
+
+def _begin(group: int, pipe: Connection | None) -> None:
+    """Begin a worker process."""
+    global _pipe
+    processes.join(group)
+    _pipe = pipe
+
+
+def _carry_out(work: Callable[..., Result], number: int, item: Item, *arguments: Any) -> Result:
+    """Do one thing in a worker process."""
+    return work(item, *arguments) if _pipe is None else work(item, *arguments, Reporter(_pipe.fileno(), number))
+
+
+def _in_a_fork(work: Callable[[], Result], timeout: float | None, listener: Listener | None) -> Result | Exception:
     """Do one thing in a copy of this process, which starts in no time."""
     group = processes.guarded_group()
     reading, writing = os.pipe()
@@ -126,6 +175,8 @@ def _in_a_fork(work: Callable[[], Result], timeout: float | None) -> Result | Ex
                     outcome = error
                 pickle.dump(outcome, stream)
             os._exit(0)
+        if listener is not None:
+            listener.start()
     os.close(writing)
     status = None
     try:

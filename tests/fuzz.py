@@ -48,8 +48,12 @@ class Figures:
     faults: list[str] = field(default_factory=list)
 
 
-def here(work: Callable[..., Any], items: Sequence[Any], arguments: Sequence[Any] = (), **_: Any) -> Iterator[Any]:
+def here(
+    work: Callable[..., Any], items: Sequence[Any], arguments: Sequence[Any] = (), hear: Any = None, **_: Any
+) -> Iterator[Any]:
     """`planner.workers.outcomes` in this process."""
+    if hear is not None:
+        arguments = (*arguments, lambda *_: None)
     for item in items:
         try:
             yield item, work(item, *arguments)

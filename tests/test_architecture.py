@@ -15,9 +15,10 @@ from assist.cli import main
 from assist.cli.commands import COMMANDS
 
 ROOMS = {
-    "planner": """lazy errors storage processes workers expressions pddl supported source fast_downward checking checker
-        built task replay budget successors statespace costtogo moves atomics checkpoint reached kernels mutexes
-        invariants clusters coding trie searches sweep saved ondemand methods solving results batch engine arrays""",
+    "planner": """lazy errors storage processes reports workers expressions pddl supported source fast_downward checking
+        checker built task replay budget successors statespace costtogo moves compiled atomics checkpoint reached
+        kernels mutexes invariants clusters coding trie searches sweep saved ondemand methods solving results batch
+        engine arrays""",
     "assist.people": "choices decision terms memory choice_model own human compiled belief",
     "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
@@ -31,8 +32,8 @@ ROOMS = {
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         description web server client""",
-    "assist.cli": """interrupts options console progress task population person travel team policies summaries solutions
-        bounds solve simulate policy bound export draw log learned fit study serve commands""",
+    "assist.cli": """interrupts options console bars progress task population person travel team policies summaries
+        solutions bounds solving solve simulate policy bound export draw log learned fit study serve commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
@@ -201,3 +202,19 @@ def test_import_direction(module: str) -> None:
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:
     assert faults(module, line)
+
+
+def test_the_makefile_knows_from_which_files_others_compile() -> None:
+    """numba looks at one file: what it compiled from several is thrown away when one of those on the list changes."""
+    taken = set()
+    for module, file in modules().items():
+        source = file.read_text(encoding="utf-8")
+        functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
+        compiled = [node for node in functions if any("njit" in ast.unparse(how) for how in node.decorator_list)]
+        names = [node for function in compiled for line in function.body for node in ast.walk(line)]
+        used = {node.id for node in names if isinstance(node, ast.Name)}
+        taken |= {f"{name.replace('.', '/')}.py" for name, what in imports(module, source) if what in used}
+    rules = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    (listed,) = [line.split()[2:] for line in rules.splitlines() if line.startswith("SHARED := ")]
+    assert taken
+    assert listed == sorted(taken)

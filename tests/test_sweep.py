@@ -370,7 +370,7 @@ def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatc
     monkeypatch.setattr("planner.checkpoint.EVERY", 0.0)
     layers = 0
 
-    def broken_off(now: str, _: int) -> None:
+    def broken_off(now: str, *_: int | None) -> None:
         nonlocal layers
         layers += now == what
         if layers == 5:
@@ -379,7 +379,7 @@ def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatc
     with pytest.raises(LimitError, match="broken off"):
         sweep(smaller, progress=broken_off, checkpoint=tmp_path / "kept")
     assert (tmp_path / "kept").is_dir()
-    seen: list[tuple[str, int]] = []
+    seen: list[tuple[str, int, int | None]] = []
     other = sweep(counter(5), checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
     assert len(other) == 32  # a checkpoint of another task is nothing to go on from
     layers = 0
@@ -389,7 +389,7 @@ def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatc
     table = sweep(smaller, checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
     assert seen[0][0] == what
     assert seen[0][1] > 5
-    assert seen[-1] == ("cost-to-go", len(table))
+    assert seen[-1] == ("cost-to-go", len(table), len(table))
     np.testing.assert_array_equal(table.distance, expected.distance)
     assert table.space.transition_count == expected.space.transition_count
     assert list(tmp_path.iterdir()) == []

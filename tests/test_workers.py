@@ -1,4 +1,4 @@
-"""Work in other processes: results, errors, deaths and times are told, and Ctrl-C is left to the parent."""
+"""Work in other processes: results, reports, errors, deaths and times are told, and Ctrl-C is left to the parent."""
 
 from __future__ import annotations
 
@@ -24,6 +24,16 @@ def outcome(what, timeout=None):
     assert item == what
     return result
 
+def told(what, report):
+    for n in range(3):
+        report("step", n)
+    report("too long" * 100)
+    return what
+
+heard = []
+assert list(outcomes(told, ["item"], hear=lambda *words: heard.append(words))) == [("item", "item")]
+assert heard == [("item", "step", n) for n in range(3)], heard
+
 pid, answer = outcome("answers")
 assert answer == "answers" and pid != os.getpid()
 assert repr(outcome("fails")) == "ValueError('fails')"
@@ -42,16 +52,20 @@ SEVERAL = """
 import signal
 from planner.workers import outcomes
 
-def deaf(item):
+def deaf(item, report):
+    report("begun", item * item)
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 if __name__ == "__main__":
-    found = [result for _, result in outcomes(deaf, [1, 2, 3], jobs=3)]
+    heard = []
+    coming = outcomes(deaf, [1, 2, 3], jobs=3, hear=lambda *words: heard.append(words))
+    found = [result for _, result in coming]
     assert found == [True] * 3, found
+    assert sorted(heard) == [(1, "begun", 1), (2, "begun", 4), (3, "begun", 9)], heard
 """
 
 
-def test_ctrl_c_does_not_reach_workers_from_their_beginning(tmp_path: Path) -> None:
+def test_workers_are_heard_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
     file = tmp_path / "several.py"
     file.write_text(SEVERAL)
     done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=200, check=False)

@@ -6,7 +6,8 @@ other:
 interrupts     signals that end a command
 options        types and options that several commands share
 console        JSON, tables and errors out
-progress       how far a command is
+bars           how far something is, on a terminal
+progress       how far a command is, on a terminal or elsewhere
 task           the task that people are assisted in, or were recorded in
 population     from whom people are drawn
 person         one person's problem, and the options that describe it
@@ -15,6 +16,7 @@ team           a team, and the options that describe it
 policies       team policies by name, or of one's own
 summaries      episodes as a table
 solutions      records of `solve` as a table
+solving        how far the instances of `solve` are
 bounds         one person's problem between two bounds, as a table
 log            the options that say how a log is read, and people estimated
 commands       the commands, each loaded when it is used

@@ -12,10 +12,10 @@ from .console import print_table
 ENDED = {"gap": "", "time": "; the time is up", "memory": "; the memory is full", "stalled": "; rounding"}
 
 
-def line_of(seconds: float, lower: float, upper: float) -> str:
+def line_of(lower: float, upper: float) -> str:
     """Say how far a search has come."""
     gap = (upper - lower) / abs(lower) if lower else 0.0
-    return f"{seconds:.1f} s  lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}"
+    return f"lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}"
 
 
 def show_bounds(record: dict[str, Any]) -> None:

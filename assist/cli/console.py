@@ -6,15 +6,16 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from planner import InstanceError, LimitError, PDDLError
 from planner.errors import DamagedFileError, MissingExtraError, ResultsExistError
 from planner.fast_downward import FastDownwardError
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -65,6 +66,8 @@ def print_json(document: Any) -> None:
 
 def print_table(table: Table, width: int = 140) -> None:
     """Print a table as wide as the terminal, or as `width` where a file or a pipe has no width of its own."""
+    from rich.console import Console
+
     console = Console(width=None if sys.stdout.isatty() else width)
     with console.capture() as printed:
         console.print(table)

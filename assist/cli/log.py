@@ -26,8 +26,8 @@ from .options import (
     seconds_option,
     with_options,
 )
-from .progress import progress_bar, status_line
-from .task import tell_note
+from .progress import progress_bar, stages
+from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from ..learning.comparison import Comparison
@@ -130,6 +130,7 @@ def replayed(
         method = Method(**setting)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+    tell_of_compiling()
     task, log = load(found), read_log(file, gaps=gaps)
     tell_note(task)
     if task.decided_by_translator:
@@ -203,8 +204,13 @@ def _evaluate(
     """
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     kept = Cache(walked.task, cache)
-    with status_line(f"evaluating {len(wanted)} states"):
-        costs = cost_to_go(walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits)
+    what = f"evaluating {len(wanted):,} states"
+    with stages() as show:
+        show(what, 0, None)
+        costs = cost_to_go(
+            walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits,
+            progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
+        )  # fmt: skip
     h = np.full(len(walked), np.nan)
     if not isinstance(costs, OnDemand):
         h[wanted] = costs.lookup(costs.numbers(values))

@@ -44,18 +44,17 @@ def policy(
     out: Path | None, as_json: bool, **person: Any,
 ) -> None:  # fmt: skip
     """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
-    from ..person.solver import is_compiled, solve
+    from ..person.solver import solve
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
     known_of = partial(costs_of, max_states=max_states, memory_limit_mb=memory_limit)
     with one_line_errors():
         found, problem = person_problem(instance, known_of, states=region_states, time_limit=time_limit, **person)
-        first = "first bounds" if is_compiled() else "compiling, once after an installation, and first bounds"
-        with status_line(first) as show:
+        with status_line("first bounds") as show:
             solution = solve(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
-                progress=lambda *bounds: show(line_of(*bounds)),
+                progress=lambda _, *bounds: show(line_of(*bounds)),
             )  # fmt: skip
         if out is not None:
             solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)

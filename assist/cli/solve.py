@@ -15,8 +15,7 @@ from planner.solving import SolveOptions
 
 from .console import EXIT_FAILED, one_line_errors, print_json
 from .options import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
-from .progress import progress_bar
-from .solutions import show_solutions, tell_errors
+from .solving import solving
 
 
 @click.command()
@@ -52,11 +51,13 @@ def solve(
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
-        with progress_bar("solving", len(found)) as advance:
+        with solving(len(found)) as (solved, stage):
             records = solve_batch(
                 found, SolveOptions(**options), out=out, jobs=jobs, resume=resume, scheduler=scheduler,
-                progress=lambda _: advance(1),
+                progress=solved, stages=stage,
             )  # fmt: skip
+    from .solutions import show_solutions, tell_errors
+
     tell_errors(records)
     if as_json:
         print_json(records)

@@ -7,6 +7,7 @@ import click
 from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
 
 from .console import EXIT_FAILED, fail
+from .progress import compiling_line, stages
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
@@ -15,6 +16,15 @@ def one_instance(instance: str, domain: str | None) -> Instance:
     if len(found) != 1:
         raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
     return found[0]
+
+
+def tell_of_compiling() -> None:
+    """Let this command say so if something has to be compiled before it ends."""
+    from planner.compiled import compiling
+
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.with_resource(compiling(compiling_line()))
 
 
 def tell_note(task: Task) -> None:
@@ -28,6 +38,7 @@ def table_of(instance: Instance) -> Table:
     from ..study import tasks
     from ..study.study import StudyError
 
+    tell_of_compiling()
     try:
         table = tasks.table_of(instance)
     except StudyError as error:
@@ -40,9 +51,13 @@ def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | No
     """Read a task of any size that a person is to be assisted in; a larger one is asked on demand."""
     from ..people.choices import require_goal
 
+    tell_of_compiling()
     task = load(instance)
     tell_note(task)
-    known = cost_to_go(task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=Cache(task))
+    with stages() as show:
+        known = cost_to_go(
+            task, max_states=max_states, memory_limit_mb=memory_limit_mb, cache=Cache(task), progress=show
+        )
     try:
         require_goal(float(known.lookup([known.initial])[0]))
     except ValueError as error:

@@ -175,13 +175,6 @@ def first_bounds_bytes(pomdp: AssistPOMDP) -> int:
     return 8 * hidden * (states * (2 * robots + 12) + hsvi.DEPTH * (8 + robots * slots))
 
 
-def is_compiled() -> bool:
-    """Whether the search has been compiled before in this environment, so that `solve` need not wait for that."""
-    function, source = hsvi.trials, Path(hsvi.__file__)
-    kept = Path(function.stats.cache_path).glob(f"{source.stem}.{function.py_func.__name__}-*.nbi")
-    return any(index.stat().st_mtime >= source.stat().st_mtime for index in kept)
-
-
 def solve(
     pomdp: AssistPOMDP,
     *,

@@ -1,0 +1,32 @@
+"""How far the instances of `solve` are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from planner import Instance
+from planner.solving import COMPILING, Record
+
+from .progress import compiling_line, stages
+
+
+@contextmanager
+def solving(count: int) -> Iterator[tuple[Callable[[Record], None], Callable[..., None]]]:
+    """Show how far the instances are; give what is called with each record, and with each stage of an instance."""
+    solved = 0
+    say = compiling_line()
+    with stages() as show:
+
+        def advance(_: Record) -> None:
+            nonlocal solved
+            solved += 1
+
+        def stage(instance: Instance, what: str, done: int, total: int | None) -> None:
+            from . import solutions  # noqa: F401  loads what shows the records, while another process works on them
+
+            if what == COMPILING:
+                say()
+            show(what if count == 1 else f"{solved} of {count} solved; {instance}: {what}", done, total)
+
+        yield advance, stage
