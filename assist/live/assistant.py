@@ -302,7 +302,7 @@ class Assistant:
         """Take note of advice that has been given already, in place of asking for it; with it the team's `step`."""
         self._advice, self._step = advice, step
         if advice.person is not None:
-            record = self._team.known(advice.person)
+            record = self._team.by_name[advice.person]  # who may have left while the robot was under way
             self._location, self._under_way = record.place, not advice.arrived
             if advice.arrived:
                 self._suggest(record, advice.suggestion)
