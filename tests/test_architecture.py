@@ -31,7 +31,7 @@ ROOMS = {
     "assist.plots": "style labels episode people study",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
-        description web server client""",
+        description messages admission routes watching browser web server client""",
     "assist.cli": """interrupts options console bars progress task population person travel team policies summaries
         solutions bounds solving solve simulate policy bound export draw log learned fit study serve commands""",
 }

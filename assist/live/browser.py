@@ -1,0 +1,58 @@
+"""What a browser loads: the pages of people and operators, which hold no data, and the description of the interface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi.responses import FileResponse, HTMLResponse
+
+from ..drawing import svg
+from . import description
+
+PAGES = Path(__file__).parent / "pages"
+
+router = APIRouter(include_in_schema=False)
+
+
+def _page(name: str) -> Response:
+    file = PAGES / name
+    if not file.is_file():
+        raise HTTPException(404, "there is no such page")
+    return FileResponse(file)
+
+
+def _visited(request: Request, token: str, person: str | None) -> None:
+    caller = request.app.state.service.access.whose(token)
+    if caller is None or caller.person != person:
+        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
+
+
+@router.get("/docs")
+async def docs(request: Request) -> Response:
+    """Describe the interface."""
+    return HTMLResponse(description.page(request.app.openapi()))
+
+
+@router.get("/join/{name}/{token}")
+async def worker(request: Request, name: str, token: str) -> Response:
+    """Give the page of whoever works."""
+    _visited(request, token, name)
+    return _page("worker.html")
+
+
+@router.get("/operator/{token}")
+async def operators(request: Request, token: str) -> Response:
+    """Give the page of whoever looks after the team."""
+    _visited(request, token, None)
+    return _page("operator.html")
+
+
+@router.get("/pages/{name}")
+async def part(name: str) -> Response:
+    """Give what pages load."""
+    if name == "drawing.css":
+        return Response(svg.style(), media_type="text/css")
+    if name not in {file.name for file in PAGES.glob("*")}:
+        raise HTTPException(404, "there is no such page")
+    return _page(name)

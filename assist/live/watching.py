@@ -1,0 +1,96 @@
+"""Connections (WebSocket) over which somebody is told what they see, whenever it changes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Coroutine
+from contextlib import suppress
+from typing import Any
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+
+from .service import Service
+
+DROPPED, REMOVED, DENIED, ENDS = 1013, 4404, 4403, 1012
+"""Why a connection is closed: it did not read, the person is gone, it is not theirs, the service ends."""
+
+router = APIRouter()
+
+
+async def _converse(socket: WebSocket, send: Coroutine[Any, Any, int], dropped: asyncio.Event) -> None:
+    """Send until there is no more to be sent, whoever watches has gone, or they do not read."""
+
+    async def read() -> None:
+        with suppress(RuntimeError, WebSocketDisconnect):
+            while (await socket.receive())["type"] != "websocket.disconnect":
+                pass
+
+    sending, reading = asyncio.create_task(send), asyncio.create_task(read())
+    tasks = sending, reading, asyncio.create_task(dropped.wait())
+    try:
+        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        gone = reading.done()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+    failed = not sending.cancelled() and sending.exception() is not None
+    if dropped.is_set() or not (gone or failed or sending.cancelled()):
+        await _hang_up(socket, DROPPED if sending.cancelled() else sending.result())
+
+
+async def _hang_up(socket: WebSocket, code: int) -> None:
+    with suppress(RuntimeError, WebSocketDisconnect, asyncio.TimeoutError):
+        await asyncio.wait_for(socket.close(code), 1.0)
+
+
+def _accepted(socket: WebSocket) -> str | None:
+    return "kitassist" if "kitassist" in socket.scope.get("subprotocols", ()) else None
+
+
+@router.websocket("/api/people/{name}/events")
+async def person_events(socket: WebSocket, name: str) -> None:
+    """Tell what somebody sees: now, and whenever it changes."""
+    service: Service = socket.app.state.service
+    if socket.state.caller.person not in (None, name) or name not in service.views:
+        await socket.close(DENIED)
+        return
+    await socket.accept(_accepted(socket))
+    if name not in service.views:
+        await _hang_up(socket, REMOVED)
+        return
+    service.visited.set()
+    watcher = service.watch(name)
+
+    async def send() -> int:
+        while (message := await watcher.messages.get()) is not None:
+            await socket.send_text(message.decode())
+        return ENDS if name in service.views else REMOVED
+
+    try:
+        await _converse(socket, send(), watcher.dropped)
+    finally:
+        service.leave(name, watcher)
+
+
+@router.websocket("/api/team/events")
+async def team_events(socket: WebSocket) -> None:
+    """Tell what the operator sees: now, and again when something has changed."""
+    service: Service = socket.app.state.service
+    if socket.state.caller.person is not None:
+        await socket.close(DENIED)
+        return
+    await socket.accept(_accepted(socket))
+    changed = service.operator()
+
+    async def send() -> int:
+        while True:
+            await changed.wait()
+            changed.clear()
+            await socket.send_text((await service.team()).decode())
+            await asyncio.sleep(service.pause_between)
+
+    try:
+        await _converse(socket, send(), asyncio.Event())
+    finally:
+        service.operator_leaves(changed)
