@@ -12,8 +12,13 @@ from hypothesis import strategies as st
 
 from assist.live.assistant import Assistant
 from assist.live.problem import InapplicableError, UnknownError
-from assist.people.human import Mixture, Population
+from assist.people.choice_model import Weighted, boltzmann
+from assist.people.human import HumanModel, Mixture, Population
+from assist.people.memory import remembered
+from assist.people.terms import TERMS
 from assist.person import problem
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
 from assist.simulation.belief_trace import Watched
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
@@ -257,6 +262,28 @@ def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
     assert (restored.person("ann").belief == desk.person("ann").belief).all()
     with pytest.raises(ValueError, match="the task of ann is not among the 1"):
         Assistant.from_json(desk.to_json(), fixed)
+
+
+def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) -> None:
+    """Of two policies for one task, each is for how its people choose: a belief worked out by the other is wrong."""
+    weights = {"ann": {"goals": 3.0}, "bob": {"goals": -3.0}}
+    solved = {
+        name: qmdp(AssistPOMDP.of(HumanModel.exact(remembered(tiny, {"goals": TERMS["goals"]})), chooses=Weighted(one)))
+        for name, one in weights.items()
+    }
+    desk = Assistant(people=solved)
+    for name in solved:
+        desk.observe(name, "(fetch box-a)")
+        desk.observe(name, WRONG)
+    assert not np.allclose(desk.person("ann").belief, desk.person("bob").belief)
+    restored = Assistant.from_json(desk.to_json(), *reversed(solved.values()))
+    for name in solved:
+        assert (restored.person(name).belief == desk.person(name).belief).all()
+    with pytest.raises(ValueError, match="the task of bob is not among the 1"):
+        Assistant.from_json(desk.to_json(), solved["ann"])
+    own = Assistant(tiny, ["ann"], population=Population(chooses=lambda *known: boltzmann(*known)))
+    with pytest.raises(ValueError, match="a function that is not saved"):
+        Assistant.from_json(own.to_json(), tiny)
 
 
 def test_a_large_team_has_room_for_more(tiny: Table) -> None:

@@ -179,12 +179,15 @@ def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
 
 
 def digest(task: CostToGo | Policy) -> str:
-    """Give what tells a task from others, wherever it was loaded."""
+    """Give what tells a task from others, wherever it was loaded; a policy also by all that beliefs depend on."""
     content = hashlib.sha256()
     if is_policy(task):
-        choices = task.pomdp.model.choices
+        pomdp, choices = task.pomdp, task.pomdp.model.choices
         content.update("\n".join(choices.names).encode())
-        for array in (choices.h, choices.actions, choices.targets, task.pomdp.model.q):
+        for array in (
+            choices.h, choices.actions, choices.targets, pomdp.model.q, pomdp.chosen, pomdp.suggested, pomdp.low,
+            pomdp.weight, pomdp.prior, pomdp.grid.beta, pomdp.grid.theta, np.array(pomdp.model.lapse),
+        ):  # fmt: skip
             content.update(np.ascontiguousarray(array).tobytes())
     else:
         content.update(cast(CostToGo, task).task.sas.encode())
@@ -192,12 +195,20 @@ def digest(task: CostToGo | Policy) -> str:
 
 
 def population_of(plain: dict[str, Any]) -> Population | Mixture:
-    """Read a population that `Population.as_dict` or `Mixture.as_dict` gave, and JSON may have kept."""
+    """Read a population that `Population.as_dict` or `Mixture.as_dict` gave, and JSON may have kept.
+
+    Raises
+    ------
+    ValueError
+        Its people choose by a function, of which there is only the name.
+    """
     if "parts" in plain:
         return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))
     return _ranges(plain)
 
 
 def _ranges(plain: dict[str, Any]) -> Population:
+    if "chooses" in plain:
+        raise ValueError(f"people choose by {plain['chooses']}, a function that is not saved; expected ranges, weights")
     weights = {name: (low, high) for name, (low, high) in plain.get("weights", {}).items()}
     return Population(tuple(plain["beta"]), tuple(plain["theta"]), tuple(plain["sigma"]), plain["noise"], weights)
