@@ -66,7 +66,7 @@ def solve(domain: str, problem: str, seconds: float, memory: float) -> dict[str,
     from planner import instance
     from planner.solving import SolveOptions, solve_instance
 
-    options = SolveOptions(time_limit=seconds, memory_limit=memory, verify_seconds=VERIFY)
+    options = SolveOptions(time_limit=seconds, memory_limit=memory, verify_seconds=VERIFY / SolveOptions.verify)
     record = solve_instance(instance(problem, domain), options)
     said = record["error"]["message"] if record["error"] else record["note"]
     kept = ("status", "method", "states", "cost", "verified", "peak_memory_mb")

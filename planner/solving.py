@@ -55,7 +55,7 @@ class SolveOptions:
     verify : int
         States that are compared with Fast Downward's A*, the initial one among them.
     verify_seconds : float
-        No further comparison begins after this time.
+        No further comparison begins after this time for each of these states.
     threads : int, optional
         Threads of one instance's sweep.
     """
@@ -64,7 +64,7 @@ class SolveOptions:
     memory_limit: float | None = None
     max_states: int = MAX_STATES
     verify: int = 20
-    verify_seconds: float = 10.0
+    verify_seconds: float = 0.5
     threads: int | None = None
 
 
@@ -240,7 +240,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
         what, count = "comparing states with A*", min(options.verify, len(table))
         with phases.phase("verify", what):
             record["verified"] = verify(
-                table, count, np.random.default_rng(0), seconds=options.verify_seconds, limits=phases.limits(),
+                table, count, np.random.default_rng(0), seconds=count * options.verify_seconds, limits=phases.limits(),
                 # Each search may take the memory that is allowed.
                 jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
                 progress=lambda done: phases.progress(what, done, count),

@@ -38,7 +38,7 @@ def test_solve_the_papers_instance() -> None:
         0,
         17,
     )
-    assert record["verified"] == 20 or record["seconds"]["verify"] > SolveOptions.verify_seconds
+    assert record["verified"] == 20 or record["seconds"]["verify"] > 20 * SolveOptions.verify_seconds
     assert len(record["plan"]) == 10
     validate(read(load(KITTING / "paper.pddl").instance), record["plan"])
     assert set(record["seconds"]) == {"read", "translate", "search", "verify", "plan", "validate", "total"}
