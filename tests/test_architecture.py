@@ -32,7 +32,7 @@ ROOMS = {
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         description messages admission routes watching browser web server client""",
-    "assist.cli": """interrupts options console bars progress task population person travel team policies summaries
+    "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
         solutions bounds solving solve simulate policy bound export draw log learned fit study serve commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""

@@ -14,6 +14,7 @@ person         one person's problem, and the options that describe it
 travel         the way between people's places
 team           a team, and the options that describe it
 policies       team policies by name, or of one's own
+live           a live team, and the options that describe it
 summaries      episodes as a table
 solutions      records of `solve` as a table
 solving        how far the instances of `solve` are

@@ -78,7 +78,7 @@ class Client:
                 request = urllib.request.Request(self.url + path, data, headers, method=method)
                 with urllib.request.urlopen(request, timeout=max(1.0, self.patience)) as answer:
                     content = answer.read().decode()
-                    return content if path == "/api/log" else json.loads(content)
+                    return content if path.startswith("/api/log") else json.loads(content)
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or time.monotonic() > given_up:
                     raise RefusedError(error.code, json.loads(error.read())["detail"]) from None
@@ -145,9 +145,10 @@ class Client:
         """Let the robot say nothing, or speak again."""
         self._ask("POST", "/api/team/pause", {"paused": paused})
 
-    def log(self) -> list[dict[str, Any]]:
-        """Give everybody's actions, as `fit` reads them."""
-        return [json.loads(line) for line in self._ask("GET", "/api/log").splitlines()]
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Give everybody's actions, as `fit` reads them; those in one task, if it is named."""
+        which = "" if task is None else f"?task={quote(task, safe='')}"
+        return [json.loads(line) for line in self._ask("GET", f"/api/log{which}").splitlines()]
 
     def watch(self, person: str | None = None) -> Iterator[dict[str, Any]]:
         """Give what somebody sees now and whenever it changes; what the operator does, where the link is theirs.

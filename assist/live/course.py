@@ -19,6 +19,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from numpy.typing import ArrayLike
+
 from planner import CostToGo
 
 from ..people.human import Mixture, Population
@@ -84,6 +86,7 @@ class _Note:
     reason: Reason | None = None
     reasons: list[Reason | None] = field(default_factory=list)
     times: list[list[float]] = field(default_factory=lambda: [[]])
+    tasks: list[str] = field(default_factory=list)
     history: list[tuple[float, float | None]] = field(default_factory=list)
 
 
@@ -96,6 +99,11 @@ class Course:
         By name; the first is that of everybody for whom no other is named.
     policy, setting, population, distance
         As in `Assistant`.
+
+    Attributes
+    ----------
+    fault : str or None
+        Why the policy could not decide after the last event; the robot then does nothing, and people go on.
     """
 
     def __init__(
@@ -105,12 +113,14 @@ class Course:
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
+        distance: ArrayLike | None = None,
     ) -> None:
         if not tasks:
             raise ValueError("there is no task; expected one or more")
         self.tasks = dict(tasks)
-        self.desk = Assistant(policy=policy, setting=setting, population=population)
+        self.desk = Assistant(policy=policy, setting=setting, population=population, distance=distance)
         self.count, self.paused, self.advice = 0, False, NOTHING
+        self.fault: str | None = None
         self.present: set[str] = set()
         self.recent: deque[dict[str, Any]] = deque(maxlen=RECENT)
         self._notes: dict[str, _Note] = {}
@@ -139,7 +149,7 @@ class Course:
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)
-        advice = NOTHING if self.paused else self.desk.recommend()
+        advice = self._decided()
         if advice == self.advice and event.kind == "elapsed":
             self.desk.follow(advice, step)
             return None
@@ -147,6 +157,16 @@ class Course:
             record["advice"] = asdict(advice)
         self._note(record, advice)
         return record | {"step": self.desk.step}
+
+    def _decided(self) -> Advice:
+        self.fault = None
+        if self.paused:
+            return NOTHING
+        try:
+            return self.desk.recommend()
+        except Exception as error:  # noqa: BLE001 what somebody did has been done, whatever is wrong with a policy
+            self.fault = " ".join(str(error).split()) or type(error).__name__
+            return NOTHING
 
     def again(self, record: Mapping[str, Any]) -> None:
         """Let happen again what has been recorded, the robot's decision included."""
@@ -239,6 +259,7 @@ class Course:
                 desk.elapse()
 
     def _began(self, note: _Note, task: str) -> None:
+        note.tasks.append(note.task)
         note.task, note.reason = task, None
         note.reasons.clear()
         note.history.clear()
@@ -334,11 +355,27 @@ class Course:
                 errand |= {"person": here, "suggestion": known["suggestion"], "reason": known["reason"]}
         return {**errand, "location": here, "seq": self.count}
 
-    def log(self) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them, with their times in seconds since the session began."""
-        rows = self.desk.log()
-        for row in rows:
-            row["time"] = self._notes[row["person"]].times[int(row["episode"]) - 1][row["step"]]
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Give everybody's actions as `fit` reads them, with their times in seconds since the session began.
+
+        Parameters
+        ----------
+        task : str, optional
+            Only those in this task.
+
+        Raises
+        ------
+        UnknownError
+            There is no such task.
+        """
+        if task is not None:
+            self._task(task)
+        rows = []
+        for row in self.desk.log():
+            note, number = self._notes[row["person"]], int(row["episode"]) - 1
+            own = [*note.tasks, note.task][number]
+            if task in (None, own):
+                rows.append({**row, "task": own, "time": note.times[number][row["step"]]})
         return rows
 
 

@@ -142,15 +142,18 @@ class Member(Person):
     grid: dict[str, list[float]]
     belief: list[list[float]]
     connected: bool
+    simulated: bool
     join: str
 
 
 class Team(BaseModel):
-    """What the operator sees."""
+    """What the operator sees. `fault` says why the policy could not decide, if it could not."""
 
     seq: int
     time: float
     paused: bool
+    fault: str | None
+    tasks: list[str]
     robot: Robot
     log: list[dict[str, Any]]
     people: list[Member]

@@ -116,9 +116,9 @@ async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
 
 @router.get(
     "/api/log", tags=["operator"], response_class=Response,
-    responses=refusals(403) | {200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}},
+    responses=refusals(403, 422) | {200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}},
 )  # fmt: skip
-async def log(_: Operator, service: Desk) -> Response:
-    """Everybody's actions as JSON Lines, which `kitassist fit` reads."""
-    rows = await asyncio.to_thread(service.session.log)
+async def log(_: Operator, service: Desk, task: Annotated[str | None, Query(max_length=200)] = None) -> Response:
+    """Everybody's actions as JSON Lines, which `kitassist fit` reads; those in one task, if it is named."""
+    rows = await asyncio.to_thread(service.session.log, task)
     return plain("".join(json.dumps(row) + "\n" for row in rows).encode(), "application/x-ndjson")

@@ -14,11 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import uvicorn
+from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
 from ..people.human import Mixture, Population
 from ..team.settings import Setting
+from ..team.state import TeamPolicy
 from .access import Access
 from .course import AbsentError, Event
 from .journal import JournalError
@@ -127,12 +129,15 @@ class Plan:
     tasks : mapping of str to CostToGo
     folder : Path
         Where the session is kept: its journal, and the secret from which links follow.
-    people : sequence of str
-        Who is there when a session begins; one that goes on has its own.
-    policy : str
+    people : mapping of str to str
+        Who is there when a session begins, with the name of their task; one that goes on has its own.
+    policy : str or callable
+        A team policy, as in `Assistant`.
     setting : Setting
     population : Population or Mixture
         Of whom people are taken to be, and simulated ones drawn.
+    distance : array, optional
+        Between the places of people, in their order, and the base, as in `Assistant`.
     simulated : sequence of str
         Whose seats simulated people take.
     pace, seed
@@ -143,23 +148,32 @@ class Plan:
 
     tasks: Mapping[str, CostToGo]
     folder: Path
-    people: Sequence[str]
-    policy: str
+    people: Mapping[str, str]
+    policy: str | TeamPolicy
     setting: Setting
     population: Population | Mixture
+    distance: ArrayLike | None
     simulated: Sequence[str]
     pace: float
     seed: int
     tick: float
 
     def session(self) -> Session:
-        """Open the session; at its very beginning people come."""
+        """Open the session; at its very beginning people come.
+
+        Raises
+        ------
+        ResultsExistError, DamagedFileError, OSError
+            As in `Session`.
+        ValueError
+            What cannot be, such as people of whom the task is too large for a choice model.
+        """
         session = Session(
             self.tasks, self.folder / "journal.jsonl", policy=self.policy, setting=self.setting,
-            population=self.population,
+            population=self.population, distance=self.distance,
         )  # fmt: skip
         if not session.outlook().events:
-            for outcome in session.report([Event("joined", person) for person in self.people]):
+            for outcome in session.report([Event("joined", name, task=task) for name, task in self.people.items()]):
                 if isinstance(outcome, Exception):
                     session.close()
                     raise outcome
@@ -175,23 +189,28 @@ class Plan:
         return Seats(people, self.pace)
 
 
-def serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[str, ...]], None]) -> None:
+Ready = Callable[[Access, tuple[str, ...]], None]
+
+
+def serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) -> None:
     """Serve a session until a signal ends it.
 
     Parameters
     ----------
     plan : Plan
+    session : Session
+        That of the plan.
     listening : socket
     ready : callable
         Called with the links and who is there when the first request can come.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    asyncio.run(_serve(plan, listening, ready))
+    asyncio.run(_serve(plan, session, listening, ready))
 
 
-async def _serve(plan: Plan, listening: socket.socket, ready: Callable[[Access, tuple[str, ...]], None]) -> None:
+async def _serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) -> None:
     access = Access.kept(plan.folder / "secret", address(listening))
-    service = Service(plan.session(), access, tick=plan.tick)
+    service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
     # No access log: addresses of pages have tokens in them.
     server = _Server(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import queue
 import threading
 from contextlib import suppress
@@ -141,6 +142,8 @@ class Service:
     ) -> None:
         if outlook.events != self.outlook.events:
             self._last = self._loop.time()
+        if outlook.fault not in (None, self.outlook.fault):
+            logging.getLogger(__name__).warning("the policy: %s", outlook.fault)
         self.outlook = outlook
         for person, view in changes.items():
             self._entries.pop(person, None)
@@ -235,7 +238,7 @@ class Service:
             self._entries.update(await asyncio.to_thread(self._entries_of, missing))
         now = self.outlook
         rest = {"seq": now.events, "paused": now.paused, "robot": now.robot, "log": now.recent}
-        rest["time"] = round(self.session.now(), 3)
+        rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
         people = b",".join(self._entries[person] for person in self.views if person in self._entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"
 
@@ -244,8 +247,11 @@ class Service:
         for person in people:
             with suppress(AbsentError):
                 entry = self.session.entry(person)
-                connected = person in self._watchers or person in self.simulated
-                more = {"connected": connected, "join": self.access.join_url(person)}
+                more = {
+                    "connected": person in self._watchers,
+                    "simulated": person in self.simulated,
+                    "join": self.access.join_url(person),
+                }
                 found[person] = _json(entry | more)
         return found
 

@@ -14,13 +14,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from planner import CostToGo, LimitError
 from planner.errors import DamagedFileError, ResultsExistError
 
+from ..people.belief import Grid
+from ..people.choice_model import chances
+from ..people.choices import Choices
+from ..people.decision import perceived_cost
 from ..people.human import Mixture, Population
+from ..person.problem import WHOLE, is_whole
 from ..team.settings import Setting
 from ..team.state import PolicyError, TeamPolicy
 from .advice import Advice
@@ -52,12 +61,15 @@ class Outlook:
         Where it is to be, and what it says there.
     recent : list of dict
         The last events, the oldest first.
+    fault : str or None
+        Why the policy could not decide, if it could not: the robot then does nothing.
     """
 
     events: int
     paused: bool
     robot: dict[str, Any]
     recent: list[dict[str, Any]]
+    fault: str | None
 
 
 class Session:
@@ -71,8 +83,8 @@ class Session:
         The file in which the session is kept, and from which it goes on.
     policy : str or callable
         A team policy, as in `Assistant`.
-    setting : Setting, optional
-    population : Population or Mixture, optional
+    setting, population, distance
+        As in `Assistant`.
     clock : callable
         Seconds from any beginning, never less than before. No result depends on it.
 
@@ -99,10 +111,13 @@ class Session:
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
         population: Population | Mixture | None = None,
+        distance: ArrayLike | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._tasks = dict(tasks) if isinstance(tasks, Mapping) else {"task": tasks}
-        self._options: dict[str, Any] = {"policy": policy, "setting": setting, "population": population}
+        self._options: dict[str, Any] = {
+            "policy": policy, "setting": setting, "population": population, "distance": distance,
+        }  # fmt: skip
         self._clock = clock
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
@@ -117,13 +132,17 @@ class Session:
         self._began = clock() - self._last
 
     def _header(self) -> dict[str, Any]:
-        desk = self._course.desk
+        desk, distance = self._course.desk, self._options["distance"]
         return {
             "format": FORMAT,
-            "policy": desk.policy if isinstance(desk.policy, str) else None,
+            "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
             "setting": asdict(desk.setting),
             "population": desk.population.as_dict(),
+            "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
+            "chances": None
+            if desk.population.chooses is None
+            else {name: _chances(task, desk.population) for name, task in self._tasks.items()},
         }
 
     def _resume(self) -> None:
@@ -323,12 +342,23 @@ class Session:
         """Give what there is to see beside the people."""
         with self.lock:
             course = self._course
-            return Outlook(course.count, course.paused, course.robot(), list(course.recent))
+            return Outlook(course.count, course.paused, course.robot(), list(course.recent), course.fault)
 
-    def log(self) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them."""
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The names of the tasks; the first is that of everybody for whom no other is named."""
+        return tuple(self._tasks)
+
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Give everybody's actions as `fit` reads them; only those in a task, if one is named.
+
+        Raises
+        ------
+        UnknownError
+            There is no such task.
+        """
         with self.lock:
-            return self._course.log()
+            return self._course.log(task)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Give somebody's task, and the state in which it is."""
@@ -341,6 +371,16 @@ class Session:
         with self.lock:
             desk = self._course.desk
             return {person: desk.person(person).belief.tobytes() for person in desk.people}
+
+
+def _chances(task: CostToGo, population: Population | Mixture) -> str:
+    """Tell how people choose by a function from what another one of that name says."""
+    if not is_whole(task):
+        raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
+    choices = Choices.of(task)
+    q = perceived_cost(choices, choices.h)
+    p = chances(population.typical, choices, q, Grid.regular(population).beta)
+    return sha256(p.tobytes()).hexdigest()[:32]
 
 
 def _line(record: Mapping[str, Any]) -> bytes:

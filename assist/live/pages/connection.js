@@ -42,7 +42,7 @@ export const askJson = async (path, options) => (await ask(path, options)).json(
 const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
 /** An error that passes: the same request may be answered later. */
-export const passes = (error) => !(error instanceof Refused) || [429, 503, 504].includes(error.status);
+export const passes = (error) => !(error instanceof Refused) || [429, 503, 504, 507].includes(error.status);
 
 export function newId() {
   const bytes = crypto.getRandomValues(new Uint8Array(12));

@@ -98,13 +98,14 @@ function card(person) {
   const ofTheta = theta.map((_, column) => person.belief.reduce((sum, row) => sum + row[column], 0));
   const [betas, betaMean] = beliefOf("Expertise beta", beta, ofBeta);
   const [thetas, thetaMean] = beliefOf("Influence theta", theta, ofTheta);
-  const state = person.finished ? "done" : person.connected ? "connected" : "not connected";
+  const seat = person.simulated ? "simulated" : person.connected ? "connected" : "not connected";
+  const state = person.finished ? "done" : seat;
   const join = links[person.person] ?? person.join;
   return element("li", { class: `card${here ? " here" : ""}` },
     element("h3", {}, person.person,
       here ? element("span", { class: "badge here" }, "robot here") : null,
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
-    element("p", {}, `${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`}`),
+    element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`}`),
     person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
     figureOf(progressOf(person), "Cost to go over time"),
     element("div", { class: "pair" },
@@ -123,6 +124,10 @@ function show() {
   at("pause").textContent = team.paused ? "Go on suggesting" : "Pause suggestions";
   at("pause").setAttribute("aria-pressed", String(team.paused));
   at("where").textContent = robot.location ? `With ${robot.location}` : "At its base";
+  const fault = team.fault ? `The policy fails, so nothing is suggested: ${team.fault}` : "";
+  if (at("fault").textContent !== fault) at("fault").textContent = fault; // a screen reader says it once
+  at("fault").hidden = !fault;
+  showTasks();
   if (team.paused) at("next").textContent = "Paused: nothing new is suggested.";
   else if (!robot.person) at("next").textContent = "Nothing is worth saying to anybody right now.";
   else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
@@ -138,6 +143,12 @@ function show() {
       element("td", {}, event.person ?? ""),
       element("td", {}, [event.event, plain(event.action)].filter(Boolean).join(": ")),
       element("td", {}, event.suggestion ? `${plain(event.suggestion)}${event.followed === true ? " (followed)" : event.followed === false ? " (not followed)" : ""}` : ""))));
+}
+
+/** Where there are several tasks, whoever is added gets the one that is chosen. */
+function showTasks() {
+  at("task-label").hidden = team.tasks.length < 2;
+  if (at("task").options.length !== team.tasks.length) at("task").replaceChildren(...team.tasks.map((name) => element("option", {}, name)));
 }
 
 /** What is redrawn under somebody's hands keeps its place. */
@@ -175,7 +186,7 @@ at("add").addEventListener("submit", async (event) => {
   event.preventDefault();
   const name = at("name").value.trim();
   if (!name) return;
-  const added = await tell("/api/team/people", { method: "POST", body: { person: name } }, `${name} is added.`);
+  const added = await tell("/api/team/people", { method: "POST", body: { person: name, ...(team?.tasks.length > 1 ? { task: at("task").value } : {}) } }, `${name} is added.`);
   if (added === null) return;
   at("name").value = "";
   if (added.join) links[name] = added.join;

@@ -1,0 +1,93 @@
+"""A live team: the options that describe it, and how its session is set up from them."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from planner import Instance, InstanceError, find_instances
+from planner.solving import SolveOptions
+
+from .options import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
+from .person import model_options
+from .policies import PolicyName, policies_of
+from .population import people_option, population_of, population_options
+from .task import costs_of
+from .travel import travel_of, travel_options
+
+if TYPE_CHECKING:
+    from ..live.server import Plan
+
+MOST = 10_000
+"""People in a team."""
+
+
+def live_options(command: Command) -> Command:
+    """Add the options that say what session it is; `plan_of` takes them all."""
+    options: tuple[Option[Any], ...] = (
+        click.option("--humans", type=click.IntRange(1, MOST), required=True, metavar="K", help="People in the team."),
+        click.option("--simulate", type=click.IntRange(min=0), default=0, metavar="N", help="Simulated among the K."),
+        click.option("--pace", type=SECONDS, default=3.0, show_default=True, help="Seconds in which those act once."),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="From which those are drawn."),
+        click.option("--data", type=OUTPUT_FOLDER, metavar="DIR", help="Where the session is kept, and goes on from."),
+        click.option("--policy", type=PolicyName(), default="attention", show_default=True, help="Team policy."),
+        click.option(
+            "--tick", type=SECONDS, default=2.0, show_default=True, help="Idle seconds before deciding again."
+        ),
+        *model_options(),
+        travel_options,
+        population_options(),
+        people_option,
+        range_option("--sigma", (0.1, 1.0), "Range of the size of simulated people's misconceptions."),
+    )
+    return with_options(command, options)
+
+
+def plan_of(
+    instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
+    tick: float, domain: str | None, distances: Path | None, beta: Range, theta: Range, sigma: Range,
+    population_file: Path | None, people: str | None, **options: Any,
+) -> Plan:  # fmt: skip
+    """Read the tasks and set up the session; errors are those of a command."""
+    from ..drawing import Artist
+    from ..live.server import Plan
+    from ..team.settings import Setting
+
+    if simulate > humans:
+        raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
+    population = population_of(beta, theta, sigma, file=population_file, people=people)
+    (chosen,) = policies_of((policy,)).values()
+    try:
+        setting = Setting(**options)
+        if setting.execute:
+            raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
+        distance = None if distances is None else travel_of(setting, humans, distances).distance
+        found = _named(find_instances(instances, domain))
+        tasks = {
+            name: costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None) for name, one in found.items()
+        }
+        for task in tasks.values():
+            Artist(task.task)  # says what is wrong with a `drawing.toml` before anybody sees a page
+    except InstanceError:
+        raise
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
+    names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
+    in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}
+    return Plan(
+        tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
+        population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
+    )  # fmt: skip
+
+
+def _named(instances: list[Instance]) -> dict[str, Instance]:
+    """Call each task by its file, and by the folder too where two files have one name."""
+    stems = [instance.problem.stem for instance in instances]
+    return {
+        stem if stems.count(stem) == 1 else f"{instance.problem.parent.name}/{stem}": instance
+        for stem, instance in zip(stems, instances, strict=True)
+    }

@@ -1,0 +1,258 @@
+"""What `serve` makes of its options: the session, the people in it, and what it says of faults."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import KITTING, ROOT, invoke
+
+from assist.live import server
+from assist.live.course import Event
+from assist.live.session import Session
+from assist.live.simulated import SimulatedPerson
+from assist.people.choice_model import Weighted
+from assist.people.choices import Choices
+from assist.people.human import Human, Population
+from assist.people.memory import choices_of
+from assist.people.own import OwnModel, _loaded
+from planner import Table
+
+TINY, PAPER = KITTING / "tiny.pddl", KITTING / "paper.pddl"
+SHORT = f"{ROOT / 'docs/examples/short_sighted.py'}:short_sighted"
+WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
+
+OWN = """\
+import numpy as np
+
+
+def in_turn(team):
+    return team.act(team.active.argmax(axis=1), team.first_optimal())
+
+
+def oops(team):
+    return {}["oops"]
+
+
+def moves(choices, q, beta):
+    share = choices.applicable / np.maximum(choices.applicable.sum(axis=1), 1)[:, None]
+    return np.repeat(share[None], len(beta), axis=0)
+
+
+def always(choices, q, beta):
+    first = choices.applicable & (np.arange(q.shape[1]) == 0)
+    return np.repeat(first[None].astype(float), len(beta), axis=0)
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    file = tmp_path / "own.py"
+    file.write_text(OWN)
+    return file
+
+
+class Begun:
+    """What would be served: the plan and its session, instead of a service."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.sessions: list[Session] = []
+
+        def serve(plan: server.Plan, session: Session, listening: Any, _: Any) -> None:
+            self.plan = plan
+            self.sessions.append(session)
+            listening.close()
+
+        monkeypatch.setattr(server, "serve", serve)
+
+    def __call__(self, *options: Any) -> Session:
+        self.end()
+        result = invoke("serve", *options, "--port", 0)
+        assert result.exit_code == 0, result.output
+        return self.sessions[-1]
+
+    def end(self) -> None:
+        for session in self.sessions:
+            session.close()
+
+
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> Iterator[Begun]:
+    found = Begun(monkeypatch)
+    yield found
+    found.end()
+
+
+def test_a_policy_of_ones_own_decides(begun: Begun, own: Path, tmp_path: Path) -> None:
+    options = (TINY, "--humans", 2, "--data", tmp_path / "data")
+    session = begun(*options, "--policy", f"{own}:in_turn")
+    assert [session.person(name)["suggestion"] for name in session.people] == ["(fetch box-a)"] * 2
+    assert session.observe("person-1", "(fetch box-a)")["suggestion"] == RIGHT
+    assert begun(*options, "--policy", f"{own}:in_turn").person("person-1")["steps"] == 1
+    begun.end()
+    refused = invoke("serve", *options, "--port", 0)
+    assert (refused.exit_code, refused.stderr.count("\n")) == (2, 1)
+    assert "has policy in_turn, not attention" in refused.stderr
+
+
+def test_people_go_on_where_a_policy_fails(begun: Begun, own: Path, tmp_path: Path) -> None:
+    options = (TINY, "--humans", 2, "--data", tmp_path / "data", "--policy", f"{own}:oops")
+    session = begun(*options)
+    seen = session.observe("person-1", "(fetch box-a)", id="1")
+    assert (seen["steps"], seen["suggestion"]) == (1, None)
+    assert session.outlook().fault == f"{own}:9: KeyError: 'oops'"
+    believed = session.beliefs()
+    session = begun(*options)
+    assert session.beliefs() == believed
+    assert session.observe("person-1", "(fetch box-a)", id="1") == seen
+
+
+def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Path) -> None:
+    file = tmp_path / "distances.json"
+    for near, far in (("person-1", "person-2"), ("person-2", "person-1")):
+        to = {near: 0.1, far: 9}
+        first, second = to["person-1"], to["person-2"]
+        file.write_text(json.dumps([[0, 9, first], [9, 0, second], [first, second, 0]]))
+        session = begun(TINY, "--humans", 2, "--c-suggest", 0.02, "--c-move", 0.5, "--distances", file)
+        for action in ("(fetch box-a)", WRONG):
+            for name in session.people:
+                session.observe(name, action)
+        assert session.person(near)["suggestion"] == "(remove hammer slot-2 box-a)"
+        assert session.person(far)["suggestion"] is None
+    with pytest.raises(ValueError, match="a place for 2 people; expected a larger matrix"):
+        session.join("guest")
+
+
+def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Path) -> None:
+    options = (TINY, "--humans", 3, "--simulate", 1, "--c-suggest", 0.02, "--data", tmp_path / "data")
+    session = begun(*options, "--people", f"{own}:moves")
+    for action in ("(fetch box-a)", WRONG):
+        session.observe("person-1", action)
+    # Whoever chooses at random whatever their expertise, of them nothing is learned about it.
+    beta = np.frombuffer(session.beliefs()["person-1"]).reshape(6, 10).sum(axis=1)
+    assert beta == pytest.approx(np.full(6, 1 / 6))
+    task, state = session.place("simulated-1")
+    assert begun.plan.seats().people["simulated-1"].chances(task, state) == pytest.approx([0.5, 0.5])
+    begun.end()
+    own.write_text(OWN.replace("def moves", "def other").replace("def always", "def moves"))
+    _loaded.cache_clear()
+    refused = invoke("serve", *options, "--port", 0, "--people", f"{own}:moves")
+    assert refused.exit_code == 2
+    assert "has chances tiny" in refused.stderr
+
+
+def test_people_are_drawn_from_a_file(begun: Begun, tmp_path: Path) -> None:
+    file = tmp_path / "population.json"
+    fixed = {"beta": [2.0, 2.0], "theta": [0.9, 0.9], "sigma": [0.0, 0.0], "noise": "state"}
+    file.write_text(json.dumps({"parts": [fixed | {"weights": {"name": [9.0, 9.0]}, "share": 1.0}]}))
+    session = begun(TINY, "--humans", 1, "--simulate", 1, "--population", file)
+    (person,) = begun.plan.seats().people.values()
+    assert (person.beta, person.theta, person.weights) == (2.0, 0.9, {"name": 9.0})
+    assert np.frombuffer(session.beliefs()["simulated-1"]).size == 10  # beta is known
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--policy", "nobody"), "expected one of none"),
+        (("--policy", "own.py:missing"), "no such file"),
+        (("--people", "x"), "expected FILE.py:FUNCTION"),
+        (("--execute",), "expected a robot that suggests"),
+        (("--simulate", 3), "--simulate 3 is more than --humans 2"),
+        (("--distances", TINY), "--distances"),
+        (("--gamma", 2), "gamma"),
+        (("--sigma", 2, 1), "sigma range"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line_before_anything_is_served(
+    begun: Begun, options: tuple[Any, ...], says: str
+) -> None:
+    result = invoke("serve", TINY, "--humans", 2, "--port", 0, *options)
+    assert result.exit_code == 2, result.output
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr
+    assert begun.sessions == []
+
+
+def test_a_choice_model_needs_all_states(begun: Begun) -> None:
+    result = invoke("serve", KITTING / "ladder-4x6.pddl", "--humans", 1, "--port", 0, "--people", SHORT)
+    assert result.exit_code == 2
+    assert "expected a task of at most 20,000 states" in result.stderr
+    assert begun.sessions == []
+
+
+def test_several_tasks_are_given_in_turn_and_each_has_its_log(begun: Begun) -> None:
+    session = begun(TINY, PAPER, "--humans", 3)
+    assert session.tasks == ("tiny", "paper")
+    tasks = [session.person(name)["task"] for name in session.people]
+    assert tasks == ["tiny", "paper", "tiny"]
+    assert session.person("person-2")["cost_to_go"] == 10.0
+    assert session.join("guest", "paper")["task"] == "paper"
+    for name in session.people:
+        session.observe(name, "(fetch box-a)")
+    session.begin("person-1", "paper")
+    session.observe("person-1", "(fetch box-b)")
+    rows = [(row["person"], row["episode"], row["task"]) for row in session.log("paper")]
+    assert rows == [("person-1", "2", "paper"), ("person-2", "1", "paper"), ("guest", "1", "paper")]
+    assert len(session.log()) == 5
+    with pytest.raises(ValueError, match="expected one of tiny, paper"):
+        session.log("none")
+
+
+def test_a_simulated_person_chooses_as_the_model_says(tiny: Table) -> None:
+    """Along a walk, with terms that look back: as a `Human` on rows that remember what came before."""
+    weights = {"goals": 0.7, "name": -0.4, "arguments": 1.1, "back": -2.0}
+    ranges = {name: (weight, weight) for name, weight in weights.items()}
+    population = Population((1.3, 1.3), (0.8, 0.8), (0.0, 0.0), weights=ranges)
+    person, choices = SimulatedPerson(population, seed=1), choices_of(tiny, weights)
+    human = Human(1.3, 0.8, 0.0, choices.h.copy(), Weighted(weights))
+    expected, row, looked_back = human.chances(choices), choices.initial, 0
+    plain = Human(1.3, 0.8, 0.0, choices.h.copy()).chances(choices)
+    for _ in range(40):
+        state = choices.task_state(row)
+        if choices.goal[row]:
+            break
+        names = [choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))]
+        assert person.chances(tiny, state) == pytest.approx(expected[row][: len(names)], abs=1e-12)
+        looked_back += not np.allclose(expected[row], plain[row])
+        done = person.act(tiny, state, names, None)
+        row = int(choices.targets[row, names.index(done)])
+    assert looked_back > 3
+
+
+def test_a_simulated_person_with_a_model_of_ones_own(tiny: Table, own: Path) -> None:
+    person = SimulatedPerson(Population(sigma=(0.0, 0.0), chooses=OwnModel.load(own, "moves")), seed=3)
+    choices = Choices.of(tiny)
+    assert person.chances(tiny, choices.initial) == pytest.approx([0.5, 0.5])
+    theta = person.theta
+    person.act(tiny, choices.initial, ["(fetch box-a)", "(fetch box-b)"], "(fetch box-a)")
+    assert person.theta > theta
+
+
+def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path) -> None:
+    from starlette.testclient import TestClient
+
+    from assist.live.access import Access
+    from assist.live.service import Service
+    from assist.live.web import make_app
+
+    session = begun(TINY, PAPER, "--humans", 2, "--simulate", 1)
+    service = Service(session, Access.kept(tmp_path / "secret", "http://testserver"), tick=60.0)
+    service.simulated = frozenset(begun.plan.simulated)
+    headers = {"Authorization": f"Bearer {service.access.operator}"}
+    with TestClient(make_app(service)) as client:
+        team = client.get("/api/team", headers=headers).json()
+        assert [(one["connected"], one["simulated"]) for one in team["people"]] == [(False, False), (False, True)]
+        assert (team["tasks"], team["fault"]) == (["tiny", "paper"], None)
+        come = client.post("/api/team/people", headers=headers, json={"person": "eve", "task": "paper"})
+        assert come.status_code == 200
+        assert client.get("/api/people/eve", headers=headers).json()["cost_to_go"] == 10.0
+        client.post("/api/people/eve/actions", headers=headers, json={"action": "(fetch box-a)"})
+        for task, count in (("paper", 1), ("tiny", 0)):
+            assert len(client.get("/api/log", headers=headers, params={"task": task}).text.splitlines()) == count
+        assert client.get("/api/log", headers=headers, params={"task": "none"}).status_code == 422
+        session.report([Event("paused")])
