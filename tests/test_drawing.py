@@ -25,7 +25,7 @@ from planner.fast_downward import optimal_plan
 SVG = "{http://www.w3.org/2000/svg}"
 INSTANCES = [
     "kitting/paper", "kitting/costs/ways", "stations/two-benches", "lockers/two-lockers", "gripper/balls-03",
-    "blocks/blocks-4", "delivery/three-parcels", "depot/two-boxes",
+    "blocks/blocks-4", "delivery/three-parcels", "depot/two-boxes", "tower/swap",
 ]  # fmt: skip
 
 
@@ -59,7 +59,8 @@ def test_every_object_appears_once_in_every_state_of_a_plan(name: str, guessed: 
     assert plan is not None
     for values in drawn.subject.follow(plan):
         picture = drawn.draw(values)
-        assert sorted(objects_in(picture.svg)) == sorted(drawn.subject.objects)
+        shown = [name for name in drawn.subject.objects if not drawn.profile.look(drawn.subject, name).hidden]
+        assert sorted(objects_in(picture.svg)) == sorted(shown)
         root = ElementTree.fromstring(picture.svg)
         assert root.attrib["role"] == "img"
         assert root.find(f"{SVG}title") is not None
@@ -118,9 +119,29 @@ def test_the_same_state_gives_the_same_bytes(name: str) -> None:
 def test_what_words_say() -> None:
     drawn = artist("kitting/paper")
     assert drawn.say("(place hammer slot-1 box-a)") == "Put hammer into slot-1"
-    assert artist("depot/two-boxes").say("(lift box-a box-b)") == "lift box-a, box-b"
+    assert artist("depot/two-boxes").say("(lift box-a box-b)") == "Lift box-a off box-b"
+    plain = Artist(artist("depot/two-boxes").subject.task, Profile())
+    assert plain.say("(lift box-a box-b)") == "lift box-a, box-b"
     assert drawn.draw().text.startswith("box-a in storage; ")
     assert "Goal: 3 of 7 done. Open: hammer in slot-1;" in drawn.draw().text
+
+
+def test_objects_without_types_are_known_by_what_always_holds_of_them() -> None:
+    drawn = artist("depot/two-columns")
+    shape = {name: drawn.profile.look(drawn.subject, name).shape for name in ("box-a", "kind-a", "pallet-1", "bench")}
+    assert shape == {"box-a": "crate", "kind-a": "chip", "pallet-1": "block", "bench": "block"}
+    assert "n0" not in objects_in(drawn.draw().svg)
+    plan = ["(lift box-a box-b)", "(put box-a bench)", "(take kind-a box-a bench n1 n2 n0 n1)"]
+    states = drawn.subject.follow([*plan, "(show kind-a column-2 n0 n1 n0 n1)"])
+    assert written_on(drawn.draw(states[0]).svg, "kind-a") == ["kind-a", "stock: n2", "tray: n0"]
+    assert written_on(drawn.draw(states[3]).svg, "kind-a") == ["kind-a", "stock: n1", "tray: n1"]
+    assert ("column-2 n1: kind-a", True) in drawn.scene(states[4]).goal
+    assert "column-2 in display, n1: kind-a" in drawn.draw(states[4]).text
+
+
+def test_every_shipped_domain_has_a_drawing() -> None:
+    folders = {file.parent for file in DOMAINS.rglob("domain.pddl")}
+    assert [folder for folder in folders if not (folder / "drawing.toml").is_file()] == []
 
 
 def test_goals_that_are_no_list_of_facts(tmp_path: Path) -> None:
@@ -177,6 +198,8 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
         "[places]\nin-slot = '?1 in kit'": "'kit' is not among [things]",
         "[places]\nin-slot = '?3 in ?2'": "?3; the predicate has 2 arguments",
         "[types]\nslot = {shape = 'hexagon'}": "shape 'hexagon'; there are chip,",
+        "[types]\nslot = {of = 'fits'}": "of = 'fits'; expected something like 'holds ?1'",
+        "[marks]\nin-slot = '?1 in ?3'": "?3; the predicate has 2 arguments",
         "[colors]\n": "[colors] is not expected",
         "nothing": "drawing.toml: ",
     }.items():

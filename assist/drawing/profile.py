@@ -4,12 +4,13 @@ The file says of types how their objects look, and of predicates where these put
 
     [types]
     slot = {shape = "slot", in = "kit", holds = 1}   # where objects of this type are unless a fact says otherwise
+    box = {shape = "crate", of = "holds ?1"}         # in a domain without types: what is ?1 in a fact that always holds
     [things]
     kit = {title = "Kit"}                            # what is drawn without being an object
     [places]
     in-slot = "?1 in ?2"                             # ?1 is drawn within ?2, as with `at`; `on` stacks
     [marks]
-    shut = "?1 shut"                                 # a word on an object
+    shut = "?1 shut"                                 # a word on an object; it may name others: "?1 has ?2"
     [links]
     road = "?1 to ?2, length"                        # written on ?1, with a function's value
     [colours]
@@ -27,6 +28,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -106,7 +108,13 @@ class Rule:
     part: str | None = None
 
     def of(self, fact: Atom) -> tuple[str, str]:
-        """Give what a fact relates; a part of an object is `object#part`, a thing `#thing`."""
+        """Give what a fact relates; a part of an object is `object#part`, a thing `#thing`.
+
+        Where it is a word that a fact puts on an object, the word is given as it is, with the fact's arguments in it.
+        """
+        if not self.how:
+            what = fact[self.what] if isinstance(self.what, int) else f"#{self.what}"
+            return what, re.sub(r"\?(\d)", lambda end: fact[int(end[1])], str(self.where))
         what, where = (fact[end] if isinstance(end, int) else f"#{end}" for end in (self.what, self.where))
         return what, where if self.part is None else f"{where}#{self.part}"
 
@@ -126,6 +134,8 @@ class Profile:
         Predicates that are not shown.
     guessed : bool
         Whether it was found out from the task.
+    own : dict of str to Look
+        How objects look that are known by what always holds of them.
     """
 
     types: dict[str, Look] = field(default_factory=dict)
@@ -137,6 +147,7 @@ class Profile:
     words: dict[str, str] = field(default_factory=dict)
     hidden: frozenset[str] = frozenset()
     guessed: bool = False
+    own: dict[str, Look] = field(default_factory=dict)
 
     @classmethod
     def of(cls, subject: Subject) -> Profile:
@@ -151,6 +162,8 @@ class Profile:
 
     def look(self, subject: Subject, name: str) -> Look:
         """Give how an object looks."""
+        if name in self.own:
+            return self.own[name]
         return next((self.types[kind] for kind in subject.types(name) if kind in self.types), Look())
 
 
@@ -183,7 +196,8 @@ def read(file: Path, subject: Subject) -> Profile:
             what, how, where, part = (found.groupdict().get(group) for group in ("what", "how", "where", "part"))
             assert what is not None
             rule = Rule(_end(what), how or "", _end(where or ""), part)
-            for end in (rule.what, rule.where if table == "places" else 1):
+            within = [int(end) for end in re.findall(r"\?(\d)", where or "")] if table == "marks" else []
+            for end in (rule.what, rule.where if table == "places" else 1, *within):
                 if isinstance(end, str) and end not in things:
                     raise ProfileError(f"{file}: {table}.{predicate}: '{end}' is not among [things]")
                 if isinstance(end, int) and end > arities.get(predicate, end):
@@ -191,8 +205,14 @@ def read(file: Path, subject: Subject) -> Profile:
                         f"{file}: {table}.{predicate}: ?{end}; the predicate has {arities[predicate]} arguments"
                     )
             rules[table][predicate] = rule
+    types = {name: _look(file, f"types.{name}", value) for name, value in content.get("types", {}).items()}
+    own: dict[str, Look] = {}
+    for kind, table in content.get("types", {}).items():
+        for name in _known_by(file, f"types.{kind}", table.get("of", []), subject):
+            own.setdefault(name, types[kind])
     return Profile(
-        types={name: _look(file, f"types.{name}", value) for name, value in content.get("types", {}).items()},
+        types=types,
+        own=own,
         things=things,
         words={name: str(text) for name, text in content.get("words", {}).items()},
         hidden=frozenset(content.get("hide", {}).get("predicates", ())),
@@ -201,6 +221,16 @@ def read(file: Path, subject: Subject) -> Profile:
         links=rules["links"],
         colours=rules["colours"],
     )
+
+
+def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> Iterator[str]:
+    """Give the objects of which something always holds: that they are an argument of such a fact."""
+    for one in [of] if isinstance(of, str) else of:
+        found = re.fullmatch(r"([\w-]+) \?(\d)", one) if isinstance(one, str) else None
+        if found is None:
+            raise ProfileError(f"{file}: {where}: of = {one!r}; expected something like 'holds ?1'")
+        predicate, end = found[1], int(found[2])
+        yield from (fact[end] for fact in sorted(subject.constant) if fact[0] == predicate and 0 < end < len(fact))
 
 
 PATTERNS = {
@@ -217,7 +247,17 @@ def _end(text: str) -> int | str:
 
 
 def _look(file: Path, where: str, value: Any) -> Look:
-    kinds = {"shape": str, "title": str, "in": str, "holds": int, "high": int, "parts": dict, "hidden": bool}
+    kinds: dict[str, Any] = {
+        "shape": str,
+        "title": str,
+        "in": str,
+        "holds": int,
+        "high": int,
+        "parts": dict,
+        "hidden": bool,
+    }
+    if where.startswith("types") and ".parts." not in where:
+        kinds["of"] = (str, list)
     if not isinstance(value, dict):
         raise ProfileError(f"{file}: {where}: expected a table such as {{shape = 'crate'}}")
     for name, one in value.items():

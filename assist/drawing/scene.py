@@ -89,8 +89,9 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
         how, where = placed[key]
         (nodes[where].on if how == "on" else nodes[where].inside).append(nodes[key])
     for rule, fact in _said_by(profile.marks, facts):
-        if (key := _ends(rule, fact)[0]) in nodes:
-            nodes[key].marks.append(str(rule.where))
+        key, word = rule.of(fact)
+        if key in nodes:
+            nodes[key].marks.append(word)
     _colour(profile, facts, nodes)
     goal = [(say_wanted(profile, wanted), subject.holds(wanted, facts, values)) for wanted in subject.goal]
     for wanted, (_, done) in zip(subject.goal, goal, strict=True):
@@ -112,7 +113,7 @@ def say_wanted(profile: Profile, wanted: Wanted) -> str:
     rule = None if profile.guessed else profile.places.get(predicate) or profile.marks.get(predicate)
     if rule is None:
         return f"{'not ' * wanted.negated}{' '.join(wanted.atom)}"
-    what, where = (end if "#" not in end else end.replace("#", " ").strip() for end in _ends(rule, wanted.atom))
+    what, where = (end if "#" not in end else end.replace("#", " ").strip() for end in rule.of(wanted.atom))
     middle = f"{'not ' * wanted.negated}{rule.how} " if rule.how else "not " * wanted.negated
     return f"{what} {middle}{where}"
 
@@ -124,12 +125,6 @@ def _said_by(rules: Mapping[str, Rule], facts: Iterable[Atom]) -> Iterator[tuple
         by_predicate.setdefault(fact[0], []).append(fact)
     for predicate, rule in rules.items():
         yield from ((rule, fact) for fact in by_predicate.get(predicate, ()))
-
-
-def _ends(rule: Rule, fact: Atom) -> tuple[str, str]:
-    if rule.how:
-        return rule.of(fact)
-    return (fact[rule.what] if isinstance(rule.what, int) else f"#{rule.what}"), str(rule.where)
 
 
 def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
@@ -188,7 +183,7 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
     rule = profile.places.get(wanted.atom[0]) or profile.marks.get(wanted.atom[0])
     if rule is None:
         return
-    what, where = _ends(rule, wanted.atom)
+    what, where = rule.of(wanted.atom)
     if what in nodes:
         nodes[what].done = done and nodes[what].done is not False
     text = nodes[what].title if what in nodes else what
