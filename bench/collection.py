@@ -87,7 +87,7 @@ def run(domain: Path, problem: Path, *, only_read: bool, seconds: float, busy: f
         if done.returncode == 0:
             result = json.loads(done.stdout.splitlines()[-1])
         elif done.returncode == -signal.SIGXCPU:
-            result = {"status": "limit", "said": f"out of processor time ({seconds + GRACE:g} s)"}
+            result = {"status": "limit", "said": f"out of processor time ({seconds + GRACE:g} s of each processor)"}
         else:
             result = {"status": "died", "said": (done.stderr.strip().splitlines() or ["nothing"])[-1]}
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -154,7 +154,7 @@ def main(
     """Read and solve an instance of each domain of a collection."""
     if one is not None:
         _, most = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds + GRACE), most))
+        resource.setrlimit(resource.RLIMIT_CPU, (int((seconds + GRACE) * (os.cpu_count() or 1)), most))
         print(json.dumps(read(*one) if only_read else solve(*one, seconds * busy, memory)))
         return
     folder = os.environ.get("DOWNWARD_BENCHMARKS")
