@@ -22,10 +22,18 @@ def _page(name: str) -> Response:
     return FileResponse(file)
 
 
-def _visited(request: Request, token: str, person: str | None) -> None:
+def _of(request: Request, token: str, person: str | None, page: str) -> Response:
+    """Give somebody's page, or the one that says that a link is not right."""
     caller = request.app.state.service.access.whose(token)
     if caller is None or caller.person != person:
-        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
+        return FileResponse(PAGES / "nowhere.html", 403)
+    return _page(page)
+
+
+@router.get("/")
+async def nowhere() -> Response:
+    """Say that a link is needed."""
+    return FileResponse(PAGES / "nowhere.html", 404)
 
 
 @router.get("/docs")
@@ -37,15 +45,13 @@ async def docs(request: Request) -> Response:
 @router.get("/join/{name}/{token}")
 async def worker(request: Request, name: str, token: str) -> Response:
     """Give the page of whoever works."""
-    _visited(request, token, name)
-    return _page("worker.html")
+    return _of(request, token, name, "worker.html")
 
 
 @router.get("/operator/{token}")
 async def operators(request: Request, token: str) -> Response:
     """Give the page of whoever looks after the team."""
-    _visited(request, token, None)
-    return _page("operator.html")
+    return _of(request, token, None, "operator.html")
 
 
 @router.get("/pages/{name}")

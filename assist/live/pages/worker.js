@@ -77,7 +77,8 @@ function showAdvice() {
   const suggestion = open();
   at("advice").classList.toggle("open", suggestion !== null);
   at("offer").hidden = suggestion === null;
-  at("nothing").hidden = suggestion !== null;
+  at("paused").hidden = !view.paused || suggestion !== null;
+  at("nothing").hidden = view.paused || suggestion !== null;
   if (suggestion === null) {
     at("suggestion").textContent = "";
     return;
