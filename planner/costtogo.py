@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import fast_downward
+from . import fast_downward, replay
 from .errors import MismatchError
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .statespace import StateSpace
@@ -398,6 +398,57 @@ def verify(
         finally:
             over.set()
     return done
+
+
+def check_successors(table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None) -> int:
+    """Compare a random sample of a table with the values of what comes after, the initial state first.
+
+    In a goal state the cost-to-go is 0, in any other the least sum of an action's cost and the cost-to-go after it.
+    What comes after is computed from the operators of the grounded task, not by what made the table. Of states that
+    are too far from the goal for A* this can be told as well.
+
+    Parameters
+    ----------
+    table : Table
+    count : int
+        States to compare (all, where there are fewer); those that `verify` takes with the same generator.
+    rng : numpy.random.Generator
+    seconds : float, optional
+        No further state is compared after this time.
+
+    Returns
+    -------
+    int
+        How many states were compared, all of them equal.
+
+    Raises
+    ------
+    MismatchError
+        A state whose values differ, or that leads to something that is no state of the table.
+    """
+    space, task = table.space, table.task
+    states = [space.initial, *random_states(space, max(0, count - 1), rng)]
+    start = time.monotonic()
+    for done, state in enumerate(states):
+        if seconds is not None and done and time.monotonic() - start > seconds:
+            return done
+        values = space.values([state])[0].tolist()
+        if all(values[variable] == value for variable, value in task.goal):
+            expected = 0.0
+        else:
+            after = replay.successors(task, values)
+            targets = np.array([target for _, target in after], dtype=np.int64).reshape(-1, len(values))
+            try:
+                least = np.array([cost for cost, _ in after]) + table.lookup(space.numbers(targets))
+            except KeyError as error:
+                raise MismatchError(f"state {state} leads to {error}, which is no state of the table") from error
+            expected = float(least.min(initial=np.inf))
+        if table[state] != expected:
+            raise MismatchError(
+                f"cost-to-go of state {state} is {table[state]:g}, but its successors say {expected:g} "
+                f"({', '.join(space.facts(state))})"
+            )
+    return len(states)
 
 
 def random_states(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:

@@ -1,4 +1,4 @@
-"""Plans, checked by what the grounded task says, one action after the other.
+"""Plans and successors by what the grounded task says, one action after the other.
 
 Independent of all that computes costs-to-go: neither packed states nor moves, only the operators and axioms as the
 translator wrote them.
@@ -34,6 +34,22 @@ def replay(task: Task, plan: Sequence[str]) -> int:
     if missing:
         raise InvalidPlanError(f"the goal does not hold after the plan: {', '.join(missing)}")
     return cost
+
+
+def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
+    """Give the cost of each applicable action and the state after it; actions that were split come once for each part.
+
+    Parameters
+    ----------
+    task : Task
+    state : sequence of int, shape (variables,)
+        With its derived variables.
+    """
+    return [
+        (task.costs[operator.action], derived(task, _applied(operator, state)))
+        for operator in task.operators
+        if _hold(operator.preconditions, state)
+    ]
 
 
 def derived(task: Task, state: Sequence[int]) -> list[int]:

@@ -122,6 +122,7 @@ def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) 
         "max_cost_to_go": None,
         "method": None,
         "verified": 0,
+        "consistent": 0,
         "seconds": {},
         "peak_memory_mb": None,
         "versions": versions(),
@@ -203,7 +204,7 @@ def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: E
 def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
     import numpy as np
 
-    from .costtogo import astar, verify
+    from .costtogo import astar, check_successors, verify
     from .methods import cost_to_go
     from .ondemand import OnDemand
 
@@ -245,6 +246,10 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
                 jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
                 progress=lambda done: phases.progress(what, done, count),
             )  # fmt: skip
+        with phases.phase("verify"):
+            record["consistent"] = check_successors(
+                table, count, np.random.default_rng(0), seconds=count * options.verify_seconds
+            )
         with phases.phase("plan"):
             cost, plan = table[table.initial], table.optimal_plan()
     else:

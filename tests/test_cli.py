@@ -16,7 +16,7 @@ from planner.solving import SolveOptions, solve_instance
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "states", "transitions", "dead_ends", "max_cost_to_go", "method",
-    "verified", "seconds", "peak_memory_mb", "versions", "error", "note",
+    "verified", "consistent", "seconds", "peak_memory_mb", "versions", "error", "note",
 ]  # fmt: skip
 
 
@@ -39,6 +39,7 @@ def test_solve_the_papers_instance() -> None:
         17,
     )
     assert record["verified"] == 20 or record["seconds"]["verify"] > 20 * SolveOptions.verify_seconds
+    assert record["consistent"] == 20
     assert len(record["plan"]) == 10
     validate(read(load(KITTING / "paper.pddl").instance), record["plan"])
     assert set(record["seconds"]) == {"read", "translate", "search", "verify", "plan", "validate", "total"}

@@ -7,7 +7,15 @@ import pytest
 from conftest import graph_task
 
 from planner import LimitError, Limits, MismatchError, Table, astar, sweep, verify
-from planner.costtogo import UNREACHED, backward, compact, optimal_choices, random_states, smallest_type
+from planner.costtogo import (
+    UNREACHED,
+    backward,
+    check_successors,
+    compact,
+    optimal_choices,
+    random_states,
+    smallest_type,
+)
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]
@@ -156,6 +164,14 @@ def test_a_wrong_table_is_noticed(table: Table, node: dict[int, int], wrong: int
     message = rf"^cost-to-go of state {state} is 9, but Fast Downward's A\* says {says} \(.*at\({wrong}\)"
     with pytest.raises(MismatchError, match=message):
         verify(Table(table.space, distance), 7, np.random.default_rng(0))
+    with pytest.raises(MismatchError, match=r"^cost-to-go of state \d is .*, but its successors say "):
+        check_successors(Table(table.space, distance), 7, np.random.default_rng(0))
+
+
+def test_states_are_compared_with_their_successors(table: Table) -> None:
+    for count, compared in ((0, 1), (3, 3), (99, 7)):
+        assert check_successors(table, count, np.random.default_rng(0)) == compared
+    assert check_successors(table, 7, np.random.default_rng(0), seconds=0.0) == 1
 
 
 @pytest.mark.parametrize("start", H)
