@@ -17,7 +17,7 @@ import re
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -29,8 +29,6 @@ from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .problem import InapplicableError, UnknownError
-
-Kind = Literal["joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused", "resumed"]
 
 NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
 """What people can be called: it stands in addresses of pages."""
@@ -53,6 +51,7 @@ class Event:
     Attributes
     ----------
     kind : str
+        "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused" or "resumed".
     person : str or None
         Who acted, came or went, or with whom the robot has arrived; None where it is nobody.
     action : str or None
@@ -67,7 +66,7 @@ class Event:
         Made by whoever reports: the same again is answered as the first, and has happened once.
     """
 
-    kind: Kind
+    kind: str
     person: str | None = None
     action: str | None = None
     followed: bool | None = None
@@ -305,9 +304,14 @@ class Course:
         if person not in self.present:
             raise AbsentError(f"{person[:80]!r} is not in the team")
 
-    def task_of(self, person: str) -> CostToGo:
-        """Give somebody's task."""
-        return self.tasks[self._notes[person].task]
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Who is there, in the order in which they first came."""
+        return self.desk.people
+
+    def place(self, person: str) -> tuple[CostToGo, int]:
+        """Give somebody's task, and the state in which it is."""
+        return self.tasks[self._notes[person].task], self.desk.person(person).state
 
     def person(self, person: str) -> dict[str, Any]:
         """Give what somebody sees, as JSON has it."""

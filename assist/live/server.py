@@ -8,13 +8,15 @@ import errno
 import logging
 import signal
 import socket
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import uvicorn
 from numpy.typing import ArrayLike
+from starlette.types import ASGIApp
 
 from planner import CostToGo
 
@@ -212,23 +214,47 @@ async def _serve(plan: Plan, session: Session, listening: socket.socket, ready: 
     access = Access.kept(plan.folder / "secret", address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
+    app = make_app(service)
+    seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
+    await run(app, listening, lambda: ready(access, service.session.people), seats)
+
+
+async def run(
+    app: ASGIApp, listening: socket.socket, ready: Callable[[], None], beside: Coroutine[Any, Any, None],
+    *, ends: bool = False,
+) -> None:  # fmt: skip
+    """Serve an application until a signal ends it, and let something else go on beside it as long.
+
+    Parameters
+    ----------
+    app : ASGIApp
+    listening : socket
+    ready : callable
+        Called when the first request can come.
+    beside : coroutine
+        Begins at once, and may be done before.
+    ends : bool
+        Whether the service ends when that is done.
+    """
     # No access log: addresses of pages have tokens in them.
     server = _Server(
         uvicorn.Config(
-            make_app(service), log_config=None, access_log=False, lifespan="on", proxy_headers=False,
+            app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
             server_header=False, timeout_graceful_shutdown=PATIENCE, timeout_keep_alive=75, ws_max_size=LARGEST,
             ws_per_message_deflate=False, backlog=1024,
         )
     )  # fmt: skip
-    server.ready = lambda: ready(access, service.session.people)
+    server.ready = ready
     loop = asyncio.get_running_loop()
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
-    filling = asyncio.create_task(plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people)))
+    other = asyncio.create_task(beside)
+    if ends:
+        other.add_done_callback(lambda _: setattr(server, "should_exit", True))
     try:
         await server.serve([listening])
     finally:
-        filling.cancel()
+        other.cancel()
         with suppress(asyncio.CancelledError):
-            await filling
+            await other

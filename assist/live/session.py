@@ -145,9 +145,13 @@ class Session:
             else {name: _chances(task, desk.population) for name, task in self._tasks.items()},
         }
 
+    def _course_anew(self) -> Course:
+        """Give a course in which nothing has happened yet."""
+        return Course(self._tasks, **self._options)
+
     def _resume(self) -> None:
         """Let all happen again that is in the journal."""
-        course, answers, last = Course(self._tasks, **self._options), dict[tuple[str, str], int](), 0.0
+        course, answers, last = self._course_anew(), dict[tuple[str, str], int](), 0.0
         self._course = course
         for number, (begin, record) in enumerate(self._journal, start=1):
             if begin == 0:
@@ -309,7 +313,7 @@ class Session:
     def people(self) -> tuple[str, ...]:
         """Who is there, in the order in which they first came."""
         with self.lock:
-            return self._course.desk.people
+            return self._course.people
 
     def recommend(self) -> Advice:
         """Give what was decided after the last event: to whom the robot goes, what it suggests, and why."""
@@ -364,7 +368,7 @@ class Session:
         """Give somebody's task, and the state in which it is."""
         with self.lock:
             self._course.require(person)
-            return self._course.task_of(person), self._course.desk.person(person).state
+            return self._course.place(person)
 
     def beliefs(self) -> dict[str, bytes]:
         """Give what is believed of everybody who is there, to the bit."""

@@ -68,9 +68,25 @@ function show() {
   at("steps").textContent = view.steps;
   at("steps-word").textContent = view.steps === 1 ? "step" : "steps";
   at("undo").disabled = view.steps === 0 || outbox.busy;
+  showStudy(view.study);
   showAdvice();
   showActions();
   showEnd();
+}
+
+/** Within a user study this page is one of several: it leads to the others, and takes nothing back. */
+function showStudy(study) {
+  if (!study) return;
+  if (!["practice", "task"].includes(study.kind)) {
+    location.replace(`/part/${encodeURIComponent(person)}/${token}`);
+    return;
+  }
+  at("person").textContent = study.kind === "practice" ? "Practice" : "Your task";
+  document.title = at("person").textContent;
+  at("undo").hidden = at("again").hidden = true;
+  at("onward").hidden = at("leave").hidden = false;
+  at("onward").disabled = outbox.busy;
+  at("leave").querySelector("a").href = `/part/${encodeURIComponent(person)}/${token}?leave`;
 }
 
 function showAdvice() {
@@ -114,10 +130,13 @@ function showActions() {
 }
 
 function showEnd() {
-  const ended = view.finished;
+  const over = view.study?.over ?? false; // of a study's task, finished or not
+  const ended = view.finished || over;
   const stuck = !ended && view.cost_to_go === null;
   if (ended && at("done").hidden) {
-    at("done-text").textContent = `The goal is reached, in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`;
+    at("done-text").textContent = view.finished
+      ? `The goal is reached, in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`
+      : "This task ends here. That is all right: continue with what comes next.";
     at("done").hidden = false;
     say(at("done-text").textContent);
     at("done-title").focus();
@@ -247,6 +266,7 @@ const outbox = new Outbox("actions", {
 function take(next) {
   if (view !== null && next.seq < view.seq) return;
   const changed = view === null || next.seq !== view.seq;
+  if (view?.study && view.study.stage !== next.study?.stage) remember(Date.now());
   view = next;
   if (started === null) remember(Date.now());
   show();
@@ -335,6 +355,10 @@ at("again").addEventListener("click", () => {
   remember(Date.now());
   if (outbox.send(pathOf(person, "/begin"), {})) show();
   at("choices-title").focus({ preventScroll: true });
+});
+at("onward").addEventListener("click", () => {
+  complain(null);
+  if (outbox.send(`/api/study/participants/${encodeURIComponent(person)}/onward`, { stage: view.study.stage })) show();
 });
 at("menu-close").addEventListener("click", () => closeMenu());
 document.addEventListener("keydown", (event) => {

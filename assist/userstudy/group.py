@@ -1,0 +1,135 @@
+"""A participant's team: simulated people beside them, with whom they share the robot, in step.
+
+Each simulated person acts once after each action of the participant, as in the model (design of the simulations): how
+much the robot has to do elsewhere does not depend on how fast a participant is, and no clock decides a result. What all
+of them do is one event: it is on the disk as a whole or has not happened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from planner import CostToGo
+
+from ..live.course import Course, Event
+from ..live.simulated import SimulatedPerson
+
+Sub = dict[str, Any]
+"""An event within the team, as a record."""
+
+
+class Group:
+    """A participant and the simulated people of their team.
+
+    Parameters
+    ----------
+    person : str
+    tasks : mapping of str to CostToGo
+    course : callable
+        Gives a course of the team in which nothing has happened yet.
+    mates : callable
+        Gives the simulated people, as they are at the beginning.
+    again : bool
+        Whether those begin anew when they have finished.
+    """
+
+    def __init__(
+        self,
+        person: str,
+        tasks: Mapping[str, CostToGo],
+        course: Callable[[], Course],
+        mates: Callable[[], Sequence[SimulatedPerson]],
+        *,
+        again: bool,
+    ) -> None:
+        self.name, self._tasks, self._again = person, tasks, again
+        self._course_anew, self._mates_anew = course, mates
+        self._past: list[Sub] = []
+        self.task = ""
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self.course = self._course_anew()
+        self._mates = {f"{self.name}-{number}": mate for number, mate in enumerate(self._mates_anew(), start=1)}
+
+    # What happens.
+
+    def begin(self, task: str, n: int, time: float) -> list[Sub]:
+        """Let everybody begin a task."""
+        kind = "began" if self._past else "joined"
+        return self._all([Event(kind, name, task=task) for name in (self.name, *self._mates)], n, time)
+
+    def act(self, event: Event, n: int, time: float) -> list[Sub]:
+        """Let the participant act, then everybody else once."""
+        before = self.course.person(self.name)
+        standing = before["suggestion"]
+        subs = self._all([event], n, time, mates=True)
+        after = self.course.person(self.name)
+        heard = not subs[0].get("unheard")
+        subs[0]["seen"] = {
+            "suggestion": standing if heard else None, "cost_before": before["cost_to_go"],
+            "cost_after": after["cost_to_go"], "finished": after["finished"],
+        }  # fmt: skip
+        return subs
+
+    def elapse(self, n: int, time: float) -> list[Sub]:
+        """Let the robot decide once more; nothing may come of it."""
+        return self._all([Event("elapsed")], n, time)
+
+    def _all(self, events: Sequence[Event], n: int, time: float, *, mates: bool = False) -> list[Sub]:
+        """Let events happen, all or none."""
+        subs: list[Sub] = []
+        try:
+            for event in events:
+                subs += self._one(event, n, time)
+            for name, mate in self._mates.items() if mates else ():
+                action = self._chosen(name, mate)
+                if action is not None:
+                    subs += self._one(Event("acted", name, action), n, time)
+                elif self._again:
+                    subs += self._one(Event("began", name), n, time)
+        except Exception:
+            past, self._past = self._past, []
+            self._begin_anew()
+            self.again(past)
+            raise
+        self._keep(subs)
+        return subs
+
+    def _one(self, event: Event, n: int, time: float) -> list[Sub]:
+        self.course.count = n - 1
+        record = self.course.happen(event, time)
+        return [] if record is None else [record]
+
+    def _chosen(self, name: str, mate: SimulatedPerson) -> str | None:
+        seen = self.course.person(name)
+        if seen["finished"]:
+            return None
+        task, state = self._tasks[seen["task"]], self.course.place(name)[1]
+        return mate.act(task, state, seen["applicable"], seen["suggestion"])
+
+    def again(self, subs: Sequence[Sub]) -> None:
+        """Let happen again what has been recorded."""
+        for sub in subs:
+            if sub["event"] == "acted" and sub["person"] in self._mates:
+                self._chosen(sub["person"], self._mates[sub["person"]])  # who then is as they were
+            self.course.count = sub["n"] - 1
+            self.course.again(sub)
+        self._keep(subs)
+
+    def _keep(self, subs: Sequence[Sub]) -> None:
+        self._past += subs
+        for sub in subs:
+            if sub.get("task") and sub["person"] == self.name:
+                self.task = sub["task"]
+
+    # What is seen.
+
+    def seen(self) -> dict[str, Any]:
+        """Give what the participant sees of the task."""
+        return self.course.person(self.name)
+
+    def place(self) -> tuple[CostToGo, int]:
+        """Give the participant's task, and the state in which it is."""
+        return self._tasks[self.task], self.course.place(self.name)[1]

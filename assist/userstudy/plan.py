@@ -1,0 +1,387 @@
+"""A user study as its file plans it: tasks, conditions, texts, questionnaires, and the stages of the procedure.
+
+`docs/userstudy.md` describes the form; every fault is named with its line and place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import tomllib
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+
+from planner import Instance, InstanceError, find_instances
+
+from ..people.human import Population
+from ..people.own import parse
+from ..study.study import StudyError
+from ..study.toml import (
+    AnyTable,
+    Number,
+    Pair,
+    Seed,
+    Text,
+    Texts,
+    Truth,
+    Whole,
+    convert,
+    fault,
+    given,
+    load,
+    partial_of,
+)
+from ..team.policies import POLICIES
+from ..team.settings import Setting
+from .questionnaires import FORMS, Item, Questionnaire
+
+MOST_MATES = 20
+
+Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
+Mates = Annotated[int, Meta(ge=0, le=MOST_MATES, description=f"a whole number from 0 to {MOST_MATES}")]
+Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
+NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
+
+
+class ConditionTable(Struct, forbid_unknown_fields=True):
+    """A table of `conditions`."""
+
+    name: Text
+    policy: Text
+
+
+class ItemTable(Struct, forbid_unknown_fields=True):
+    """A table of a questionnaire's `items`."""
+
+    name: Text
+    text: Text
+    reversed: Truth = False
+
+
+class QuestionnaireTable(Struct, forbid_unknown_fields=True):
+    """A table of `questionnaires`."""
+
+    form: Text
+    name: Text | None = None
+    title: Text | None = None
+    introduction: Text | None = None
+    items: list[ItemTable] | None = None
+    points: Points = 7
+    low: Text = "Strongly disagree"
+    high: Text = "Strongly agree"
+
+
+class PopulationTable(Struct, forbid_unknown_fields=True, frozen=True):
+    """The table `population`."""
+
+    beta: Pair | None = None
+    theta: Pair | None = None
+    sigma: Pair | None = None
+
+
+class FileTable(Struct, forbid_unknown_fields=True):
+    """The whole file."""
+
+    tasks: Texts
+    conditions: list[ConditionTable]
+    consent: Text
+    instructions: Text
+    title: Text | None = None
+    thanks: Text = "Thank you for taking part."
+    practice: Text | None = None
+    reference: Text | None = None
+    participants: Whole | None = None
+    simulated: Mates = 2
+    again: Truth = True
+    reasons: Truth = False
+    replace: Truth = False
+    away: Minutes = 10.0
+    minutes: Minutes | None = None
+    tick: Number = 2.0
+    code: Text | None = None
+    seed: Seed = 0
+    setting: AnyTable = {}
+    population: PopulationTable = PopulationTable()
+    questionnaires: list[QuestionnaireTable] = []
+
+
+SettingTable = partial_of(Setting)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is varied between participants.
+
+    Attributes
+    ----------
+    name : str
+    policy : str
+        A team policy's name, or FILE.py:FUNCTION.
+    """
+
+    name: str
+    policy: str
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the procedure.
+
+    Attributes
+    ----------
+    name : str
+        As in results: "consent", "instructions", "practice", "task ...", "questionnaire ...", "thanks".
+    kind : str
+        The first word of the name.
+    what : str
+        Which task or questionnaire; empty for others.
+    """
+
+    name: str
+    kind: str
+    what: str = ""
+
+
+@dataclass(frozen=True)
+class UserStudy:
+    """What is to be done with whom.
+
+    Attributes
+    ----------
+    file : Path
+    digest : str
+        Of the file's content.
+    title : str
+    seed : int
+        From which the order of conditions and simulated people are drawn.
+    tasks : tuple of (str, Instance)
+        By name, in the order in which everybody gets them.
+    practice : Instance or None
+    conditions : tuple of Condition
+    reference : str
+        The condition with which the others are compared.
+    participants : int or None
+        How many places there are; None for any number.
+    simulated : int
+        Simulated people in each participant's team.
+    again : bool
+        Whether those begin anew when they have finished, so that the robot remains in demand.
+    reasons : bool
+        Whether participants see why something is suggested.
+    replace : bool
+        Whether those who leave after their task began are replaced.
+    away : float
+        Minutes without a connection after which somebody counts as gone.
+    minutes : float or None
+        After which a task may be left unfinished.
+    tick : float
+        Seconds without an action after which the robot decides once more.
+    code : str or None
+        What participants are given at the end; None for a code of each one's own.
+    setting : Setting
+    population : Population
+        Of whom the robot takes people to be, and simulated ones are drawn.
+    texts : dict of str
+        The consent, the instructions and the thanks, in Markdown.
+    questionnaires : tuple of Questionnaire
+    """
+
+    file: Path
+    digest: str
+    title: str
+    seed: int
+    tasks: tuple[tuple[str, Instance], ...]
+    practice: Instance | None
+    conditions: tuple[Condition, ...]
+    reference: str
+    participants: int | None
+    simulated: int
+    again: bool
+    reasons: bool
+    replace: bool
+    away: float
+    minutes: float | None
+    tick: float
+    code: str | None
+    setting: Setting
+    population: Population
+    texts: dict[str, str]
+    questionnaires: tuple[Questionnaire, ...]
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """What everybody goes through, in this order."""
+        practice = [] if self.practice is None else [Stage("practice", "practice", "practice")]
+        return (
+            Stage("consent", "consent"), Stage("instructions", "instructions"), *practice,
+            *(Stage(f"task {name}", "task", name) for name, _ in self.tasks),
+            *(Stage(f"questionnaire {one.name}", "questionnaire", one.name) for one in self.questionnaires),
+            Stage("thanks", "thanks"),
+        )  # fmt: skip
+
+    def questionnaire(self, name: str) -> Questionnaire:
+        """Give a questionnaire by its name."""
+        return next(one for one in self.questionnaires if one.name == name)
+
+
+def read(file: Path) -> UserStudy:
+    """Read the file of a user study; files that it names are sought beside it.
+
+    Raises
+    ------
+    StudyError
+        What is wrong, in which line and place, and what would be right.
+    """
+    try:
+        return _study(file, convert(load(file), FileTable, file))
+    except StudyError as error:
+        what = str(error).removeprefix(f"{file}: ")
+        if what == str(error) or not file.is_file():
+            raise
+        raise StudyError(f"{file}:{line_of(file, what)}: {what}") from None
+
+
+def line_of(file: Path, fault: str) -> int:
+    """Find the line, from 1, in which what a fault is about begins, or else the table in which it should be."""
+    said = re.search(r"\(at line (\d+), column \d+\)", fault)
+    text = file.read_bytes().decode("utf-8-sig", errors="replace")
+    if said or "end of document" in fault:
+        return int(said[1]) if said else len(text.splitlines())
+    path: list[Any] = [
+        int(number) - 1 if number else name
+        for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])
+    ]
+    lines = text.splitlines()
+    parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
+    for number in range(1, len(lines) + 1):  # what begins within a value of several lines is no document
+        try:
+            parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
+        except tomllib.TOMLDecodeError:
+            continue
+    while path:
+        for (before, _), (_, content) in pairwise(parsed):
+            if _has(content, path):
+                return before + 1
+        path.pop()
+    return 1
+
+
+def _has(content: Any, path: list[Any]) -> bool:
+    try:
+        for key in path:
+            content = content[key]
+    except (KeyError, IndexError, TypeError):
+        return False
+    return True
+
+
+def _study(file: Path, table: FileTable) -> UserStudy:
+    names = _conditions(file, table.conditions)
+    reference = table.reference or names[0]
+    if reference not in names:
+        raise fault(file, "reference", f"'{reference}'; expected one of {', '.join(names)}")
+    tasks = [_instance(file, f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
+    stems = [task.problem.stem for task in tasks]
+    if len(set(stems)) < len(stems):
+        raise fault(
+            file, "tasks", "two of them have the same file name; expected different ones, by which they are told apart"
+        )
+    questionnaires = tuple(
+        _questionnaire(file, f"questionnaires[{number}]", own)
+        for number, own in enumerate(table.questionnaires, start=1)
+    )
+    for number, one in enumerate(questionnaires):
+        if one.name in {other.name for other in questionnaires[:number]}:
+            place = f"questionnaires[{number + 1}]"
+            raise fault(file, place, f"there are two questionnaires '{one.name}'; expected different names")
+    if not 0 < table.tick <= 86_400:
+        raise fault(file, "tick", f"{table.tick:g}; expected a number of seconds above 0")
+    return UserStudy(
+        file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
+        tuple(zip(stems, tasks, strict=True)),
+        None if table.practice is None else _instance(file, "practice", table.practice),
+        tuple(Condition(own.name, own.policy) for own in table.conditions), reference, table.participants,
+        table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
+        _setting(file, table.setting), _population(file, table.population),
+        {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
+    )  # fmt: skip
+
+
+def _conditions(file: Path, tables: list[ConditionTable]) -> list[str]:
+    if not tables:
+        raise fault(file, "conditions", "[]; expected one table or more")
+    names: list[str] = []
+    for number, own in enumerate(tables, start=1):
+        place = f"conditions[{number}]"
+        if own.name in names:
+            raise fault(file, f"{place}.name", f"there are two conditions '{own.name}'; expected different names")
+        names.append(own.name)
+        found = parse(own.policy, file.parent)
+        if found is None and own.policy not in POLICIES:
+            expected = f"expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION"
+            raise fault(file, f"{place}.policy", f"'{own.policy}'; {expected}")
+        if found is not None and not found[0].is_file():
+            raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
+    return names
+
+
+def _instance(file: Path, place: str, name: str) -> Instance:
+    try:
+        found = find_instances([file.parent / name])
+    except InstanceError as error:
+        raise fault(file, place, str(error)) from None
+    if len(found) != 1:
+        raise fault(file, place, f"'{name}' stands for {len(found)} problems; expected one")
+    return found[0]
+
+
+def _setting(file: Path, content: dict[str, Any]) -> Setting:
+    try:
+        setting = replace(Setting(), **given(convert(content, SettingTable, file, "setting")))
+    except ValueError as error:
+        if isinstance(error, StudyError):
+            raise
+        raise fault(file, "setting", str(error)) from None
+    if setting.travel_time:
+        message = f"{setting.travel_time:g}; expected 0, since the robot of a study is nowhere"
+        raise fault(file, "setting.travel_time", message)
+    if setting.execute:
+        raise fault(file, "setting.execute", "true; expected a robot that suggests")
+    return setting
+
+
+def _population(file: Path, table: PopulationTable) -> Population:
+    ranges = {name: getattr(table, name) for name in ("beta", "theta", "sigma")}
+    try:
+        return Population(**{name: value for name, value in ranges.items() if value is not None})
+    except ValueError as error:
+        raise fault(file, "population", str(error)) from None
+
+
+def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questionnaire:
+    if table.form not in FORMS:
+        raise fault(file, f"{place}.form", f"'{table.form}'; expected one of {', '.join(FORMS)}")
+    base = FORMS[table.form]
+    name = table.name or base.name
+    if not NAME.fullmatch(name):
+        raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits and signs of _ -")
+    items = base.items
+    if base.items and table.items is not None:
+        raise fault(file, f"{place}.items", f"the form {table.form} has its own; expected none")
+    if not base.items:
+        if not table.items:
+            raise fault(file, place, "items: is missing; expected a list of tables with name and text")
+        items = tuple(Item(own.name, own.text, reversed=own.reversed) for own in table.items)
+    for number, item in enumerate(items):
+        if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
+            message = f"'{item.name}'; expected a name of its own: a letter, then letters, digits and signs of _ -"
+            raise fault(file, f"{place}.items[{number + 1}].name", message)
+    more = {"points": table.points, "low": table.low, "high": table.high} if table.form == "likert" else {}
+    return replace(
+        base, name=name, title=table.title or base.title, introduction=table.introduction or base.introduction,
+        items=items, **more,
+    )  # fmt: skip

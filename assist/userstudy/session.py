@@ -1,0 +1,103 @@
+"""A user study as a live session: every event on the disk before it is acknowledged, and where it was when it goes on.
+
+The folder has the journal, a copy of the study's file, and the secret from which the links follow.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from planner import CostToGo
+from planner.errors import ResultsExistError
+from planner.storage import atomic
+
+from ..live.course import Course
+from ..live.problem import Problem, digest
+from ..live.session import Session
+from ..people.own import parse
+from ..person.pomdp import Policy
+from ..team.policies import OwnPolicy
+from ..team.state import TeamPolicy
+from .cohort import Cohort
+from .plan import UserStudy
+
+FORMAT = "kitassist user study 1"
+"""Of journals."""
+
+JOURNAL, PLAN = "journal.jsonl", "study.toml"
+
+
+class StudySession(Session):
+    """A study that is carried out.
+
+    Parameters
+    ----------
+    study : UserStudy
+    tasks : mapping of str to CostToGo
+        By name; that of the practice is "practice".
+    folder : Path
+
+    Raises
+    ------
+    ResultsExistError
+        The folder is of a study that runs, or of another one, or of this one before its file was changed.
+    DamagedFileError, OSError
+        As `Session`.
+    """
+
+    def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path) -> None:
+        self.study = study
+        self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
+        # Worked out once, for all teams; of a task too large for that each team has a part of its own.
+        self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
+        folder.mkdir(parents=True, exist_ok=True)
+        self._plan = folder / PLAN
+        super().__init__(tasks, folder / JOURNAL, setting=study.setting, population=study.population)
+        if not self._plan.exists():
+            with atomic(self._plan) as path:
+                shutil.copyfile(study.file, path)
+
+    def _once(self, task: CostToGo) -> CostToGo | Policy:
+        problem = Problem(task, self.study.setting, self.study.population, [])
+        part = problem.parts[0]
+        return part.policy if part.states is None else task
+
+    def _header(self) -> dict[str, Any]:
+        return {
+            "format": FORMAT, "study": self.study.digest,
+            "tasks": {name: digest(task) for name, task in self._tasks.items()},
+        }  # fmt: skip
+
+    def _check(self, header: dict[str, Any]) -> None:
+        if header.get("format") == FORMAT and header.get("study") != self.study.digest:
+            raise ResultsExistError(
+                f"{self._plan}: the study there is not that of {self.study.file}; expected the same, or another folder"
+            )
+        super()._check(header)
+
+    def _course_anew(self) -> Any:
+        return Cohort(self.study, self._tasks, self._course_of)
+
+    def _course_of(self, condition: str | None) -> Course:
+        policy: str | TeamPolicy = "none" if condition is None else self._policies[condition]
+        return Course(self._worked_out, policy=policy, setting=self.study.setting, population=self.study.population)
+
+    @property
+    def cohort(self) -> Cohort:
+        """The participants; to be looked at under the lock."""
+        cohort: Any = self._course
+        assert isinstance(cohort, Cohort)
+        return cohort
+
+    def see(self, look: Callable[[Cohort], Any]) -> Any:
+        """Give what a function finds out about the participants as they are."""
+        with self.lock:
+            return look(self.cohort)
+
+
+def _policy(study: UserStudy, policy: str) -> str | TeamPolicy:
+    place = parse(policy, study.file.parent)
+    return policy if place is None else OwnPolicy.load(*place)
