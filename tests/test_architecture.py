@@ -28,12 +28,15 @@ ROOMS = {
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.drawing": "subject profile scene layout svg picture frames files",
-    "assist.plots": "style labels episode people study",
+    "assist.plots": "style labels episode people study userstudy",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         description messages admission routes watching browser web server client""",
+    "assist.userstudy": """questionnaires plan assignment group cohort session tables effects summary report export
+        service rehearsal routes serving""",
     "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
-        solutions bounds solving solve simulate policy bound export draw log learned fit study serve commands""",
+        solutions bounds solving solve simulate policy bound export draw log learned fit study conducting serve
+        study_report commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
@@ -52,6 +55,7 @@ ORDER.remove("planner")
 MAY_READ_PDDL = (
     *(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")),
     "assist.drawing",
+    "assist.userstudy.plan",
     "assist.cli",
 )
 ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.arrays", "planner.storage", "planner.workers"}
@@ -124,7 +128,7 @@ def test_no_file_is_long() -> None:
 
 def test_commands_are_thin() -> None:
     folder = ROOT / "assist" / "cli"
-    files = [folder / "__init__.py", *(folder / f"{name}.py" for name in COMMANDS)]
+    files = [folder / "__init__.py", *(folder / f"{name.replace('-', '_')}.py" for name in COMMANDS)]
     assert [file.name for file in files if len(file.read_text().splitlines()) > COMMAND] == []
 
 
@@ -174,7 +178,7 @@ def test_the_overview_of_commands_says_what_they_say() -> None:
         command = main.get_command(None, name)
         assert command is not None
         assert command.get_short_help_str(300) == text
-    assert [f"assist.cli.{name}" in ORDER for name in COMMANDS] == [True] * len(COMMANDS)
+    assert [f"assist.cli.{name.replace('-', '_')}" in ORDER for name in COMMANDS] == [True] * len(COMMANDS)
 
 
 @pytest.mark.parametrize("module", ORDER)

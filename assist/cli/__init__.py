@@ -19,6 +19,7 @@ summaries      episodes as a table
 solutions      records of `solve` as a table
 solving        how far the instances of `solve` are
 bounds         one person's problem between two bounds, as a table
+conducting     what `serve` listens at, and a user study that it conducts
 log            the options that say how a log is read, and people estimated
 commands       the commands, each loaded when it is used
 """

@@ -17,8 +17,9 @@ COMMANDS = {
     "simulate": "Simulate a team of people and a robot that assists them.",
     "solve": "Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.",
     "study": "Run a whole study: pools of people, teams, policies, conditions; then write its report.",
+    "study-report": "Report on a user study: means, differences and effects of conditions, questionnaires, dropouts.",
 }
-"""The commands, each in a file of that name, and what the overview says of them without loading any."""
+"""The commands, each in a file of that name with _ for -, and what the overview says of them without loading any."""
 
 
 class Commands(click.Group):
@@ -32,7 +33,8 @@ class Commands(click.Group):
         """Load one."""
         if cmd_name not in COMMANDS:
             return None
-        command: click.Command = getattr(import_module(f".{cmd_name}", __package__), cmd_name)
+        name = cmd_name.replace("-", "_")
+        command: click.Command = getattr(import_module(f".{name}", __package__), name)
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002

@@ -28,7 +28,7 @@ MOST = 10_000
 def live_options(command: Command) -> Command:
     """Add the options that say what session it is; `plan_of` takes them all."""
     options: tuple[Option[Any], ...] = (
-        click.option("--humans", type=click.IntRange(1, MOST), required=True, metavar="K", help="People in the team."),
+        click.option("--humans", type=click.IntRange(1, MOST), metavar="K", help="People in the team."),
         click.option("--simulate", type=click.IntRange(min=0), default=0, metavar="N", help="Simulated among the K."),
         click.option("--pace", type=SECONDS, default=3.0, show_default=True, help="Seconds in which those act once."),
         click.option("--seed", type=SEED, default=0, show_default=True, help="From which those are drawn."),

@@ -3,35 +3,42 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.errors import DamagedFileError, MissingExtraError, ResultsExistError
+from planner.errors import DamagedFileError, ResultsExistError
 
+from .conducting import PORT, conduct, listen, live_server
 from .live import live_options, plan_of
+from .options import INPUT_FILE
 from .policies import policy_errors
 
 if TYPE_CHECKING:
     from ..live.access import Access
 
-PORT = 8000
-
 
 @click.command()
-@click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
+@click.argument("instances", metavar="INSTANCE...", nargs=-1)
+@click.option("--study", type=INPUT_FILE, metavar="FILE.toml", help="A user study in place of tasks and a team.")
+@click.option("--rehearse", type=click.IntRange(1, 1000), metavar="N", help="N simulated people take part in it.")
 @click.option("--port", type=click.IntRange(0, 65535), help=f"0 for any.  [default: {PORT}, or another if it is taken]")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen; 0.0.0.0 for all networks.")
 @live_options
-def serve(instances: tuple[str, ...], port: int | None, host: str, **team: Any) -> None:
+def serve(
+    instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str, **team: Any
+) -> None:
     """Run the assistant live: what people do comes in over HTTP, whom to help and how goes out.
 
     Several tasks are given to people in turn.
     """
-    try:
-        from ..live import server
-    except ImportError as error:
-        raise MissingExtraError("the live assistant needs", str(error.name), "web") from None
+    server = live_server()
+    if study is not None:
+        conduct(study, team["data"], host, port, rehearse or 0)
+        return
+    if not instances or team["humans"] is None or rehearse is not None:
+        raise click.UsageError("expected INSTANCE and --humans K, or --study FILE.toml, which --rehearse N goes with")
     with policy_errors():
         plan = plan_of(instances, **team)
         try:
@@ -40,7 +47,7 @@ def serve(instances: tuple[str, ...], port: int | None, host: str, **team: Any) 
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from None
-    listening = server.listen(host, PORT if port is None else port, otherwise=0 if port is None else None)
+    listening = listen(host, port)
 
     def ready(access: Access, people: tuple[str, ...]) -> None:
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}

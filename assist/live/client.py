@@ -61,7 +61,7 @@ class Client:
         self.name = unquote(name[0]) if name else None
         self.patience = patience
 
-    def _ask(self, method: str, path: str, body: Any = None) -> Any:
+    def ask(self, method: str, path: str, body: Any = None) -> Any:
         """Ask until there is an answer.
 
         Raises
@@ -95,7 +95,7 @@ class Client:
 
     def see(self, person: str | None = None) -> dict[str, Any]:
         """Give what somebody sees: what they can do, what is suggested to them, and why."""
-        seen: dict[str, Any] = self._ask("GET", self._path(person))
+        seen: dict[str, Any] = self.ask("GET", self._path(person))
         return seen
 
     def act(
@@ -103,52 +103,52 @@ class Client:
     ) -> dict[str, Any]:
         """Report what somebody did; give what they see then."""
         body = {"action": action, "id": uuid.uuid4().hex, "followed": followed, "seq": seq}
-        seen: dict[str, Any] = self._ask("POST", f"{self._path(person)}/actions", body)
+        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/actions", body)
         return seen
 
     def undo(self, person: str | None = None) -> dict[str, Any]:
         """Take somebody's last action back."""
-        seen: dict[str, Any] = self._ask("POST", f"{self._path(person)}/undo", {"id": uuid.uuid4().hex})
+        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/undo", {"id": uuid.uuid4().hex})
         return seen
 
     def begin(self, person: str | None = None, task: str | None = None) -> dict[str, Any]:
         """Let somebody begin the next task, the same again unless named."""
         body = {"id": uuid.uuid4().hex, "task": task}
-        seen: dict[str, Any] = self._ask("POST", f"{self._path(person)}/begin", body)
+        seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/begin", body)
         return seen
 
     def robot(self) -> dict[str, Any]:
         """Ask where the robot is to go, and what it is to say there."""
-        errand: dict[str, Any] = self._ask("GET", "/api/robot")
+        errand: dict[str, Any] = self.ask("GET", "/api/robot")
         return errand
 
     def arrived(self, person: str | None) -> dict[str, Any]:
         """Report where the robot is, None for its base; give what it is to do there, or where to go next."""
-        errand: dict[str, Any] = self._ask("POST", "/api/robot/arrived", {"person": person, "id": uuid.uuid4().hex})
+        errand: dict[str, Any] = self.ask("POST", "/api/robot/arrived", {"person": person, "id": uuid.uuid4().hex})
         return errand
 
     def team(self) -> dict[str, Any]:
         """Give what the operator sees."""
-        team: dict[str, Any] = self._ask("GET", "/api/team")
+        team: dict[str, Any] = self.ask("GET", "/api/team")
         return team
 
     def join(self, person: str, task: str | None = None) -> str:
         """Let somebody come; give their link."""
         body = {"person": person, "task": task, "id": uuid.uuid4().hex}
-        return str(self._ask("POST", "/api/team/people", body)["join"])
+        return str(self.ask("POST", "/api/team/people", body)["join"])
 
     def leave(self, person: str) -> None:
         """Let somebody go."""
-        self._ask("DELETE", f"/api/team/people/{quote(person, safe='')}")
+        self.ask("DELETE", f"/api/team/people/{quote(person, safe='')}")
 
     def pause(self, paused: bool = True) -> None:
         """Let the robot say nothing, or speak again."""
-        self._ask("POST", "/api/team/pause", {"paused": paused})
+        self.ask("POST", "/api/team/pause", {"paused": paused})
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
         """Give everybody's actions, as `fit` reads them; those in one task, if it is named."""
         which = "" if task is None else f"?task={quote(task, safe='')}"
-        return [json.loads(line) for line in self._ask("GET", f"/api/log{which}").splitlines()]
+        return [json.loads(line) for line in self.ask("GET", f"/api/log{which}").splitlines()]
 
     def watch(self, person: str | None = None) -> Iterator[dict[str, Any]]:
         """Give what somebody sees now and whenever it changes; what the operator does, where the link is theirs.

@@ -9,6 +9,7 @@ import hashlib
 import re
 import tomllib
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -228,8 +229,14 @@ class UserStudy:
         return next(one for one in self.questionnaires if one.name == name)
 
 
-def read(file: Path) -> UserStudy:
+def read(file: Path, *, carried_out: bool = False) -> UserStudy:
     """Read the file of a user study; files that it names are sought beside it.
+
+    Parameters
+    ----------
+    file : Path
+    carried_out : bool
+        Whether this is the copy that a study's folder has, which the files that it names need not lie beside.
 
     Raises
     ------
@@ -237,7 +244,7 @@ def read(file: Path) -> UserStudy:
         What is wrong, in which line and place, and what would be right.
     """
     try:
-        return _study(file, convert(load(file), FileTable, file))
+        return _study(file, convert(load(file), FileTable, file), carried_out)
     except StudyError as error:
         what = str(error).removeprefix(f"{file}: ")
         if what == str(error) or not file.is_file():
@@ -279,12 +286,13 @@ def _has(content: Any, path: list[Any]) -> bool:
     return True
 
 
-def _study(file: Path, table: FileTable) -> UserStudy:
-    names = _conditions(file, table.conditions)
+def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
+    names = _conditions(file, table.conditions, carried_out)
+    found = partial(_instance, file, carried_out=carried_out)
     reference = table.reference or names[0]
     if reference not in names:
         raise fault(file, "reference", f"'{reference}'; expected one of {', '.join(names)}")
-    tasks = [_instance(file, f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
+    tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
     stems = [task.problem.stem for task in tasks]
     if len(set(stems)) < len(stems):
         raise fault(
@@ -303,7 +311,7 @@ def _study(file: Path, table: FileTable) -> UserStudy:
     return UserStudy(
         file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
         tuple(zip(stems, tasks, strict=True)),
-        None if table.practice is None else _instance(file, "practice", table.practice),
+        None if table.practice is None else found("practice", table.practice),
         tuple(Condition(own.name, own.policy) for own in table.conditions), reference, table.participants,
         table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
         _setting(file, table.setting), _population(file, table.population),
@@ -311,7 +319,7 @@ def _study(file: Path, table: FileTable) -> UserStudy:
     )  # fmt: skip
 
 
-def _conditions(file: Path, tables: list[ConditionTable]) -> list[str]:
+def _conditions(file: Path, tables: list[ConditionTable], carried_out: bool) -> list[str]:
     if not tables:
         raise fault(file, "conditions", "[]; expected one table or more")
     names: list[str] = []
@@ -324,18 +332,21 @@ def _conditions(file: Path, tables: list[ConditionTable]) -> list[str]:
         if found is None and own.policy not in POLICIES:
             expected = f"expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION"
             raise fault(file, f"{place}.policy", f"'{own.policy}'; {expected}")
-        if found is not None and not found[0].is_file():
+        if found is not None and not carried_out and not found[0].is_file():
             raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
     return names
 
 
-def _instance(file: Path, place: str, name: str) -> Instance:
+def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instance:
+    problem = file.parent / name
+    if carried_out:
+        return Instance(problem, problem.with_name("domain.pddl"))
     try:
-        found = find_instances([file.parent / name])
+        found = find_instances([problem])
     except InstanceError as error:
         raise fault(file, place, str(error)) from None
-    if len(found) != 1:
-        raise fault(file, place, f"'{name}' stands for {len(found)} problems; expected one")
+    if len(found) != 1 or found[0].problem.name != problem.name:
+        raise fault(file, place, f"'{name}' stands for {len(found)} problems; expected the file of one")
     return found[0]
 
 

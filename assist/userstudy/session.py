@@ -54,7 +54,7 @@ class StudySession(Session):
         # Worked out once, for all teams; of a task too large for that each team has a part of its own.
         self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
         folder.mkdir(parents=True, exist_ok=True)
-        self._plan = folder / PLAN
+        self.folder, self._plan = folder, folder / PLAN
         super().__init__(tasks, folder / JOURNAL, setting=study.setting, population=study.population)
         if not self._plan.exists():
             with atomic(self._plan) as path:

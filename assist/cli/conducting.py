@@ -1,0 +1,128 @@
+"""What `serve` needs to listen, and a user study that it conducts or rehearses."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from planner.errors import MissingExtraError
+from planner.solving import SolveOptions
+
+from .console import EXIT_USAGE, fail
+from .task import costs_of
+
+if TYPE_CHECKING:
+    import socket
+
+    from planner import CostToGo
+
+    from ..userstudy.plan import UserStudy
+    from ..userstudy.service import StudyService
+
+PORT = 8000
+OF_STUDIES = {"study", "rehearse", "port", "host", "data"}
+"""Options that go with a study: the others are in its file."""
+
+
+def live_server() -> ModuleType:
+    """Give the live assistant's server.
+
+    Raises
+    ------
+    MissingExtraError
+    """
+    try:
+        from ..live import server
+    except ImportError as error:
+        raise MissingExtraError("the live assistant needs", str(error.name), "web") from None
+    return server
+
+
+def listen(host: str, port: int | None) -> socket.socket:
+    """Take a port: the usual one, or another if that is taken, unless one is given."""
+    found: socket.socket = live_server().listen(
+        host, PORT if port is None else port, otherwise=0 if port is None else None
+    )
+    return found
+
+
+def new_folder() -> Path:
+    """Make a folder for a session for which none is named."""
+    return Path(tempfile.mkdtemp(prefix="kitassist-"))
+
+
+def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse: int) -> None:
+    """Serve a user study; after a rehearsal write its export and report."""
+    context = click.get_current_context()
+    for name in context.params:
+        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE and name not in OF_STUDIES:
+            option = next(one for one in context.command.params if one.name == name)
+            raise click.UsageError(f"{option.opts[0]} does not go with --study, whose file says what is to be done")
+    try:
+        from ..study.study import StudyError
+        from ..team.state import PolicyError
+        from ..userstudy import serving
+        from ..userstudy.plan import read
+    except ImportError as error:
+        raise MissingExtraError("user studies need", str(error.name), "study") from None
+    try:
+        study = read(file)
+    except StudyError as error:
+        fail(str(error), EXIT_USAGE)
+    if study.participants is not None and rehearse > study.participants:
+        raise click.UsageError(f"--rehearse {rehearse}: the study has {study.participants} places")
+    if data is None and not rehearse:
+        raise click.UsageError("--study needs --data DIR, in which all that participants do is kept")
+    folder = data or new_folder()
+    if rehearse and (folder / "journal.jsonl").exists():
+        raise click.UsageError(f"--data {folder}: holds a study already; expected another folder for a rehearsal")
+    tasks = _tasks(study)
+
+    def ready(service: StudyService) -> None:
+        links = {"url": service.access.base, "operator": service.operator_url()}
+        click.echo(json.dumps({**links, "join": {"everybody": service.join_url()}}))
+        click.echo(f"the study is kept in {folder}; Ctrl-C ends the service, --data {folder} goes on", err=True)
+
+    try:
+        serving.serve(study, tasks, folder, listen(host, port), ready, participants=rehearse)
+    except PolicyError as error:
+        fail(str(error), EXIT_USAGE)
+    if rehearse:
+        _report(folder)
+
+
+def _tasks(study: UserStudy) -> dict[str, CostToGo]:
+    """Read and solve the tasks of a study; a drawing that cannot be used is said before anybody sees a page."""
+    from ..drawing import Artist
+
+    found: dict[str, CostToGo] = {}
+    instances = dict(study.tasks) | ({} if study.practice is None else {"practice": study.practice})
+    for name, instance in instances.items():
+        same = next((other for other in found if instances[other] == instance), None)
+        found[name] = (
+            found[same] if same else costs_of(instance, max_states=SolveOptions.max_states, memory_limit_mb=None)
+        )
+        try:
+            Artist(found[name].task)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+    return found
+
+
+def _report(folder: Path) -> None:
+    """Write what a rehearsal has shown."""
+    from planner.storage import atomic
+
+    from ..userstudy.export import archive
+    from ..userstudy.report import write_report
+
+    with atomic(folder / "user-study.zip") as path:
+        path.write_bytes(archive(folder))
+    write_report(folder, folder / "report")
+    click.echo(f"the export is {folder / 'user-study.zip'}, the report {folder / 'report' / 'report.md'}", err=True)

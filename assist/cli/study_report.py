@@ -1,0 +1,41 @@
+"""The command `study-report`: what a user study has found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from .console import EXIT_FAILED, fail, print_json, print_table
+from .options import OUTPUT_FOLDER, json_option
+
+
+@click.command("study-report")
+@click.argument("folder", metavar="DIR", type=click.Path(exists=True, path_type=Path))
+@click.option("--out", type=OUTPUT_FOLDER, metavar="DIR", help="Where to; `report` within DIR unless given.")
+@json_option
+def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
+    """Report on a user study: means, differences and effects of conditions, questionnaires, dropouts.
+
+    DIR is the folder of `serve --study ... --data DIR`, while it runs or afterwards, or an unpacked export of it.
+    """
+    from planner.errors import DamagedFileError
+
+    from ..study.study import StudyError
+    from ..userstudy.report import headline, require, write_report
+
+    require()
+    try:
+        summary = write_report(folder, out or folder / "report")
+    except (StudyError, DamagedFileError, OSError) as error:
+        fail(str(error), EXIT_FAILED)
+    if as_json:
+        print_json(summary)
+        return
+    head, rows = headline(summary)
+    table = Table(*head, box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    print_table(table)
+    click.echo(f"the report is {(out or folder / 'report') / 'report.md'}")

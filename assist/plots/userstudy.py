@@ -1,0 +1,166 @@
+"""Pictures of a user study: measures by condition, differences from a reference, scales, dropouts. Needs `plots`.
+
+Each takes rows as they stand in the study's summary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .style import BLUE, GREY, Look, ink, legend_below, looks, sample, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Rows = Sequence[Mapping[str, Any]]
+
+WIDTH = 9.0  # inches
+ACROSS = 3
+
+
+@styled
+def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
+    """Draw each measure by condition: a point for each participant, the mean with its 95 % interval beside them.
+
+    Parameters
+    ----------
+    measures : sequence of dict
+        With `measure`, `label`, and `cells` with `condition`, `n`, `mean`, `low`, `high`.
+    points : mapping of mapping of sequence of float
+        The participants' values by measure, then by condition.
+    """
+    shown = looks(cell["condition"] for cell in measures[0]["cells"])
+    figure, axes = _panels(len(measures), 2.5)
+    for axis, measure in zip(axes, measures, strict=True):
+        for place, cell in enumerate(measure["cells"]):
+            look = shown[cell["condition"]]
+            values = np.sort(points[measure["measure"]][cell["condition"]])
+            spread = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(len(values))
+            order = np.argsort(np.arange(len(values)) * 0.618 % 1)  # neighbours apart, the same in every run
+            axis.plot(place - 0.12 + spread[order], values, ".", color=look.color, alpha=0.55, markersize=5)
+            _interval(axis, place + 0.22, cell, look, vertical=True)
+        axis.set_xticks(
+            range(len(measure["cells"])), [f"{cell['condition']}\nn = {cell['n']}" for cell in measure["cells"]]
+        )
+        axis.set_xlim(-0.6, len(measure["cells"]) - 0.4)
+        axis.set_title(measure["label"])
+        axis.set_ylim(bottom=min(0, axis.get_ylim()[0]))
+        axis.grid(axis="y")
+    return figure
+
+
+@styled
+def differences_figure(measures: Rows, reference: str) -> Figure:
+    """Draw how far conditions are from the reference, with 95 % intervals; 0 is no difference.
+
+    Parameters
+    ----------
+    measures : sequence of dict
+        With `label`, and `differences` with `condition`, `mean`, `low`, `high`, `hedges_g`.
+    reference : str
+    """
+    names = [one["condition"] for one in max(measures, key=lambda one: len(one["differences"]))["differences"]]
+    shown = looks(names)
+    figure, axes = _panels(len(measures), 0.8 + 0.3 * len(names))
+    for axis, measure in zip(axes, measures, strict=True):
+        for one in measure["differences"]:
+            place = -names.index(one["condition"])
+            _interval(axis, place, one, shown[one["condition"]], vertical=False)
+            if one["hedges_g"] is not None:
+                axis.annotate(
+                    f"g = {one['hedges_g']:.2f}", (one["mean"], place), (0, 6), textcoords="offset points",
+                    ha="center", fontsize=7.5,
+                )  # fmt: skip
+        axis.axvline(0, color=ink(), linewidth=0.9, alpha=0.6)
+        axis.set_yticks([-number for number in range(len(names))], names)
+        axis.set_ylim(0.4 - len(names), 0.75)
+        axis.set_title(measure["label"])
+        axis.grid(axis="x")
+    figure.supxlabel(f"difference from {reference}; g is Hedges' g", fontsize=9)
+    return figure
+
+
+@styled
+def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], highest: float) -> Figure:
+    """Draw the items of a questionnaire by condition, means with 95 % intervals.
+
+    Parameters
+    ----------
+    questionnaire : dict
+        With `items`: `item`, `condition`, `mean`, `low`, `high`.
+    texts : mapping of str to str
+        What each item is called.
+    highest : float
+        End of its scale.
+    """
+    from matplotlib.figure import Figure
+
+    items = list(dict.fromkeys(row["item"] for row in questionnaire["items"]))
+    shown = looks(row["condition"] for row in questionnaire["items"])
+    figure = Figure(figsize=(WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
+    axis = figure.subplots()
+    apart = np.linspace(0.27, -0.27, len(shown)) if len(shown) > 1 else np.zeros(1)
+    for (name, look), shift in zip(shown.items(), apart, strict=True):
+        for row in questionnaire["items"]:
+            if row["condition"] == name and row["mean"] is not None:
+                _interval(axis, shift - items.index(row["item"]), row, look, vertical=False)
+    axis.set_yticks([-number for number in range(len(items))], [texts[item] for item in items])
+    axis.set_xlim(0 if highest > 20 else 1, highest)
+    axis.grid(axis="x")
+    legend_below(figure, [sample(name, look, line=False) for name, look in shown.items()])
+    return figure
+
+
+@styled
+def flow_figure(flow: Rows) -> Figure:
+    """Draw how many participants reached each part of the procedure, and how many left there.
+
+    Parameters
+    ----------
+    flow : sequence of dict
+        With `stage`, `reached`, `left`, `there`.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
+
+    figure = Figure(figsize=(WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
+    axis = figure.subplots()
+    for place, row in enumerate(flow):
+        stay = row["reached"] - row["left"]
+        axis.barh(-place, stay, color=BLUE, height=0.6)
+        axis.barh(-place, row["left"], left=stay, color=GREY, height=0.6, alpha=0.6)
+        said = [str(row["reached"])]
+        said += [f"{row['left']} left"] if row["left"] else []
+        said += [f"{row['there']} there now"] if row["there"] else []
+        axis.annotate(", ".join(said), (row["reached"], -place), (5, 0), textcoords="offset points", va="center")
+    axis.set_yticks([-place for place in range(len(flow))], [row["stage"] for row in flow])
+    axis.set_xlim(0, 1.18 * max(1, flow[0]["reached"]))
+    axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    axis.set_xlabel("participants who reached this part; grey: left there")
+    return figure
+
+
+def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure
+
+    columns = min(ACROSS, count)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(WIDTH, 0.3 + height * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    return figure, axes[:count]
+
+
+def _interval(axis: Axes, place: float, row: Mapping[str, Any], look: Look, *, vertical: bool) -> None:
+    if row["mean"] is None:
+        return
+    if row["low"] is not None:
+        ends = [place, place], [row["low"], row["high"]]
+        axis.plot(*(ends if vertical else ends[::-1]), color=look.color, linewidth=2, alpha=0.85)
+    at = (place, row["mean"]) if vertical else (row["mean"], place)
+    axis.plot(*at, marker=look.marker, color=look.color, markersize=6, linestyle="none")

@@ -1,0 +1,78 @@
+"""What a comparison of two groups of participants shows: differences, effect sizes, and what so few can show at all."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize, stats
+
+from ..study.statistics import Estimate
+
+POWER = 0.8
+
+
+def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Estimate:
+    """Give how much larger the mean of one group is than another's, with Welch's interval, for unequal variances.
+
+    Parameters
+    ----------
+    a, b : float arrays, shapes (n,) and (m,)
+        A number for each participant. Of fewer than two in a group there is no interval, nor where nobody differs.
+    """
+    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
+    if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
+        return Estimate(value, math.nan, math.nan)
+    interval = stats.ttest_ind(x, y, equal_var=False).confidence_interval(level)
+    return Estimate(value, float(interval.low), float(interval.high))
+
+
+def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
+    """Give the standardised difference of two groups: Cohen's d with Hedges' correction for few participants (1981).
+
+    Parameters
+    ----------
+    a, b : float arrays, shapes (n,) and (m,)
+        Not a number for fewer than two in a group, and where nobody differs.
+    """
+    x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    freedom = len(x) + len(y) - 2
+    if min(len(x), len(y)) < 2:
+        return math.nan
+    pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / freedom)
+    return float(x.mean() - y.mean()) / pooled * (1 - 3 / (4 * freedom - 1)) if pooled > 0 else math.nan
+
+
+def cronbach_alpha(scores: ArrayLike) -> float:
+    """Give how well the items of a scale go together (Cronbach, 1951): 1 if they say the same.
+
+    Parameters
+    ----------
+    scores : float array, shape (n, items)
+        A row for each participant, reversed items turned round. Not a number for fewer than two of either, and where
+        nobody differs.
+    """
+    x = np.asarray(scores, dtype=float)
+    if x.ndim != 2 or min(x.shape) < 2 or x.sum(axis=1).var() == 0:
+        return math.nan
+    items = x.shape[1]
+    return float(items / (items - 1) * (1 - x.var(axis=0, ddof=1).sum() / x.sum(axis=1).var(ddof=1)))
+
+
+def detectable(n: int, m: int, power: float = POWER, level: float = 0.95) -> float:
+    """Give the smallest standardised difference that two groups of these sizes would show so often (t-test).
+
+    Not a number for fewer than two in a group.
+    """
+    if min(n, m) < 2:
+        return math.nan
+    freedom, scale = n + m - 2, math.sqrt(n * m / (n + m))
+    critical = float(stats.t.ppf((1 + level) / 2, freedom))
+
+    def missed(effect: float) -> float:
+        shifted = effect * scale
+        return float(stats.nct.cdf(critical, freedom, shifted)) - (1 - power)
+
+    return float(optimize.brentq(missed, 0.0, 40.0 / scale))

@@ -1,0 +1,44 @@
+"""All that a study has recorded as one ZIP file: tables, what their columns mean, logs for `fit`, the study's file."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from .plan import read
+from .session import JOURNAL, PLAN
+from .tables import COLUMNS, tables, written
+
+
+def files(folder: Path) -> Iterator[tuple[str, str]]:
+    """Give the name and content of every file of an export."""
+    study = read(folder / PLAN, carried_out=True)
+    found = tables(study, folder / JOURNAL)
+    for name in COLUMNS:
+        yield f"{name}.csv", found.csv(name)
+    meanings = (
+        {"table": table, "column": column, "meaning": meaning}
+        for table, columns in COLUMNS.items()
+        for column, meaning in columns.items()
+    )
+    yield "dictionary.csv", written(("table", "column", "meaning"), meanings)
+    items = (
+        {"questionnaire": one.name, "item": item.name, "text": item.text, "reversed": item.reversed}
+        for one in study.questionnaires
+        for item in one.items
+    )
+    yield "items.csv", written(("questionnaire", "item", "text", "reversed"), items)
+    for task, log in found.logs():
+        yield f"log-{task}.jsonl", log
+    yield PLAN, (folder / PLAN).read_text(encoding="utf-8")
+
+
+def archive(folder: Path) -> bytes:
+    """Give an export as a ZIP file."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
+        for name, text in files(folder):
+            packed.writestr(name, text)
+    return content.getvalue()

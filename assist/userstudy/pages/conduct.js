@@ -1,0 +1,119 @@
+// The page of whoever conducts a study: who is where, who has left, how the conditions fill, and the export.
+
+import { Refused, ask, askJson } from "/pages/connection.js";
+
+const at = (id) => document.getElementById(id);
+const BETWEEN = 2000; // milliseconds between two looks
+const LEFT = ["gone", "withdrew", "declined", "full"];
+const STATES = { done: "done", gone: "gone", withdrew: "left", declined: "no consent", full: "no place" };
+
+const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+
+function cell(content, kind = null) {
+  const made = document.createElement("td");
+  if (kind !== null) made.className = kind;
+  made.append(content ?? "");
+  return made;
+}
+
+function row(cells, kind = "") {
+  const made = document.createElement("tr");
+  made.className = kind;
+  made.append(...cells);
+  return made;
+}
+
+function complain(text) {
+  at("problem").textContent = text ?? "";
+  at("problem").hidden = !text;
+}
+
+function remover(code) {
+  const made = document.createElement("button");
+  made.type = "button";
+  made.textContent = "Remove";
+  made.setAttribute("aria-label", `Remove ${code}`);
+  made.dataset.key = code;
+  made.addEventListener("click", async () => {
+    if (!confirm(`Count ${code} as gone? They can come back if there is a place.`)) return;
+    try {
+      await ask(`/api/team/people/${encodeURIComponent(code)}`, { method: "DELETE" });
+      at("said").textContent = `${code} counts as gone.`;
+      look();
+    } catch (error) {
+      complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+    }
+  });
+  return made;
+}
+
+function show(study) {
+  const { participants, stages, conditions } = study;
+  at("title").textContent = document.title = study.title;
+  const here = participants.filter((one) => one.status === "here").length;
+  const done = participants.filter((one) => one.status === "done").length;
+  at("count").textContent = `${participants.length} came, ${here} under way, ${done} done${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
+  at("join").value = study.join;
+  at("conditions").replaceChildren(...conditions.map((one) => row([cell(one.name), cell(one.policy), cell(one.begun, "count"), cell(one.counting, "count"), cell(one.done, "count")])));
+  const counts = conditions.map((one) => one.counting);
+  const apart = Math.max(...counts) - Math.min(...counts);
+  at("balance").textContent = `The largest and the smallest condition differ by ${apart}. A condition is drawn when somebody's first task begins.`;
+  at("flow").replaceChildren(...stages.map((name, number) => row([
+    cell(name),
+    cell(participants.filter((one) => one.number > number).length, "count"),
+    cell(participants.filter((one) => one.number === number + 1 && one.status === "here").length, "count"),
+    cell(participants.filter((one) => one.number === number + 1 && LEFT.includes(one.status)).length, "count"),
+  ])));
+  const key = document.activeElement?.dataset?.key;
+  at("people").replaceChildren(...[...participants].reverse().map((one) => {
+    const state = STATES[one.status] ?? (one.connected ? "connected" : "not connected");
+    return row([
+      cell(one.code + (one.simulated ? " (simulated)" : "")), cell(state), cell(one.stage),
+      cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.condition), cell(one.steps, "count"),
+      cell(one.status === "here" ? remover(one.code) : ""),
+    ], one.status === "here" ? "" : "over");
+  }));
+  if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });
+}
+
+let timer = null;
+async function look() {
+  clearTimeout(timer);
+  try {
+    show(await askJson("/api/study"));
+    at("connection").textContent = "Connected";
+    at("connection").classList.remove("lost");
+  } catch (error) {
+    at("connection").textContent = "Not reached";
+    at("connection").classList.add("lost");
+    if (error instanceof Refused && [401, 403].includes(error.status)) {
+      complain("This link does not lead to a study.");
+      return;
+    }
+  }
+  timer = setTimeout(look, BETWEEN);
+}
+
+at("copy").addEventListener("click", async () => {
+  at("join").select();
+  try {
+    await navigator.clipboard.writeText(at("join").value);
+    at("said").textContent = "Copied.";
+  } catch {
+    at("said").textContent = "The link is selected; copy it with the keyboard.";
+  }
+});
+at("export").addEventListener("click", async () => {
+  try {
+    const content = await (await ask("/api/study/export")).blob();
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(content);
+    link.download = "user-study.zip";
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+    at("said").textContent = "The export is saved.";
+  } catch (error) {
+    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+  }
+});
+look();

@@ -1,0 +1,94 @@
+// The join link: everybody who opens it gets a place, in one browser always the same one.
+
+import { Refused, askJson, newId, passes, token } from "/pages/connection.js";
+
+const at = (id) => document.getElementById(id);
+const KEY = `kitassist visit ${token}`;
+
+function kept() {
+  try {
+    return JSON.parse(localStorage.getItem(KEY));
+  } catch {
+    return null;
+  }
+}
+
+function keep(visit) {
+  try {
+    localStorage.setItem(KEY, JSON.stringify(visit));
+  } catch {
+    // no storage: the address of the page that follows is theirs
+  }
+}
+
+/** Who is sent by somebody else's system comes with an id of theirs, and has one place on every device. */
+function sent() {
+  const id = new URLSearchParams(location.search).get("participant");
+  return id ? `participant ${id}`.slice(0, 128) : null;
+}
+
+function tell(text, { begin = null, before = null } = {}) {
+  at("text").textContent = text;
+  at("begin").hidden = begin === null;
+  if (begin !== null) at("begin").textContent = begin;
+  at("before").hidden = before === null;
+  if (before !== null) at("before").href = before;
+}
+
+const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
+
+async function visit(id) {
+  for (let pause = 250; ; pause = Math.min(2 * pause, 3000)) {
+    try {
+      return await askJson("/api/study/seats", { method: "POST", body: { id } });
+    } catch (error) {
+      if (!passes(error)) throw error;
+      tell("The study is not reached. Trying again.");
+      await wait(pause);
+    }
+  }
+}
+
+async function enter(id) {
+  tell("One moment, please.");
+  keep({ id });
+  try {
+    const seat = await visit(id);
+    location.replace(seat.part);
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    if (error.status !== 409) tell(`This link does not lead to a study: ${error.message}.`);
+    else tell("All places are taken at the moment. Places become free again when somebody leaves: you can try again.", { begin: "Try again" });
+  }
+}
+
+/** In a laboratory one browser is many people's: who has finished makes room for the next. */
+async function begin() {
+  const id = sent() ?? kept()?.id ?? null;
+  if (id === null) {
+    await enter(newId());
+    return;
+  }
+  try {
+    const seat = await visit(id);
+    if (sent() === null && ["thanks", "withdrew", "declined"].includes(seat.study.kind)) {
+      next(seat);
+      return;
+    }
+    location.replace(seat.part);
+  } catch (error) {
+    if (!(error instanceof Refused)) throw error;
+    await enter(id);
+  }
+}
+
+function next(seat) {
+  tell("Somebody has taken part in this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: seat.part });
+}
+
+at("begin").addEventListener("click", () => enter(sent() ?? newId()));
+addEventListener("pageshow", (event) => event.persisted && location.reload());
+askJson("/api/study/form").then((form) => {
+  at("title").textContent = document.title = form.title;
+}).catch(() => {});
+begin();

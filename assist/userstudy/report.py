@@ -1,0 +1,239 @@
+"""The report of a user study: `report.md`, `summary.json` and pictures, from its folder or from an unpacked export."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from planner.errors import DamagedFileError
+from planner.storage import atomic
+
+from ..plots import style
+from ..plots import userstudy as draw
+from ..study.wording import interval, table
+from .plan import UserStudy, read
+from .session import JOURNAL, PLAN
+from .summary import FEW, TASK_MEASURES, measures, summarise
+from .tables import COLUMNS, Row, Tables, tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES = "figures"
+NUMBERS = {
+    "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed", "seconds", "step", "time",
+    "cost_before", "cost_after", "score",
+}  # fmt: skip
+
+
+def require() -> None:
+    """Check that reports can be written.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    style.require()
+
+
+def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
+    """Read what a study has recorded: from its journal, while it goes on or afterwards, or from an unpacked export.
+
+    Raises
+    ------
+    StudyError, DamagedFileError, OSError
+        It is neither.
+    """
+    study = read(folder / PLAN, carried_out=True)
+    if (folder / JOURNAL).exists():
+        return study, tables(study, folder / JOURNAL)
+    return study, Tables(**{name: list(_rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
+
+
+def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
+    with file.open(newline="", encoding="utf-8") as stream:
+        reader = csv.DictReader(stream)
+        if reader.fieldnames != list(columns):
+            raise DamagedFileError(file, 1, f"expected the columns {', '.join(columns)}")
+        for row in reader:
+            try:
+                yield {name: _cell(name, cell) for name, cell in row.items()}
+            except (TypeError, ValueError):
+                raise DamagedFileError(file, reader.line_num, "a number was expected where there is none") from None
+
+
+def _cell(name: str, cell: str) -> Any:
+    if cell in ("true", "false"):
+        return cell == "true"
+    if cell == "":
+        return None
+    return float(cell) if name in NUMBERS else cell
+
+
+def write_report(folder: Path, out: Path) -> dict[str, Any]:
+    """Write the report of a study; give its numbers.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the study, or of an unpacked export.
+    out : Path
+
+    Raises
+    ------
+    StudyError, DamagedFileError, OSError
+        It is neither.
+    """
+    study, found = of_folder(folder)
+    summary = summarise(study, found)
+    pictures = dict(_pictures(study, found, summary))
+    for name, (_, figure) in pictures.items():
+        style.save_for_pages(figure, out / FIGURES, name)
+    text = "\n\n".join(_sections(study, summary, {name: said for name, (said, _) in pictures.items()})) + "\n"
+    for name, content in {"summary.json": json.dumps(summary, indent=1) + "\n", "report.md": text}.items():
+        with atomic(out / name) as path:
+            path.write_text(content, encoding="utf-8")
+    return summary
+
+
+def headline(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Give the head and the rows of a table with the mean of each measure in each condition."""
+    names = [one["condition"] for one in summary["conditions"]]
+    return ["", *names], [[one["label"], *map(_written, one["cells"])] for one in summary["measures"]]
+
+
+def _written(cell: dict[str, Any], digits: int = 1) -> str:
+    return interval(cell, digits) if cell["n"] else "-"
+
+
+def _pictures(
+    study: UserStudy, found: Tables, summary: dict[str, Any]
+) -> Iterator[tuple[str, tuple[str, Callable[[], Figure]]]]:
+    shown = [one for one in summary["measures"] if any(cell["n"] for cell in one["cells"])]
+    if shown:
+        points = {
+            one.name: {name: list(own.values()) for name, own in one.values.items()} for one in measures(study, found)
+        }
+        yield "outcomes", ("Each measure by condition", partial(draw.outcomes_figure, shown, points))
+    compared = [one for one in shown if one["differences"]]
+    if compared:
+        text = f"Differences from {study.reference}"
+        yield "differences", (text, partial(draw.differences_figure, compared, study.reference))
+    for one in summary["questionnaires"]:
+        if one["n"]:
+            own = study.questionnaire(one["questionnaire"])
+            texts = {item.name: item.name if own.form == "nasa-tlx" else _short(item.text) for item in own.items}
+            highest = 100 if own.form == "nasa-tlx" else own.points
+            yield f"scales-{own.name}", (f"{own.name} by item", partial(draw.scales_figure, one, texts, highest))
+    if summary["flow"][0]["reached"]:
+        yield "flow", ("How far participants came", partial(draw.flow_figure, summary["flow"]))
+
+
+def _short(text: str, most: int = 48) -> str:
+    return text if len(text) <= most else f"{text[: most - 1].rstrip()}…"
+
+
+def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) -> Iterator[str]:
+    def picture(name: str) -> Iterator[str]:
+        if name in shown:
+            yield f"![{shown[name]}]({FIGURES}/{name}.png)"
+
+    yield f"# {study.title}"
+    if summary["simulated"]:
+        yield (
+            "**A rehearsal.** Participants are simulated, and what they answered is made up: the figures say nothing "
+            "about people."
+        )
+    yield from _who_took_part(study, summary, picture("flow"))
+    yield from _what_was_found(study, summary)
+    yield from picture("outcomes")
+    yield from _compared(study, summary)
+    yield from picture("differences")
+    for one in summary["questionnaires"]:
+        yield f"## {study.questionnaire(one['questionnaire']).title} ({one['questionnaire']})"
+        alpha = "cannot be given" if one["alpha"] is None else f"is {one['alpha']:.2f}"
+        turned = (
+            " Reversed items are turned round."
+            if any(i.reversed for i in study.questionnaire(one["questionnaire"]).items)
+            else ""
+        )
+        yield f"{one['n']} participants answered. Cronbach's alpha over its items {alpha}.{turned}"
+        yield from picture(f"scales-{one['questionnaire']}")
+
+
+def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[str]) -> Iterator[str]:
+    yield "## Who took part"
+    flow, conditions = summary["flow"], summary["conditions"]
+    began = sum(one["begun"] for one in conditions)
+    done = sum(one["done"] for one in conditions)
+    yield (
+        f"{flow[0]['reached']} came, {began} began the first task and had their condition drawn then, {done} went "
+        "through to the end. Who leaves before that takes no place in a condition; who leaves after it "
+        + ("is replaced." if study.replace else "keeps it and is not replaced.")
+    )
+    head = ["condition", "policy", "began", "done", "left after they began", "under way"]
+    yield table(
+        head,
+        ([one[key] for key in ("condition", "policy", "begun", "done", "left", "under_way")] for one in conditions),
+    )
+    yield from picture
+
+
+def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
+    yield "## Conditions"
+    yield (
+        "Means with 95 % intervals (Student's t) over participants. Tasks count for whoever has been through all of "
+        "them, questionnaires for whoever answered."
+    )
+    head, rows = headline(summary)
+    yield table(["measure", *head[1:]], rows)
+    counts = [{cell["condition"]: cell["n"] for cell in one["cells"]} for one in summary["measures"]]
+    yield "Participants: " + ", ".join(f"{name} {count}" for name, count in counts[0].items()) + "."
+    lacking = [
+        f"{one['label']}: " + ", ".join(f"{name} {count}" for name, count in own.items())
+        for one, own in zip(summary["measures"], counts, strict=True)
+        if own != counts[0]
+    ]
+    if lacking:
+        yield (
+            "Fewer have a value of some (nothing is followed where nothing was suggested): " + "; ".join(lacking) + "."
+        )
+    if summary["few"]:
+        whole = len(summary["few"]) == len(study.conditions)
+        which = "every condition" if whole else ", ".join(summary["few"])
+        yield (
+            f"**Few participants.** Fewer than {FEW} in {which}: a first look. Student's intervals take means to be "
+            "normally distributed, which so few cannot show; look at the single points as well."
+        )
+
+
+def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
+    yield f"## Against {study.reference}"
+    yield (
+        "Differences of means with Welch's 95 % intervals, and Hedges' g. An interval without 0 shows a difference, "
+        f"one at a time: with {len(TASK_MEASURES)} measures and more, one in twenty does so by chance."
+    )
+    rows = []
+    for one in summary["measures"]:
+        for other in one["differences"]:
+            effect = "" if other["hedges_g"] is None else f"{other['hedges_g']:.2f}"
+            rows.append([one["label"], other["condition"], interval(other), effect, _shows(other)])
+    yield table(["measure", "condition", f"minus {study.reference}", "Hedges' g", "shown"], rows)
+    if summary["detectable"] is not None:
+        yield (
+            "What would have been seen: with as many participants as in the smallest of these conditions, four of five "
+            f"studies show a difference of g = {summary['detectable']:.2f} or more; a smaller one is likely missed."
+        )
+    else:
+        yield "With fewer than two participants in a condition nothing can be compared."
+
+
+def _shows(one: dict[str, Any]) -> str:
+    if one["low"] is None:
+        return "no interval"
+    return "more" if one["low"] > 0 else "less" if one["high"] < 0 else "not shown"

@@ -1,0 +1,181 @@
+"""Requests and pages of a user study, beside those of the live assistant."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, HTTPException, Request, Response
+from fastapi.responses import FileResponse
+from pydantic import BaseModel, Field
+
+from ..live.admission import READ, WRITE, Operator, Own, refusals
+from ..live.messages import Once, Person
+from ..live.routes import plain
+from .cohort import StudyEvent
+from .export import archive
+from .plan import UserStudy
+from .service import VISITOR, StudyService
+
+PAGES = Path(__file__).parent / "pages"
+
+router = APIRouter()
+
+
+class Visit(Once):
+    """Somebody who comes to the study."""
+
+    id: str = Field(
+        min_length=1, max_length=128, description="Made by the visitor's browser: the same, the same place."
+    )
+    simulated: bool = Field(False, description="Whether this is a rehearsal's simulated participant.")
+
+
+class Onward(Once):
+    """Somebody who goes on to the next stage."""
+
+    stage: str = Field(min_length=1, max_length=120, description="The one that they go on from.")
+    answers: dict[str, int | str] | None = Field(None, description="To the questionnaire, if this is one.")
+
+
+class Seat(BaseModel):
+    """The place of who has come, and the address of their page."""
+
+    person: str
+    part: str
+    study: dict[str, Any]
+
+
+def study_of(request: Request) -> StudyService:
+    """Give the study's service."""
+    service: StudyService = request.app.state.service
+    return service
+
+
+Study = Annotated[StudyService, Depends(study_of)]
+
+
+def form_of(study: UserStudy) -> dict[str, Any]:
+    """Give what pages show: texts as HTML, and questionnaires."""
+    import markdown
+
+    return {
+        "title": study.title,
+        "texts": {name: markdown.markdown(text, output_format="html") for name, text in study.texts.items()},
+        "questionnaires": {
+            one.name: {
+                "form": one.form, "title": one.title, "introduction": one.introduction, "points": one.points,
+                "items": [
+                    {"name": item.name, "text": item.text, "low": item.low or one.low, "high": item.high or one.high}
+                    for item in one.items
+                ],
+            }
+            for one in study.questionnaires
+        },
+    }  # fmt: skip
+
+
+@router.post("/api/study/seats", tags=["study"], response_model=Seat, responses=WRITE)
+async def visit(request: Request, coming: Visit, study: Study) -> Any:
+    """Get a place, with the join link's token; 409 where there is none. The same id again: the same place."""
+    if request.state.caller.person not in (None, VISITOR):
+        raise HTTPException(403, "this is for visitors; who has a place has it")
+    seen = await study.visit(coming.id, simulated=coming.simulated)
+    code = seen["person"]
+    part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
+    now = json.loads(study.views[code])  # which may be later than the answer
+    return plain({"person": code, "part": part, "study": now["study"]})
+
+
+@router.get("/api/study/form", tags=["study"], responses=refusals())
+async def form(request: Request, study: Study) -> Response:
+    """What the study's pages show: its title, texts and questionnaires."""
+    if not hasattr(request.app.state, "form"):
+        request.app.state.form = form_of(study.study)
+    return plain(request.app.state.form)
+
+
+@router.post("/api/study/participants/{name}/onward", tags=["study"], response_model=Person, responses=WRITE)
+async def onward(name: Own, going: Onward, study: Study) -> Response:
+    """Go on to the next stage; 409 from another one than where they are."""
+    event = StudyEvent("onward", name, id=going.id, stage=going.stage, answers=going.answers)
+    return plain(await study.report(event))
+
+
+@router.post("/api/study/participants/{name}/withdraw", tags=["study"], response_model=Person, responses=WRITE)
+async def withdraw(name: Own, study: Study, once: Once | None = None) -> Response:
+    """Leave the study for good; at its beginning: do not consent."""
+    return plain(await study.report(StudyEvent("withdrew", name, id=once.id if once else None)))
+
+
+@router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Person, responses=WRITE)
+async def come_back(name: Own, study: Study, once: Once | None = None) -> Response:
+    """Come back after having been gone, if there is a place."""
+    return plain(await study.report(StudyEvent("returned", name, id=once.id if once else None)))
+
+
+@router.get("/api/study", tags=["study"], responses=refusals(403))
+async def overview(_: Operator, study: Study) -> Response:
+    """Who is where, in which condition, and who has left."""
+    return plain(await study.overview())
+
+
+@router.get("/api/study/export", tags=["study"], responses=READ)
+async def export(_: Operator, study: Study) -> Response:
+    """Everything that was recorded: tables as CSV, what they mean, and logs that `fit` reads, as one ZIP file."""
+    return await _archive(study)
+
+
+async def _archive(study: StudyService) -> Response:
+    content = await asyncio.to_thread(archive, study.folder)
+    headers: Mapping[str, str] = {"content-disposition": 'attachment; filename="user-study.zip"'}
+    return Response(content, media_type="application/zip", headers=dict(headers))
+
+
+def _page(name: str) -> Response:
+    return FileResponse(PAGES / name)
+
+
+def _known(study: StudyService, token: str, person: str | None) -> None:
+    caller = study.access.whose(token)
+    if caller is None or caller.person != person:
+        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
+
+
+@router.get("/study/operator/{token}", include_in_schema=False)
+async def conduct(token: str, study: Study) -> Response:
+    """Give the page of whoever conducts the study."""
+    _known(study, token, None)
+    return _page("conduct.html")
+
+
+@router.get("/study/export/{token}", include_in_schema=False)
+async def export_file(token: str, study: Study) -> Response:
+    """Give the export to whoever has the operator's token."""
+    _known(study, token, None)
+    return await _archive(study)
+
+
+@router.get("/study/{token}", include_in_schema=False)
+async def visitors(token: str, study: Study) -> Response:
+    """Give the page at which everybody gets a place."""
+    _known(study, token, VISITOR)
+    return _page("visit.html")
+
+
+@router.get("/part/{name}/{token}", include_in_schema=False)
+async def part(name: str, token: str, study: Study) -> Response:
+    """Give a participant's page, but for tasks, which have their own."""
+    _known(study, token, name)
+    return _page("part.html")
+
+
+@router.get("/study/pages/{name}", include_in_schema=False)
+async def piece(name: str) -> Response:
+    """Give what pages load."""
+    if name not in {file.name for file in PAGES.glob("*")}:
+        raise HTTPException(404, "there is no such page")
+    return _page(name)

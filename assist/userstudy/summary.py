@@ -1,0 +1,174 @@
+"""What a user study has found, in numbers: conditions, differences from the reference, questionnaires, dropouts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+
+from planner.storage import finite
+
+from ..study.statistics import mean
+from .effects import cronbach_alpha, detectable, difference, hedges_g
+from .plan import UserStudy
+from .questionnaires import Questionnaire
+from .tables import Row, Tables
+
+FEW = 10
+"""Participants in a condition below which its figures are a first look."""
+
+TASK_MEASURES = {
+    "actions": "actions per task",
+    "suboptimal_actions": "suboptimal actions per task",
+    "seconds": "seconds per task",
+    "suggestions": "suggestions per task",
+    "followed": "suggestions followed, %",
+}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number for each participant.
+
+    Attributes
+    ----------
+    name, label : str
+    values : dict of dict
+        By condition, then by participant.
+    """
+
+    name: str
+    label: str
+    values: dict[str, dict[str, float]]
+
+
+def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
+    """Give what is measured: of those who have been through all tasks, and of those who answered."""
+    stages = [stage.name for stage in study.stages]
+    last = max(number for number, stage in enumerate(study.stages) if stage.kind == "task")
+    through = {row["participant"] for row in tables.participants if stages.index(row["stage"]) > last}
+    own: dict[str, list[Row]] = {}
+    for row in tables.tasks:
+        if row["participant"] in through:
+            own.setdefault(row["participant"], []).append(row)
+    for name, label in TASK_MEASURES.items():
+        found: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
+        for participant, rows in own.items():
+            value = _of_tasks(name, rows)
+            if value is not None:
+                found[rows[0]["condition"]][participant] = value
+        yield Measure(name, label, found)
+    for one in study.questionnaires:
+        if one.form != "text":
+            found = {condition.name: {} for condition in study.conditions}
+            for participant, condition, scores in scored(one, tables):
+                found[condition][participant] = fmean(scores)
+            what = "raw mean, 0 to 100" if one.form == "nasa-tlx" else f"mean, 1 to {one.points}"
+            yield Measure(one.name, f"{one.name}: {what}", found)
+
+
+def _of_tasks(name: str, rows: list[Row]) -> float | None:
+    if name == "followed":
+        told = sum(row["suggestions"] for row in rows)
+        return 100 * sum(row["followed"] for row in rows) / told if told else None
+    values = [row[name] for row in rows if row[name] is not None]
+    return fmean(values) if values else None
+
+
+def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, list[float]]]:
+    """Give for each participant who answered a questionnaire their condition, and the score of each item."""
+    given: dict[str, dict[str, float]] = {}
+    conditions: dict[str, str] = {}
+    for row in tables.answers:
+        if row["questionnaire"] == questionnaire.name:
+            given.setdefault(row["participant"], {})[row["item"]] = row["score"]
+            conditions[row["participant"]] = row["condition"]
+    for participant, scores in given.items():
+        yield participant, conditions[participant], [scores[item.name] for item in questionnaire.items]
+
+
+def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
+    """Give all numbers of the report, as JSON has them."""
+    names = [one.name for one in study.conditions]
+    found = list(measures(study, tables))
+    smallest = [min(len(found[0].values[name]), len(found[0].values[study.reference])) for name in names]
+    return {
+        "title": study.title,
+        "simulated": any(row["simulated"] for row in tables.participants),
+        "reference": study.reference,
+        "conditions": _conditions(study, tables),
+        "flow": _flow(study, tables),
+        "measures": [_measure(study, one) for one in found],
+        "questionnaires": [
+            _questionnaire(study, one, tables) for one in study.questionnaires if one.form != "text"
+        ],
+        "detectable": finite(detectable(min(smallest), min(smallest))),
+        "few": [name for name, count in zip(names, smallest, strict=True) if len(found[0].values[name]) < FEW],
+    }  # fmt: skip
+
+
+def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
+    return [
+        {"condition": one.name, "policy": one.policy}
+        | {
+            what: sum(row["condition"] == one.name and test(row) for row in tables.participants)
+            for what, test in {
+                "begun": lambda _: True, "done": lambda row: row["status"] == "done",
+                "under_way": lambda row: row["status"] == "here",
+                "left": lambda row: row["status"] not in ("done", "here"),
+            }.items()
+        }
+        for one in study.conditions
+    ]  # fmt: skip
+
+
+def _flow(study: UserStudy, tables: Tables) -> list[Row]:
+    """Count who reached each stage, and who left there."""
+    stages = [stage.name for stage in study.stages]
+    at = [(stages.index(row["stage"]), row["status"]) for row in tables.participants]
+    return [
+        {
+            "stage": name, "reached": sum(stage >= number for stage, _ in at),
+            "left": sum(stage == number and status not in ("done", "here") for stage, status in at),
+            "there": sum(stage == number and status == "here" for stage, status in at),
+        }
+        for number, name in enumerate(stages)
+    ]  # fmt: skip
+
+
+def _measure(study: UserStudy, measure: Measure) -> dict[str, Any]:
+    values = {name: list(own.values()) for name, own in measure.values.items()}
+    reference = values[study.reference]
+    differences = []
+    for name, own in values.items():
+        if name != study.reference and own and reference:
+            record = difference(own, reference).record()
+            effect = finite(hedges_g(own, reference))
+            differences.append({"condition": name, "against": study.reference, **record, "hedges_g": effect})
+    cells = [{"condition": name, **_cell(own)} for name, own in values.items()]
+    return {"measure": measure.name, "label": measure.label, "cells": cells, "differences": differences}
+
+
+def _cell(values: list[float]) -> dict[str, Any]:
+    if not values:
+        return {"n": 0, "mean": None, "low": None, "high": None, "sd": None, "median": None}
+    sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+    return {"n": len(values), **mean(values).record(), "sd": finite(sd), "median": float(np.median(values))}
+
+
+def _questionnaire(study: UserStudy, one: Questionnaire, tables: Tables) -> dict[str, Any]:
+    rows = list(scored(one, tables))
+    items = [
+        {
+            "item": item.name, "condition": condition.name,
+            **_cell([scores[number] for _, name, scores in rows if name == condition.name]),
+        }
+        for number, item in enumerate(one.items)
+        for condition in study.conditions
+    ]  # fmt: skip
+    alpha = cronbach_alpha([scores for *_, scores in rows])
+    return {"questionnaire": one.name, "form": one.form, "n": len(rows), "alpha": finite(alpha), "items": items}

@@ -1,0 +1,236 @@
+"""What a study has recorded as tidy tables, one row for each observation, from its journal alone.
+
+They are written as CSV, with a table that says what each column means, and read again by whoever analyses them.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from planner.errors import DamagedFileError
+
+from .plan import UserStudy
+from .session import FORMAT
+
+Row = dict[str, Any]
+
+COLUMNS: dict[str, dict[str, str]] = {
+    "participants": {
+        "participant": "code of a participant",
+        "simulated": "true in a rehearsal: nobody real",
+        "arrived": "when they came, UTC",
+        "status": "done; here: under way; gone: not connected for long; withdrew; declined: no consent; full: no place "
+        "when they came back",
+        "stage": "the last stage that they reached",
+        "condition": "drawn when their first task began; empty before",
+        "completion_code": "what they were given at the end",
+    },
+    "tasks": {
+        "participant": "code of a participant",
+        "condition": "their condition",
+        "task": "the task's file name without its ending",
+        "position": "1 for the first task",
+        "finished": "whether the goal was reached",
+        "actions": "actions taken",
+        "optimal_cost": "cost of a cheapest plan from the beginning; the number of actions where each costs 1",
+        "suboptimal_actions": "actions that did not lower the cost-to-go",
+        "suggestions": "suggestions that were answered by an action",
+        "followed": "of these, followed",
+        "seconds": "from the beginning to the last action, without those in which the service did not run",
+    },
+    "actions": {
+        "participant": "code of a participant",
+        "condition": "their condition; empty in practice",
+        "task": "the task; practice",
+        "step": "0 for the first action of the task",
+        "time": "seconds since the study began, without those in which the service did not run",
+        "action": "in PDDL",
+        "suggestion": "what was suggested at that moment, if anything",
+        "followed": "whether the action is the suggestion; empty without one",
+        "cost_before": "cheapest way to the goal before the action; empty in a dead end",
+        "cost_after": "the same after it",
+    },
+    "answers": {
+        "participant": "code of a participant",
+        "condition": "their condition",
+        "questionnaire": "its name",
+        "item": "the question's name",
+        "answer": "as given",
+        "score": "a number, reversed items turned round; empty for answers in words",
+    },
+    "events": {
+        "participant": "code of a participant",
+        "time": "seconds since the study began, without those in which the service did not run",
+        "event": "visited; onward: a stage was left for the next; withdrew; left: gone; returned; expired: the task's "
+        "time was up",
+        "stage": "in which it happened",
+    },
+}
+"""What there is in each table."""
+
+
+EVENTS = {"visited", "onward", "withdrew", "left", "returned", "expired"}
+"""Those that the table of events has; actions have their own."""
+
+
+@dataclass
+class Tables:
+    """The tables of a study.
+
+    Attributes
+    ----------
+    participants, tasks, actions, answers, events : list of dict
+        A row each, with the keys of `COLUMNS`.
+    """
+
+    participants: list[Row] = field(default_factory=list)
+    tasks: list[Row] = field(default_factory=list)
+    actions: list[Row] = field(default_factory=list)
+    answers: list[Row] = field(default_factory=list)
+    events: list[Row] = field(default_factory=list)
+
+    def csv(self, name: str) -> str:
+        """Write a table."""
+        return written(COLUMNS[name], getattr(self, name))
+
+    def logs(self) -> Iterator[tuple[str, str]]:
+        """Give for each task its name and everybody's actions at it, as JSON Lines that `fit` reads."""
+        for task in dict.fromkeys(row["task"] for row in self.tasks):
+            rows = (
+                {
+                    "person": row["participant"], "episode": "1", "step": row["step"], "action": row["action"],
+                    "suggestion": row["suggestion"], "time": row["time"],
+                }
+                for row in self.actions if row["task"] == task and row["condition"] is not None
+            )  # fmt: skip
+            yield task, "".join(json.dumps(row) + "\n" for row in rows)
+
+
+def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Write rows as CSV: nothing for None, true and false in small letters."""
+    content = io.StringIO()
+    writer = csv.writer(content, lineterminator="\n")
+    columns = list(columns)
+    writer.writerow(columns)
+    for row in rows:
+        cells = (row[name] for name in columns)
+        writer.writerow([str(cell).lower() if isinstance(cell, bool) else _safe(cell) for cell in cells])
+    return content.getvalue()
+
+
+def _safe(cell: Any) -> Any:
+    """Keep a spreadsheet from taking somebody's words for a formula."""
+    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
+
+
+def records(journal: Path) -> Iterator[dict[str, Any]]:
+    """Give the records of a journal, which may be written to meanwhile; an unfinished last line is left out.
+
+    Raises
+    ------
+    DamagedFileError
+        It is not the journal of a user study.
+    """
+    with journal.open("rb") as stream:
+        for number, line in enumerate(stream, start=1):
+            if not line.endswith(b"\n"):
+                return
+            try:
+                record = json.loads(line)
+            except ValueError:
+                record = None
+            if not isinstance(record, dict) or (number == 1 and record.get("format") != FORMAT):
+                raise DamagedFileError(journal, number, "is not of a user study; expected its journal")
+            if number > 1:
+                yield record
+
+
+def tables(study: UserStudy, journal: Path) -> Tables:
+    """Give what a journal says.
+
+    Parameters
+    ----------
+    study : UserStudy
+    journal : Path
+    """
+    found, stages = Tables(), [stage.name for stage in study.stages]
+    people: dict[str, Row] = {}
+    current: dict[str, Row] = {}
+    began: dict[str, float] = {}
+    steps: dict[str, int] = {}
+    for record in records(journal):
+        code, event = record["person"], record["event"]
+        if event == "visited":
+            people[code] = {
+                "participant": code, "simulated": bool(record.get("simulated")), "arrived": record["at"],
+                "status": "here", "stage": stages[0], "condition": None, "completion_code": None,
+            }  # fmt: skip
+        person = people[code]
+        if event in EVENTS:
+            found.events.append({"participant": code, "time": record["time"], "event": event, "stage": person["stage"]})
+        person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
+        if event == "onward":
+            for item, answer in record.get("answers", {}).items():
+                found.answers.append(_answer(study, person, item, answer))
+            person["condition"] = record.get("condition", person["condition"])
+            person["stage"] = stages[stages.index(person["stage"]) + 1]
+            kind, _, task = person["stage"].partition(" ")
+            current.pop(code, None)
+            steps[code], began[code] = 0, record["time"]
+            if kind == "task":
+                current[code] = {
+                    "participant": code, "condition": person["condition"], "task": task,
+                    "position": [name for name, _ in study.tasks].index(task) + 1, "finished": False, "actions": 0,
+                    "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0, "followed": 0, "seconds": None,
+                }  # fmt: skip
+                found.tasks.append(current[code])
+            if kind == "thanks":
+                person["status"], person["completion_code"] = "done", record["completion"]
+        elif event == "acted":
+            row = _action(person, record, steps[code])
+            steps[code] += 1
+            found.actions.append(row)
+            if code in current:
+                _count(current[code], row, record["team"][0]["seen"]["finished"], record["time"] - began[code])
+    found.participants = list(people.values())
+    return found
+
+
+def _answer(study: UserStudy, person: Row, name: str, answer: Any) -> Row:
+    questionnaire = study.questionnaire(person["stage"].partition(" ")[2])
+    item = next(item for item in questionnaire.items if item.name == name)
+    score = None if isinstance(answer, str) else questionnaire.score(item, answer)
+    return {
+        "participant": person["participant"], "condition": person["condition"], "questionnaire": questionnaire.name,
+        "item": name, "answer": answer, "score": score,
+    }  # fmt: skip
+
+
+def _action(person: Row, record: Mapping[str, Any], step: int) -> Row:
+    own = record["team"][0]
+    seen = own["seen"]
+    kind, _, task = record["stage"].partition(" ")
+    followed = None if seen["suggestion"] is None else own["action"].strip().lower() == seen["suggestion"].lower()
+    return {
+        "participant": person["participant"], "condition": person["condition"] if kind == "task" else None,
+        "task": task or kind, "step": step, "time": record["time"], "action": own["action"],
+        "suggestion": seen["suggestion"], "followed": followed, "cost_before": seen["cost_before"],
+        "cost_after": seen["cost_after"],
+    }  # fmt: skip
+
+
+def _count(task: Row, action: Row, finished: bool, seconds: float) -> None:
+    before, after = action["cost_before"], action["cost_after"]
+    if action["step"] == 0:
+        task["optimal_cost"] = before
+    task["finished"], task["seconds"] = finished, round(seconds, 3)
+    task["actions"] += 1
+    task["suboptimal_actions"] += after is None or after >= before
+    task["suggestions"] += action["suggestion"] is not None
+    task["followed"] += bool(action["followed"])
