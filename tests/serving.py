@@ -43,8 +43,9 @@ class Served:
 
 
 @contextmanager
-def served(*options: object, instance: Path = TINY, **more: Any) -> Iterator[Served]:
-    command = [str(Path(sys.executable).with_name("kitassist")), "serve", str(instance), "--port", "0"]
+def served(*options: object, instance: Path | None = TINY, **more: Any) -> Iterator[Served]:
+    command = [str(Path(sys.executable).with_name("kitassist")), "serve", *([str(instance)] if instance else [])]
+    command += ["--port", "0"]
     process = subprocess.Popen(
         [*command, *map(str, options)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
         env={**os.environ, "PYTHONUNBUFFERED": "1"}, **more,

@@ -135,7 +135,8 @@ def _field(struct: type[Struct], name: str) -> tuple[Any, str]:
     field = next(field for field in msgspec.structs.fields(struct) if field.encode_name == name)
     parts = [field.type, *get_args(field.type)]
     marked = [meta for part in parts for meta in getattr(part, "__metadata__", ()) if isinstance(meta, Meta)]
-    inner = next((part for part in parts if isinstance(part, type) and issubclass(part, Struct)), field.type)
+    known = () if get_origin(field.type) is list else parts  # of a list it is `_element`
+    inner = next((part for part in known if isinstance(part, type) and issubclass(part, Struct)), field.type)
     return inner, next((meta.description for meta in marked if meta.description), "a table")
 
 

@@ -391,8 +391,9 @@ def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questio
         if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
             message = f"'{item.name}'; expected a name of its own: a letter, then letters, digits and signs of _ -"
             raise fault(file, f"{place}.items[{number + 1}].name", message)
-    more = {"points": table.points, "low": table.low, "high": table.high} if table.form == "likert" else {}
+    if table.form == "likert":
+        base = replace(base, points=table.points, low=table.low, high=table.high)
     return replace(
         base, name=name, title=table.title or base.title, introduction=table.introduction or base.introduction,
-        items=items, **more,
+        items=items,
     )  # fmt: skip

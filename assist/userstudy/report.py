@@ -28,6 +28,7 @@ NUMBERS = {
     "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed", "seconds", "step", "time",
     "cost_before", "cost_after", "score",
 }  # fmt: skip
+TRUTHS = {"simulated", "finished", "followed"}
 
 
 def require() -> None:
@@ -68,7 +69,7 @@ def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
 
 
 def _cell(name: str, cell: str) -> Any:
-    if cell in ("true", "false"):
+    if name in TRUTHS and cell in ("true", "false"):
         return cell == "true"
     if cell == "":
         return None

@@ -112,18 +112,13 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
 
 
 def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
-    return [
-        {"condition": one.name, "policy": one.policy}
-        | {
-            what: sum(row["condition"] == one.name and test(row) for row in tables.participants)
-            for what, test in {
-                "begun": lambda _: True, "done": lambda row: row["status"] == "done",
-                "under_way": lambda row: row["status"] == "here",
-                "left": lambda row: row["status"] not in ("done", "here"),
-            }.items()
-        }
-        for one in study.conditions
-    ]  # fmt: skip
+    found = []
+    for one in study.conditions:
+        own = [row["status"] for row in tables.participants if row["condition"] == one.name]
+        done, here = own.count("done"), own.count("here")
+        counts = {"begun": len(own), "done": done, "under_way": here, "left": len(own) - done - here}
+        found.append({"condition": one.name, "policy": one.policy, **counts})
+    return found
 
 
 def _flow(study: UserStudy, tables: Tables) -> list[Row]:

@@ -119,14 +119,16 @@ def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
     columns = list(columns)
     writer.writerow(columns)
     for row in rows:
-        cells = (row[name] for name in columns)
-        writer.writerow([str(cell).lower() if isinstance(cell, bool) else _safe(cell) for cell in cells])
+        writer.writerow([_plain(name, row[name]) for name in columns])
     return content.getvalue()
 
 
-def _safe(cell: Any) -> Any:
-    """Keep a spreadsheet from taking somebody's words for a formula."""
-    return f"'{cell}" if isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@") else cell
+def _plain(name: str, cell: Any) -> Any:
+    if isinstance(cell, bool):
+        return str(cell).lower()
+    if name == "answer" and isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@"):
+        return f"'{cell}"  # which a spreadsheet would take for a formula
+    return cell
 
 
 def records(journal: Path) -> Iterator[dict[str, Any]]:

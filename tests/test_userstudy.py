@@ -1,0 +1,247 @@
+"""User studies: what their files say, who is assigned to what, and what is left of them after a kill."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import KITTING
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from userstudies import PLAN, SCORES, Part, written
+
+from assist.live.problem import InapplicableError
+from assist.study.study import StudyError
+from assist.userstudy.cohort import Cohort, FullError, StudyEvent
+from assist.userstudy.plan import read
+from assist.userstudy.session import JOURNAL, StudySession
+from planner import Table
+from planner.errors import ResultsExistError
+
+Open = Callable[..., StudySession]
+
+
+@pytest.fixture
+def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
+    held: list[StudySession] = []
+
+    def open_it(text: str = PLAN, folder: Path = tmp_path / "data") -> StudySession:
+        study = read(written(tmp_path / "study.toml", text))
+        held.append(StudySession(study, {"tiny": tiny, "practice": tiny}, folder))
+        return held[-1]
+
+    yield open_it
+    for session in held:
+        session.close()
+
+
+def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None:
+    faults = [
+        ('reference = "none"', 'reference = "nobody"', "reference: 'nobody'; expected one of none, attention"),
+        ('policy = "attention"', 'policy = "attentive"', r"conditions\[2\].policy: 'attentive'; expected one of none"),
+        ("c_move = 0.01", "c_mov = 0.01", "setting.c_mov: unknown; expected one of"),
+        ("c_move = 0.01", "travel_time = 1", "setting.travel_time: 1; expected 0"),
+        ('form = "likert"', 'form = "likart"', r"questionnaires\[2\].form: 'likart'; expected one of nasa-tlx"),
+        ("reversed = true", "reversd = true", r"questionnaires\[2\].items\[2\].reversd: unknown"),
+        ('name = "wary"', 'name = "rely"', r"questionnaires\[2\].items\[2\].name: 'rely'; expected a name of its own"),
+        ("seed = 3", "seed = -3", "seed: -3; expected a whole number of 0 or more"),
+        ("away = 10", "away = 0", "away: 0; expected a number of minutes above 0"),
+        ("seed = 3", "seed = ", "Invalid value"),
+        ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
+        ('practice = "', 'practice = "x', "practice: .*no such file"),
+    ]
+    for right, wrong, message in faults:
+        file = written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1))
+        begins = "items = [\n" if ".items" in message else right  # of several lines it is the first
+        line = PLAN[: PLAN.index(begins)].count("\n") + 1
+        with pytest.raises(StudyError, match=f"study.toml:{line}: {message}") as refused:
+            read(file)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(StudyError, match=r"study.toml:1: consent: is missing; expected a text"):
+        read(written(tmp_path / "study.toml", PLAN.replace("consent =", "thanks =", 1)))
+
+
+KINDS = ["visited"] * 2 + ["onward"] * 6 + ["withdrew", "left", "returned"]
+HAPPENS = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 8)), min_size=20, max_size=90)
+PLACES = 7
+ORDER = ["d", "c", "attention", "none", "none", "attention", "c"]
+
+
+@pytest.fixture(scope="module")
+def cohort_of(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Callable[[bool], Cohort]:
+    """Nobody has come yet, to a study of four conditions; whoever begins a task and leaves is replaced or not."""
+    folder = tmp_path_factory.mktemp("study")
+    four = PLAN + "".join(f'[[conditions]]\nname = "{name}"\npolicy = "none"\n' for name in ("c", "d"))
+    four = four.replace("seed = 3", f"seed = 3\nparticipants = {PLACES}", 1).replace("simulated = 2", "simulated = 0")
+    study, tasks = read(written(folder / "study.toml", four)), {"tiny": tiny, "practice": tiny}
+    session = StudySession(study, tasks, folder / "data")
+    session.close()
+    return lambda again: Cohort(replace(study, replace=again), tasks, session._course_of)
+
+
+@settings(max_examples=30, deadline=None)
+@given(HAPPENS, st.booleans())
+def test_conditions_stay_balanced_whoever_comes_and_goes(
+    cohort_of: Callable[[bool], Cohort], events: list[tuple[str, int]], replaced: bool
+) -> None:
+    cohort = cohort_of(replaced)
+    given_to: list[str] = []
+    for number, (kind, who) in enumerate(events):
+        person = cohort.participants.get(f"p{who}")
+        stage = None if person is None else cohort.stages[person.at]
+        if kind == "onward" and person is not None and stage is not None and stage.kind in ("practice", "task"):
+            person.expired = True  # in place of everything that they do there
+        answers = SCORES.get(stage.what) if stage and stage.kind == "questionnaire" else None
+        before = {
+            name: sum(
+                one.condition == name and (one.status in ("here", "done") or not replaced)
+                for one in cohort.participants.values()
+            )
+            for name in ("none", "attention", "c", "d")
+        }
+        event = StudyEvent(kind, f"p{who}", stage=stage.name if stage else None, answers=answers)
+        try:
+            record = cohort.happen(event, float(number))
+        except (FullError, InapplicableError, ValueError):
+            continue
+        if record is not None and "condition" in record:
+            given_to.append(record["condition"])
+            assert before[record["condition"]] == min(before.values())
+        taken = [
+            one
+            for one in cohort.participants.values()
+            if one.status in ("here", "done") or (one.condition and not replaced)
+        ]
+        assert len(taken) <= PLACES
+        if not replaced:
+            counts = Counter(dict.fromkeys(before, 0)) + Counter(given_to)
+            assert max(counts.values(), default=0) - min((counts[name] for name in before), default=0) <= 1
+    if not replaced:  # the order follows from the seed alone
+        assert given_to == ORDER[: len(given_to)]
+
+
+def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: Path) -> None:
+    session = opened()
+    seen: list[tuple[bytes, dict[str, Any]]] = []
+    ann, bob = Part(session, "ann"), Part(session, "bob")
+
+    def look() -> None:
+        views = {name: session.person(name) for name in session.people}
+        seen.append(((tmp_path / "data" / JOURNAL).read_bytes(), {**views, "log": session.log()}))
+
+    stages = [stage.name for stage in session.study.stages]
+    reached = []
+    for part in (ann, bob):
+        part.come()
+        while part.kind != "thanks":
+            look()
+            reached.append(part.stage)
+            if part.kind in ("practice", "task"):
+                part.errs()
+                look()  # in the middle of it
+                part.finish()
+            part.onward()
+    look()
+    assert reached == stages[:-1] * 2
+    assert session.log()
+    session.close()
+    for number, (journal, views) in enumerate(seen):
+        folder = tmp_path / f"after-{number}"
+        folder.mkdir()
+        (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # of which nobody was told
+        again = opened(folder=folder)
+        assert {**{name: again.person(name) for name in again.people}, "log": again.log()} == views
+        again.close()
+        shutil.rmtree(folder)
+
+
+def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:
+    session = opened(PLAN.replace("seed = 3", "seed = 3\nparticipants = 1"))
+    ann = Part(session, "ann")
+    first = ann.come()
+    assert ann.report("visited", id="visit ann") == first  # a reload
+    with pytest.raises(FullError, match="no place left"):
+        Part(session, "bob").come()
+    before = session.person("ann")
+    for kind, more, message in [
+        ("onward", {"stage": "instructions"}, "ann is at consent, not at 'instructions'"),
+        ("acted", {"action": "(fetch box-a)"}, "nothing can be done there"),
+        ("undone", {}, "cannot be done within a user study"),
+        ("onward", {"stage": "consent", "answers": {"a": 1}}, "expected none at consent"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            ann.report(kind, **more)
+    assert session.person("ann") == before
+    ann.to("practice")
+    with pytest.raises(InapplicableError, match="the task is not finished"):
+        ann.onward()
+    ann.to("questionnaire nasa-tlx")
+    for answers, message in [
+        ({}, "answers.mental: expected a whole number from 0 to 100 in steps of 5"),
+        ({**SCORES["nasa-tlx"], "effort": 42}, "answers.effort"),
+        ({**SCORES["nasa-tlx"], "luck": 5}, "answers.luck: unknown"),
+        ({**SCORES["nasa-tlx"], "effort": True}, "answers.effort"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            ann.report("onward", stage="questionnaire nasa-tlx", answers=answers)
+
+
+def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opened: Open) -> None:
+    session = opened(PLAN.replace("seed = 3", "seed = 3\nparticipants = 1"))
+    ann, bob = Part(session, "ann"), Part(session, "bob")
+    ann.come()
+    ann.to("practice")
+    ann.report("left")
+    bob.come()  # there is a place again
+    assert ann.report("returned")["study"]["kind"] == "full"
+    with pytest.raises(InapplicableError):
+        ann.onward()
+    assert bob.report("withdrew")["study"]["kind"] == "declined"
+    assert ann.report("returned")["study"]["kind"] == "practice"
+    ann.to("task tiny")
+    ann.report("left")
+    assert session.cohort.taken == 1  # whose task has begun keeps it
+    with pytest.raises(FullError):
+        Part(session, "cleo").come()
+    ann.finish()  # which is to come back
+    assert session.person("ann")["study"]["over"]
+    assert session.cohort.participants["ann"].status == "here"
+
+
+def test_an_expired_or_impossible_task_is_over(opened: Open) -> None:
+    session = opened()
+    ann = Part(session, "ann")
+    ann.come()
+    ann.to("task tiny")
+    assert ann.report("expired")["study"]["over"]
+    assert session.person("ann")["applicable"] == []
+    with pytest.raises(InapplicableError, match="this task is over"):
+        ann.report("acted", action="(fetch box-a)")
+    ann.onward()
+    assert ann.stage == "questionnaire nasa-tlx"
+
+
+def test_simulated_people_act_in_step_and_share_the_robot(opened: Open, tiny: Table) -> None:
+    session = opened(PLAN.replace('policy = "none"', 'policy = "reactive"'))
+    ann = Part(session, "ann")
+    ann.come()
+    ann.to("task tiny")
+    for _ in range(4):
+        ann.errs()
+    lines = [json.loads(line) for line in (session.folder / JOURNAL).read_text().splitlines()[1:]]
+    acted = [line for line in lines if line["event"] == "acted" and line["stage"] == "task tiny"]
+    assert [[sub["person"] for sub in line["team"]] for line in acted] == [["ann", "ann-1", "ann-2"]] * 4
+    assert {row["person"] for row in session.log()} == {"ann"}
+
+
+def test_a_folder_of_another_study_is_refused(opened: Open, tmp_path: Path) -> None:
+    opened().close()
+    with pytest.raises(ResultsExistError, match="not that of .*study.toml"):
+        opened(PLAN.replace("seed = 3", "seed = 4"))
+    assert KITTING.is_dir()

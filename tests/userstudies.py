@@ -1,0 +1,112 @@
+"""A small user study for tests, and somebody who takes part in it without a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from conftest import KITTING
+
+from assist.userstudy.cohort import StudyEvent
+from assist.userstudy.session import StudySession
+
+PLAN = f"""title = "A small study"
+tasks = ["{KITTING}/tiny.pddl"]
+practice = "{KITTING}/tiny.pddl"
+reference = "none"
+simulated = 2
+away = 10
+seed = 3
+consent = \"\"\"
+Do you *agree*?
+\"\"\"
+instructions = "Put everything where it belongs."
+
+[setting]
+c_suggest = 0.02
+c_move = 0.01
+
+[[questionnaires]]
+form = "nasa-tlx"
+
+[[questionnaires]]
+form = "likert"
+name = "trust"
+items = [
+    {{ name = "rely", text = "I could rely on it." }}, {{ name = "wary", text = "I was wary.", reversed = true }},
+]
+
+[[questionnaires]]
+form = "text"
+name = "remarks"
+items = [{{ name = "remarks", text = "Anything else?" }}]
+
+[[conditions]]
+name = "none"
+policy = "none"
+
+[[conditions]]
+name = "attention"
+policy = "attention"
+"""
+
+SCORES: dict[str, dict[str, Any]] = {
+    "nasa-tlx": {
+        "mental": 50, "physical": 10, "temporal": 20, "performance": 30, "effort": 40, "frustration": 0,
+    },
+    "trust": {"rely": 6, "wary": 3},
+    "remarks": {"remarks": "=1+1, no"},
+}  # fmt: skip
+
+
+def written(file: Path, text: str = PLAN) -> Path:
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+class Part:
+    """Somebody who takes part."""
+
+    def __init__(self, session: StudySession, name: str) -> None:
+        self.session, self.name = session, name
+
+    @property
+    def stage(self) -> str:
+        return str(self.session.person(self.name)["study"]["stage"])
+
+    @property
+    def kind(self) -> str:
+        return str(self.session.person(self.name)["study"]["kind"])
+
+    def report(self, kind: str, **more: Any) -> dict[str, Any]:
+        outcome = self.session.report([StudyEvent(kind, self.name, **more)])[0]
+        if isinstance(outcome, Exception):
+            raise outcome
+        return outcome
+
+    def come(self) -> dict[str, Any]:
+        return self.report("visited", id=f"visit {self.name}")
+
+    def onward(self, answers: dict[str, Any] | None = None) -> dict[str, Any]:
+        stage = self.stage
+        return self.report("onward", stage=stage, answers=answers or SCORES.get(stage.partition(" ")[2]))
+
+    def errs(self) -> None:
+        """Do what leads nowhere, or least far."""
+        table, state = self.session.place(self.name)
+        rows = table.choices([state])
+        costs = table.lookup(rows.targets)
+        self.report("acted", action=table.task.actions[int(rows.actions[int(costs.argmax())])])
+
+    def finish(self) -> None:
+        while not self.session.person(self.name)["study"]["over"]:
+            table, state = self.session.place(self.name)
+            rows = table.choices([state])
+            best = int(rows.actions[int(table.lookup(rows.targets).argmin())])
+            self.report("acted", action=table.task.actions[best])
+
+    def to(self, stage: str) -> None:
+        while self.stage != stage:
+            if self.kind in ("practice", "task"):
+                self.finish()
+            self.onward()
