@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import KITTING
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from userstudies import PLAN, SCORES, Part, written
@@ -227,7 +226,7 @@ def test_an_expired_or_impossible_task_is_over(opened: Open) -> None:
     assert ann.stage == "questionnaire nasa-tlx"
 
 
-def test_simulated_people_act_in_step_and_share_the_robot(opened: Open, tiny: Table) -> None:
+def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
     session = opened(PLAN.replace('policy = "none"', 'policy = "reactive"'))
     ann = Part(session, "ann")
     ann.come()
@@ -240,8 +239,7 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open, tiny: Ta
     assert {row["person"] for row in session.log()} == {"ann"}
 
 
-def test_a_folder_of_another_study_is_refused(opened: Open, tmp_path: Path) -> None:
+def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
     opened().close()
-    with pytest.raises(ResultsExistError, match="not that of .*study.toml"):
+    with pytest.raises(ResultsExistError, match=r"not that of .*study.toml"):
         opened(PLAN.replace("seed = 3", "seed = 4"))
-    assert KITTING.is_dir()

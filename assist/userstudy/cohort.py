@@ -20,7 +20,7 @@ import numpy as np
 from planner import CostToGo
 
 from ..live.course import AbsentError, Course, Event
-from ..live.problem import InapplicableError
+from ..live.problem import InapplicableError, UnknownError
 from ..live.simulated import SimulatedPerson
 from .assignment import assign
 from .group import Group
@@ -375,10 +375,12 @@ class Cohort:
             "seq": self.count,
         }
 
-    def log(self) -> list[dict[str, Any]]:
-        """Give the actions of all participants at their tasks, as `fit` reads them."""
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Give the actions of all participants at their tasks, as `fit` reads them; those in one, if it is named."""
+        if task is not None and task not in dict(self.study.tasks):
+            raise UnknownError(f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
         rows = []
         for who in self.participants.values():
             if "task" in who.groups:
-                rows += [row for row in who.groups["task"].course.log() if row["person"] == who.code]
+                rows += [row for row in who.groups["task"].course.log(task) if row["person"] == who.code]
         return rows
