@@ -157,12 +157,12 @@ class Worker:
 class Service:
     """The process that serves, started again on the same port and data."""
 
-    def __init__(self, instance: Path, people: int, data: Path) -> None:
+    def __init__(self, instance: Path, people: int, data: Path, *options: str) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self.command = [
             str(Path(sys.executable).with_name("kitassist")), "serve", str(instance), "--humans", str(people),
-            "--port", str(self.port), "--data", str(data), "--c-suggest", str(C_SUGGEST),
+            "--port", str(self.port), "--data", str(data), "--c-suggest", str(C_SUGGEST), *options,
         ]  # fmt: skip
 
     def start(self) -> dict:

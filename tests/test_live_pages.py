@@ -288,6 +288,7 @@ def sees_everybody_pauses_corrects_and_exports(chromium: Any, desk: Any, clicked
     page.wait_for_selector('.card:has-text("dora")', state="detached")
     dora.wait_for_selector("#problem:not([hidden])")
     assert "not in this team any more" in dora.inner_text("#problem")
+    assert dora.locator("button:visible").count() == 0
     assert violations(dora) == []
     dora.close()
 

@@ -91,6 +91,7 @@ function showStudy(study) {
 
 function showAdvice() {
   const suggestion = open();
+  at("advice").hidden = view.finished;
   at("advice").classList.toggle("open", suggestion !== null);
   at("offer").hidden = suggestion === null;
   at("paused").hidden = !view.paused || suggestion !== null;
@@ -142,6 +143,7 @@ function showEnd() {
     at("done-title").focus();
   }
   if (!ended) at("done").hidden = true;
+  at("hint").hidden = ended;
   if (stuck) complain("From here the goal cannot be reached any more. Undo the last step.");
   else if (at("problem").textContent.startsWith("From here")) complain(null);
 }
@@ -298,9 +300,16 @@ async function refresh() {
     if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
       channel.end();
       at("connection").textContent = "Not connected";
-      complain(`This link does not lead to a task: ${error.message}`);
+      leave(`This link does not lead to a task: ${error.message}`);
     }
   }
+}
+
+/** Whoever is not in the team any more can do nothing here. */
+function leave(why) {
+  closeMenu(false);
+  for (const part of [".work", "#advice", "#done"]) document.querySelector(part).hidden = true;
+  complain(why);
 }
 
 const channel = new Channel(pathOf(person, "/events"), {
@@ -310,7 +319,7 @@ const channel = new Channel(pathOf(person, "/events"), {
     at("connection").classList.toggle("lost", state !== "connected");
     if (state === "connected") outbox.resume();
     if (state === "lost") refresh();
-    if (state === "over") complain("You are not in this team any more. Ask for a new link.");
+    if (state === "over") leave("You are not in this team any more. Ask for a new link.");
   },
 });
 
