@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo live test lint bench bench-smallest study docs clean
+.PHONY: demo live test lint bench bench-smallest study docs wheel-check clean
 
 # Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
 # file), so that it is thrown away here.
@@ -44,6 +44,10 @@ study: $(VENV)/.test
 docs: $(VENV)/.docs
 	$(BIN)/sphinx-build -W --keep-going -q -b html docs site
 	@echo "The documentation: site/index.html"
+
+# The wheel by itself, in an empty environment and outside the checkout.
+wheel-check:
+	@.ci/wheel $(PYTHON)
 
 $(VENV)/.compiled: $(VENV)/bin/python $(SHARED)
 	@find planner assist -name '*.nb[ci]' -delete

@@ -11,10 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import expressions
+from . import expressions, shipped
 from .expressions import Expression, UnbalancedError
-
-DOMAIN_FILE = "domain.pddl"
+from .shipped import DOMAIN_FILE
 
 
 class PDDLError(ValueError):
@@ -67,15 +66,18 @@ def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
     Parameters
     ----------
     problem : path
+        Or the name of a task that comes with the package, such as `kitting/paper`; a file of that name comes first.
     domain : path, optional
         `domain.pddl` beside the problem unless given.
     """
     problem = Path(problem)
+    if not problem.exists():
+        problem = shipped.find(problem) or problem
     return Instance(problem, Path(domain) if domain is not None else problem.parent / DOMAIN_FILE)
 
 
 def find_instances(names: Iterable[str | Path], domain: str | Path | None = None) -> list[Instance]:
-    """Find the instances that problem files, folders and globs stand for.
+    """Find the instances that problem files, folders, globs and names of shipped tasks stand for.
 
     A folder stands for every `*.pddl` file in it and below that is no domain, in sorted order. No
     instance is listed twice.
@@ -83,7 +85,8 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
     Parameters
     ----------
     names : iterable of path
-        Problem files, folders and globs.
+        Problem files, folders and globs, and names of tasks that come with the package, such as `kitting/paper`, where
+        there is no file or folder of that name.
     domain : path, optional
         Of all of them; `domain.pddl` beside each unless given.
 
@@ -112,8 +115,10 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
                 files = sorted(f for f in start.glob(pattern) if f.is_file() and not _is_domain(f, domain))
                 if not files:
                     raise InstanceError(f"{name}: no problem file matches")
+            elif known := shipped.find(path):
+                files = [known]
             else:
-                raise InstanceError(f"{name}: no such file or folder")
+                raise InstanceError(f"{name}: no such file or folder{shipped.near(path)}")
         found.update((instance(file, domain), None) for file in files)
     return list(found)
 

@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import built, fast_downward, pddl
+from . import built, fast_downward, pddl, shipped
 from .checker import Checker
 from .checking import Refusal
 from .fast_downward import NO_LIMITS, Limits
@@ -155,7 +155,8 @@ def load(
     Parameters
     ----------
     problem : path, Instance, or Problem of unified-planning
-        The problem file, or a problem that was built in Python. The latter's names stand in the task as they are.
+        The problem file, the name of a task that comes with the package (`kitting/paper`), or a problem that was built
+        in Python. The latter's names stand in the task as they are.
     domain : path, optional
         The domain file; `domain.pddl` beside the problem unless given.
     limits : Limits
@@ -173,6 +174,8 @@ def load(
     """
     if isinstance(problem, str | Path):
         problem = pddl.instance(problem, domain)
+        if not problem.problem.exists():
+            raise pddl.PDDLError(problem.problem, None, f"no such problem file{shipped.near(problem.problem)}")
     if not isinstance(problem, pddl.Instance):
         return _load_built(problem, limits)
     instance, stored = problem, None

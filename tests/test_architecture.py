@@ -15,10 +15,10 @@ from assist.cli import main
 from assist.cli.commands import COMMANDS
 
 ROOMS = {
-    "planner": """lazy errors storage processes reports workers expressions pddl supported source fast_downward checking
-        checker built task replay budget successors statespace costtogo moves compiled atomics checkpoint reached
-        kernels mutexes invariants clusters coding trie searches sweep saved ondemand methods solving results batch
-        engine arrays""",
+    "planner": """lazy errors storage processes reports workers expressions shipped pddl supported source fast_downward
+        checking checker built task replay budget successors statespace costtogo moves compiled atomics checkpoint
+        reached kernels mutexes invariants clusters coding trie searches sweep saved ondemand methods solving results
+        batch engine arrays""",
     "assist.people": "choices decision terms memory choice_model own human compiled belief",
     "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
@@ -35,7 +35,7 @@ ROOMS = {
     "assist.userstudy": """questionnaires plan assignment group cohort session tables effects summary report export
         service rehearsal routes serving""",
     "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
-        solutions bounds solving solve simulate policy bound export draw log learned fit study conducting serve
+        solutions bounds solving domains solve simulate policy bound export draw log learned fit study conducting serve
         study_report commands""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from conftest import DOMAINS, KITTING, ROOT
 from studies import TINY, write
 
 from assist.people.human import Population
-from assist.study import protocol
 from assist.study.cells import check, pool_of
 from assist.study.protocol import read
 from assist.study.study import StudyError
@@ -29,16 +29,22 @@ def test_the_papers_protocol_is_the_papers() -> None:
     assert dict(study.reference.headline)["actions_vs_none"] == 24.48
 
 
-def test_the_papers_tasks_are_found_in_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    installed = tmp_path / "assist" / "study" / "protocols"
-    shutil.copytree(protocol.PROTOCOLS, installed)
-    monkeypatch.setattr(protocol, "PROTOCOLS", installed)
+def test_tasks_are_sought_beside_the_study_and_then_in_the_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(StudyError, match="the project's folder `domains` is needed: run this in a checkout"):
-        read("paper")
-    (tmp_path / "domains").symlink_to(DOMAINS)
-    monkeypatch.chdir(tmp_path / "assist")
-    assert len(read("paper").instances) == 2
+    assert [one.problem.name for _, one in read("paper").instances] == ["paper.pddl", "paper-fixed.pddl"]
+    file = write(tmp_path)
+    own = tmp_path / "study" / "kitting" / "tiny"
+    own.parent.mkdir(parents=True)
+    moved = own.parent.parent / "study.toml"
+    moved.write_text(re.sub("^instances = .*", 'instances = ["kitting/tiny"]', file.read_text(), flags=re.M))
+    assert read(moved).instances[0][1].problem == DOMAINS / "kitting" / "tiny.pddl"
+    own.write_text("")
+    assert read(moved).instances[0][1].problem == own
+    moved.write_text(moved.read_text().replace("kitting/tiny", "kiting/tiny"))
+    with pytest.raises(StudyError, match="kiting/tiny: no such file or folder; with the package come kitting/tiny"):
+        read(moved)
 
 
 def test_a_study_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import click
 
 COMMANDS = {
     "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
+    "domains": "List the tasks that come with the package; every command takes their names.",
     "draw": "Draw a task, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations.",
     "export": "Write the problem of assisting one person, for other solvers.",
     "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",

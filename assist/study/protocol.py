@@ -11,6 +11,7 @@ from typing import Any
 from msgspec import Struct
 
 from planner import Instance, InstanceError, find_instances
+from planner import shipped as tasks
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
@@ -230,15 +231,11 @@ class Reader:
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
         """Find the tasks; each is called by its file's name, or by its path where two have the same."""
         folder = self.file.parent
-        comes_with_the_package = folder == PROTOCOLS
-        if comes_with_the_package:  # and the tasks with the project
-            checkout = PROTOCOLS.parent.parent.parent
-            folder = checkout if (checkout / "domains").is_dir() else Path()
+        known = {name: tasks.find(name) for name in self.table.instances if not (folder / name).exists()}
         try:
-            found = [find_instances([folder / name]) for name in dict.fromkeys(self.table.instances)]
+            found = [find_instances([known.get(n) or folder / n]) for n in dict.fromkeys(self.table.instances)]
         except InstanceError as error:
-            hint = "; the project's folder `domains` is needed: run this in a checkout"
-            raise fault(self.file, "instances", f"{error}{hint if comes_with_the_package else ''}") from None
+            raise fault(self.file, "instances", str(error)) from None
         problems = [instance for instances in found for instance in instances]
         stems = [instance.problem.stem for instance in problems]
         labels = [s if stems.count(s) == 1 else str(i.problem) for s, i in zip(stems, problems, strict=True)]

@@ -1,0 +1,32 @@
+"""The command `domains`: the tasks that come with the package."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+import click
+from rich.table import Table
+
+from planner.shipped import listed
+
+from .console import print_json, print_table
+from .options import json_option
+
+
+@click.command()
+@json_option
+def domains(as_json: bool) -> None:
+    """List the tasks that come with the package; every command takes their names."""
+    found = listed()
+    if as_json:
+        print_json([asdict(one) | {"problem": str(one.problem)} for one in found])
+        return
+    table = Table(box=None, pad_edge=False)
+    table.add_column("instance")
+    table.add_column("states", justify="right")
+    table.add_column("cost", justify="right")
+    table.add_column("what it is", overflow="fold")
+    for one in found:
+        numbers = ("-" if number is None else f"{number:,}" for number in (one.states, one.cost))
+        table.add_row(one.name, *numbers, one.about)
+    print_table(table)

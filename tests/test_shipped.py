@@ -1,0 +1,62 @@
+"""Tasks that come with the package are found by folder and name, wherever one is."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
+
+from planner import InstanceError, PDDLError, find_instances, instance, load
+from planner.shipped import listed
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_every_task_has_a_name_that_finds_it() -> None:
+    names = [one.name for one in listed()]
+    assert {file.problem for file in find_instances(names)} == {one.problem for one in SHIPPED}
+    assert find_instances(["kitting/costs/ways"])[0].domain == KITTING / "costs" / "domain.pddl"
+
+
+def test_a_file_comes_before_the_task_of_its_name(elsewhere: Path) -> None:
+    own = elsewhere / "kitting" / "tiny"
+    assert instance("kitting/tiny").problem == KITTING / "tiny.pddl"
+    own.parent.mkdir()
+    own.write_text("(define")
+    assert instance("kitting/tiny").problem == Path("kitting/tiny")
+    assert find_instances(["kitting/tiny"])[0].problem == Path("kitting/tiny")
+
+
+def test_a_name_that_is_nearly_right_is_answered_with_those_that_are() -> None:
+    with pytest.raises(InstanceError, match=r"^kiting/tinny: no such .*; with the package come kitting/tiny$"):
+        find_instances(["kiting/tinny"])
+    with pytest.raises(PDDLError, match=r"^paper: no such problem file; with the package come kitting/paper$"):
+        load("paper")
+    with pytest.raises(InstanceError, match=r"^something/else: no such file or folder$"):
+        find_instances(["something/else"])
+
+
+def test_the_list_says_what_each_is() -> None:
+    found = {one["name"]: one for one in json.loads(invoke("domains", "--json").stdout)}
+    assert found["kitting/tiny"] == {
+        "name": "kitting/tiny", "problem": str(KITTING / "tiny.pddl"), "states": 21, "cost": 6,
+        "about": "Two containers with one item each, two slots that take both: small enough to be worked out by hand.",
+    }  # fmt: skip
+    assert found["kitting/unsolvable"]["states"] is None
+    assert found["depot/two-boxes"]["about"].startswith("Kitting from stacked boxes")  # its file begins with no comment
+    assert all(one["about"].endswith(".") for one in found.values())
+    assert {folder.name for folder in DOMAINS.iterdir()} == {name.partition("/")[0] for name in found}
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = (ROOT / "CITATION.cff").read_text().splitlines()
+    assert f"version: {project['version']}" in cited
+    assert f"license: {project['license']}" in cited
