@@ -110,6 +110,10 @@ def _check_names(instance: Instance, domain: Expression, problem: Expression) ->
         _refuse(instance.domain, 1, "not a PDDL domain: (domain NAME) is missing")
     if wanted is None:
         _refuse(instance.problem, 1, "not a PDDL problem: (:domain NAME) is missing")
+    for file, whole, head in ((instance.domain, domain, "domain"), (instance.problem, problem, "problem")):
+        title = whole.section(head)
+        if title is None or len(title.parts) != 2 or not title.parts[1].word:
+            _refuse(file, 1 if title is None else title.line, f"expected ({head} NAME), and one word for NAME")
     if defined.word != wanted.word:
         _refuse(
             instance.problem,

@@ -40,6 +40,22 @@ BROKEN = [
         ["not closed before (:action"],
     ),
     ("missing parenthesis at the end", DOMAIN, PROBLEM.rstrip()[:-1], "problem", "(:goal", ["')' is missing"]),
+    (
+        "a problem without a name",
+        DOMAIN,
+        changed(PROBLEM, "(problem tiny)", "(problem)"),
+        "problem",
+        "(problem)",
+        ["NAME"],
+    ),
+    (
+        "two names",
+        changed(DOMAIN, "(domain kitting)", "(domain kitting x)"),
+        PROBLEM,
+        "domain",
+        "(domain kitting x)",
+        ["NAME"],
+    ),
     ("one parenthesis too many", DOMAIN, PROBLEM.rstrip() + "\n)", "problem", "\n)", ["without a '('"]),
     (
         "unknown predicate in the goal",
