@@ -1,6 +1,7 @@
 """Many people at once, each acting every few seconds, on a service that may be killed again and again.
 
-    python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0] [--instance FILE] [--data DIR]
+    python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0]... [--instance FILE] [--data DIR]
+                              [--record FILE]
 
 Everybody has a connection on which what they see is pushed, posts an action, and notes how long it takes from there
 until what was decided after it is pushed to them. A post that is not answered is repeated, under its id, until it is.
@@ -12,12 +13,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +28,7 @@ from urllib.parse import quote, urlsplit
 
 import click
 import numpy as np
+from tables import Columns, cell, record_option, write_record
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
@@ -50,9 +54,13 @@ class Seen:
     refused: list[str] = field(default_factory=list)
     resumed: list[float] = field(default_factory=list)
     memory: list[float] = field(default_factory=list)
+    processor: float = 0.0
+    starting: list[float] = field(default_factory=list)
     ready: float = 0.0
     stopped: float = 0.0
     behind: set[str] = field(default_factory=set)
+    lost: int = 0
+    doubled: int = 0
 
 
 class Worker:
@@ -166,9 +174,21 @@ class Service:
         ]  # fmt: skip
 
     def start(self) -> dict:
+        """Start it; give what it says when it is ready."""
         self.process = subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
-        return json.loads(self.process.stdout.readline())
+        said = json.loads(self.process.stdout.readline())
+        self.before = self.processor()
+        return said
+
+    def processor(self) -> float:
+        """Seconds of processor time, of all threads."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def worked(self) -> float:
+        """Seconds of processor time since it was ready."""
+        return self.processor() - self.before
 
     def memory(self) -> float:
         for line in Path(f"/proc/{self.process.pid}/status").read_text().splitlines():
@@ -191,10 +211,14 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
     begun = time.monotonic()
     for moment in moments:
         await asyncio.sleep(max(0.0, begun + moment - time.monotonic()))
+        seen.processor += service.worked()
         service.process.kill()
         service.process.communicate()
+        killed = time.monotonic()
         await asyncio.to_thread(service.start)
+        seen.starting.append(time.monotonic() - killed)
         seen.ready, seen.behind = time.monotonic(), {worker.name for worker in workers}
+    seen.memory.append(service.memory())
     while not all(task.done() for task in working):
         seen.memory.append(service.memory())
         await asyncio.wait(working, timeout=5.0)
@@ -204,6 +228,7 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
     await asyncio.gather(*listening, return_exceptions=True)
     for worker in workers:
         await worker.hang_up()
+    seen.processor += service.worked()
     service.process.send_signal(signal.SIGTERM)
     stopping = time.monotonic()
     await asyncio.to_thread(service.process.communicate)
@@ -221,7 +246,11 @@ def check(instance: Path, data: Path, seen: Seen) -> None:
     found: dict[str, list[str]] = {person: [] for person in kept.people}
     for row in kept.log():
         found[row["person"]].append(row["action"])
-    assert found == seen.acknowledged, "every acknowledged action is there, in its order, and none twice"
+    for person, actions in seen.acknowledged.items():
+        there, said = Counter(found[person]), Counter(actions)
+        seen.lost += (said - there).total()
+        seen.doubled += (there - said).total()
+    assert found == seen.acknowledged, f"{seen.lost} acknowledged actions are lost, {seen.doubled} are there twice"
     assert not seen.refused, seen.refused[:3]
     with tempfile.TemporaryDirectory() as folder:
         anew = Session(tasks, Path(folder) / "journal.jsonl", **options)
@@ -236,26 +265,55 @@ def check(instance: Path, data: Path, seen: Seen) -> None:
     kept.close()
 
 
+def _milliseconds(times: list[float], share: float) -> float:
+    return 1e3 * float(np.quantile(times, share))
+
+
+COLUMNS: Columns = {
+    "people": cell("people"),
+    "minutes": cell("minutes", ".1f"),
+    "kills": cell("kills"),
+    "actions": cell("actions", ","),
+    "from post to push: median, 95 %, slowest, ms": lambda r: " / ".join(f"{one:.0f}" for one in r["pushed"]),
+    "processor time per action, ms": cell("processor", ".1f"),
+    "memory at first, at most, at last, MB": lambda r: " / ".join(f"{one:.0f}" for one in r["memory"]),
+    "from a kill until ready, at most, s": lambda r: f"{r['starting']:.1f}" if r["kills"] else "",
+    "then until everybody had acted, at most, s": lambda r: f"{r['resumed']:.1f}" if r["kills"] else "",
+    "lost, doubled": cell("wrong"),
+}
+
+
 @click.command()
 @click.option("--instance", type=Path, default=PAPER)
 @click.option("--people", default=200, show_default=True)
 @click.option("--seconds", default=300.0, show_default=True)
 @click.option("--every", default=2.0, show_default=True, help="Seconds between two actions of a person.")
-@click.option("--kills", default=0, show_default=True)
+@click.option("--kills", default=(0,), show_default=True, multiple=True, help="May be repeated: a run for each.")
 @click.option("--data", type=Path)
-def main(instance: Path, people: int, seconds: float, every: float, kills: int, data: Path | None) -> None:
-    """Print what was seen."""
-    with tempfile.TemporaryDirectory() as folder:
-        seen = asyncio.run(run(instance, people, seconds, every, kills, data or Path(folder) / "data"))
-    for name, found in (("answered", seen.answers), ("pushed", seen.latencies)):
-        times = 1e3 * np.array(found)
-        median, high = np.quantile(times, [0.5, 0.95])
-        print(f"{name}: {len(times)}, median {median:.1f} ms, 95 % {high:.1f} ms, slowest {times.max():.0f} ms")
-    print(f"memory in MB: {seen.memory[0]:.0f} at first, {max(seen.memory):.0f} at most, {seen.memory[-1]:.0f} at last")
-    print(f"{kills} kills; {seen.repeated} posts were repeated; SIGTERM ended it after {seen.stopped:.1f} s")
-    if seen.resumed:
-        print(f"after a restart everybody had acted again within {max(seen.resumed):.1f} s, at most")
-    print("nothing lost, nothing twice, the beliefs of an uninterrupted run to the bit")
+@record_option
+def main(
+    instance: Path, people: int, seconds: float, every: float, kills: tuple[int, ...], data: Path | None,
+    record: Path | None,
+) -> None:  # fmt: skip
+    """Print what was seen, and write it down."""
+    rows = []
+    for count in kills:
+        with tempfile.TemporaryDirectory() as folder:
+            seen = asyncio.run(run(instance, people, seconds, every, count, data or Path(folder) / "data"))
+        rows.append({
+            "people": people, "minutes": seconds / 60, "kills": count, "actions": len(seen.answers),
+            "wrong": f"{seen.lost}, {seen.doubled}",
+            "pushed": [*(_milliseconds(seen.latencies, share) for share in (0.5, 0.95, 1.0))],
+            "processor": 1e3 * seen.processor / len(seen.answers),
+            "memory": [seen.memory[0], max(seen.memory), seen.memory[-1]],
+            "starting": max(seen.starting, default=0.0), "resumed": max(seen.resumed, default=0.0),
+        })  # fmt: skip
+        for name, show in COLUMNS.items():
+            print(f"{name}: {show(rows[-1])}")
+        answered = f"{_milliseconds(seen.answers, 0.5):.1f} ms, 95 % {_milliseconds(seen.answers, 0.95):.1f} ms"
+        print(f"answered: median {answered}; {seen.repeated} posts repeated; SIGTERM took {seen.stopped:.1f} s")
+        print("nothing lost, nothing twice, the beliefs of an uninterrupted run to the bit")
+    write_record(record, COLUMNS, rows)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+import socket
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
+from assist.live import server
 from assist.live.access import Access
 from assist.live.course import Event
 from assist.live.journal import JournalError
@@ -262,6 +264,48 @@ def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, t
     assert (steps, gone) == (70, True)
     assert sent[:2] == ["websocket.accept", "websocket.send"]
     assert sent[-1] == "websocket.close"
+
+
+@pytest.mark.parametrize("who", ["ann", None])
+def test_a_connection_that_is_not_read_is_given_back_soon(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str | None
+) -> None:
+    """Also where a real socket is full, and nothing that is left can ever be sent."""
+    monkeypatch.setattr(server, "LINGER", 0.1)
+    monkeypatch.setattr(server, "PING", 0.3)
+
+    async def run() -> None:
+        web = Web(tiny, tmp_path)
+        listening = server.listen("127.0.0.1", 0)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        ready = asyncio.Event()
+        serving = server.server_of(web.app, ready.set)
+        running = asyncio.create_task(serving.serve([listening]))
+        await ready.wait()
+        stuck = socket.socket()
+        stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stuck.connect(listening.getsockname())
+        path = "/api/team/events" if who is None else f"{ANN}/events"
+        stuck.sendall(
+            f"GET {path} HTTP/1.1\r\nHost: here\r\nAuthorization: {web.who(who)['Authorization']}\r\n"
+            "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+        )
+        monkeypatch.setattr(Service, "pause_between", 0.0)
+        for number in range(150):  # far more than there is room for
+            action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
+            await web.service.report(Event("acted", "ann", action))
+            await asyncio.sleep(0.002)
+        for _ in range(300):
+            if not serving.server_state.connections:
+                break
+            await asyncio.sleep(0.02)
+        assert not serving.server_state.connections
+        stuck.close()
+        serving.should_exit = True
+        await running
+
+    asyncio.run(run())
 
 
 def test_a_hundred_people_come_at_once(web: Web) -> None:

@@ -17,6 +17,7 @@ from typing import Any
 import uvicorn
 from numpy.typing import ArrayLike
 from starlette.types import ASGIApp
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from planner import CostToGo
 
@@ -35,6 +36,12 @@ from .web import make_app
 
 PATIENCE = 2
 """Seconds for connections to end by themselves."""
+
+LINGER = 3.0
+"""Seconds after which a connection that has ended is gone, read to its end or not."""
+
+PING = 10.0
+"""Seconds between two signs of life of a connection, and in which each is to be answered."""
 
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -120,6 +127,35 @@ class _Server(uvicorn.Server):
         await super().startup(sockets)
         if not self.should_exit:
             self.ready()
+
+
+class _Connection(WebSocketsSansIOProtocol):
+    """Uvicorn's, whose end does not wait for whoever does not read what is left."""
+
+    def on_task_complete(self, task: asyncio.Task[None]) -> None:
+        """Let go of the connection."""
+        super().on_task_complete(task)
+        self.loop.call_later(LINGER, self.transport.abort)
+
+    def keepalive_timeout(self) -> None:
+        """Let go of a connection without a sign of life."""
+        super().keepalive_timeout()
+        self.loop.call_later(LINGER, self.transport.abort)
+
+
+def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
+    """Give the server of an application, which calls `ready` when it listens."""
+    # No access log: addresses of pages have tokens in them.
+    server = _Server(
+        uvicorn.Config(
+            app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
+            server_header=False, timeout_graceful_shutdown=PATIENCE, timeout_keep_alive=75, ws=_Connection,
+            ws_max_size=LARGEST, ws_per_message_deflate=False, ws_ping_interval=PING, ws_ping_timeout=PING,
+            backlog=1024,
+        )
+    )  # fmt: skip
+    server.ready = ready
+    return server
 
 
 @dataclass(frozen=True)
@@ -236,15 +272,7 @@ async def run(
     ends : bool
         Whether the service ends when that is done.
     """
-    # No access log: addresses of pages have tokens in them.
-    server = _Server(
-        uvicorn.Config(
-            app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
-            server_header=False, timeout_graceful_shutdown=PATIENCE, timeout_keep_alive=75, ws_max_size=LARGEST,
-            ws_per_message_deflate=False, backlog=1024,
-        )
-    )  # fmt: skip
-    server.ready = ready
+    server = server_of(app, ready)
     loop = asyncio.get_running_loop()
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
