@@ -109,7 +109,8 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], hi
             if row["condition"] == name and row["mean"] is not None:
                 _interval(axis, shift - items.index(row["item"]), row, look, vertical=False)
     axis.set_yticks([-number for number in range(len(items))], [texts[item] for item in items])
-    axis.set_xlim(0 if highest > 20 else 1, highest)
+    lowest = 0 if highest > 20 else 1
+    axis.set_xlim(lowest - 0.02 * (highest - lowest), highest + 0.02 * (highest - lowest))
     axis.grid(axis="x")
     legend_below(figure, [sample(name, look, line=False) for name, look in shown.items()])
     return figure

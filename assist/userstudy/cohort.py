@@ -109,6 +109,11 @@ class Cohort:
         By name, that of the practice among them.
     course : callable
         Gives the course of a team in a condition, None for practice, in which nothing has happened yet.
+
+    Attributes
+    ----------
+    fault : str or None
+        Why the policy of a condition could not decide, the last time that one could not.
     """
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], course: Callable[[str | None], Course]) -> None:
@@ -117,6 +122,7 @@ class Cohort:
         self.count, self.paused, self.begun = 0, False, 0
         self.recent: deque[dict[str, Any]] = deque(maxlen=1)
         self.participants: dict[str, Participant] = {}
+        self.fault: str | None = None
 
     # What happens.
 
@@ -142,6 +148,8 @@ class Cohort:
             if facts is None:
                 return None
             record |= facts
+            for group in person.groups.values():
+                self.fault = group.course.fault or self.fault
         self._note(record)
         return record
 

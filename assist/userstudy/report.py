@@ -128,7 +128,12 @@ def _pictures(
     for one in summary["questionnaires"]:
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
-            texts = {item.name: item.name if own.form == "nasa-tlx" else _short(item.text) for item in own.items}
+            texts = {
+                item.name: item.name
+                if own.form == "nasa-tlx"
+                else _short(item.text) + " (turned round)" * item.reversed
+                for item in own.items
+            }
             highest = 100 if own.form == "nasa-tlx" else own.points
             yield f"scales-{own.name}", (f"{own.name} by item", partial(draw.scales_figure, one, texts, highest))
     if summary["flow"][0]["reached"]:

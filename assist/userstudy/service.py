@@ -139,6 +139,7 @@ class StudyService(Service):
         return {
             "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
+            "fault": cohort.fault,
             "conditions": [
                 {
                     "name": one.name, "policy": one.policy, "counting": counts[one.name],

@@ -272,7 +272,8 @@ function take(next) {
   view = next;
   if (started === null) remember(Date.now());
   show();
-  if (changed || drawn === null) redraw();
+  const elsewhere = view.study && !["practice", "task"].includes(view.study.kind);
+  if (!elsewhere && (changed || drawn === null)) redraw();
 }
 
 let asked = 0;

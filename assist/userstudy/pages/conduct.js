@@ -50,6 +50,7 @@ function remover(code) {
 function show(study) {
   const { participants, stages, conditions } = study;
   at("title").textContent = document.title = study.title;
+  complain(study.fault === null ? null : `A policy could not decide: ${study.fault}`);
   const here = participants.filter((one) => one.status === "here").length;
   const done = participants.filter((one) => one.status === "done").length;
   at("count").textContent = `${participants.length} came, ${here} under way, ${done} done${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
