@@ -141,7 +141,7 @@ def save(figure: Figure, file: Path) -> None:
         figure.savefig(path, dpi=150)
 
 
-def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str) -> list[Path]:
+def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str, *, dark: bool = True) -> list[Path]:
     """Draw a figure twice, for light and for dark pages, and write each as PNG and SVG; return the files.
 
     The same figure always gives the same files.
@@ -153,6 +153,8 @@ def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str) -> 
     folder : Path
     name : str
         The files are `name.png`, `name.svg`, `name-dark.png` and `name-dark.svg`.
+    dark : bool
+        Whether there are dark pages; the last two are not drawn otherwise.
     """
     require()
     from matplotlib import rc_context, style
@@ -161,6 +163,8 @@ def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str) -> 
     backgrounds: dict[str, list[str | Path | dict[str, Any]]] = {
         "": ["default"], "-dark": ["default", "dark_background", DARK],
     }  # fmt: skip
+    if not dark:
+        del backgrounds["-dark"]
     for suffix, background in backgrounds.items():
         with style.context(background), rc_context({"svg.hashsalt": name}):
             figure = figure_of()

@@ -94,7 +94,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     summary = summarise(study, found)
     pictures = dict(_pictures(study, found, summary))
     for name, (_, figure) in pictures.items():
-        style.save_for_pages(figure, out / FIGURES, name)
+        style.save_for_pages(figure, out / FIGURES, name, dark=False)
     text = "\n\n".join(_sections(study, summary, {name: said for name, (said, _) in pictures.items()})) + "\n"
     for name, content in {"summary.json": json.dumps(summary, indent=1) + "\n", "report.md": text}.items():
         with atomic(out / name) as path:

@@ -1,0 +1,225 @@
+"""A user study as participants and whoever conducts it have it: the interface, and the pages in a real browser."""
+
+from __future__ import annotations
+
+import io
+import json
+import signal
+import time
+import zipfile
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from serving import served
+from starlette.testclient import TestClient
+from test_live_pages import CHROMIUM, chromium, violations
+from userstudies import PLAN, SCORES, written
+
+from assist.live.access import Access
+from assist.live.web import make_app
+from assist.userstudy import service as study_service
+from assist.userstudy.plan import read
+from assist.userstudy.routes import router
+from assist.userstudy.service import VISITOR, StudyService
+from assist.userstudy.session import StudySession
+from planner import Table
+
+__all__ = ["chromium"]
+PATIENCE = 20_000  # milliseconds until something is taken not to come
+
+
+class Web:
+    """A study in this process."""
+
+    def __init__(self, table: Table, folder: Path, text: str = PLAN) -> None:
+        study = read(written(folder / "study.toml", text))
+        session = StudySession(study, {"tiny": table, "practice": table}, folder / "data")
+        self.access = Access.kept(folder / "data" / "secret", "http://testserver")
+        self.service = StudyService(session, self.access)
+        self.client = TestClient(make_app(self.service, more=[router]), raise_server_exceptions=False)
+
+    def ask(self, method: str, path: str, who: str | None = None, **more: Any) -> Any:
+        token = self.access.operator if who is None else self.access.token(who)
+        return self.client.request(method, path, headers={"Authorization": f"Bearer {token}"}, **more)
+
+    def come(self, visit: str) -> Any:
+        return self.ask("POST", "/api/study/seats", VISITOR, json={"id": visit})
+
+    def onward(self, code: str, stage: str, **more: Any) -> Any:
+        return self.ask("POST", f"/api/study/participants/{code}/onward", code, json={"stage": stage, **more})
+
+
+@pytest.fixture
+def web(tiny: Table, tmp_path: Path) -> Iterator[Web]:
+    found = Web(tiny, tmp_path)
+    with found.client:
+        yield found
+
+
+def test_everybody_gets_a_place_of_their_own_once(web: Web) -> None:
+    with ThreadPoolExecutor(20) as threads:
+        seats = list(threads.map(lambda number: web.come(f"visit {number % 50}"), range(100)))
+    assert [seat.status_code for seat in seats] == [200] * 100
+    assert len({seat.json()["person"] for seat in seats}) == 50  # the same browser twice: the same place
+    assert all(seat.json()["part"].startswith(f"/part/{seat.json()['person']}/") for seat in seats)
+    assert web.ask("GET", "/api/study").json()["taken"] == 50
+
+
+def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
+    ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
+    onward = f"/api/study/participants/{ann}/onward"
+    refused = [
+        (403, "GET", "/api/study", ann, {}),
+        (403, "GET", "/api/study/export", VISITOR, {}),
+        (403, "POST", "/api/study/seats", ann, {"json": {"id": "x"}}),
+        (403, "POST", onward, bob, {"json": {"stage": "consent"}}),
+        (403, "POST", onward, VISITOR, {"json": {"stage": "consent"}}),
+        (409, "POST", onward, ann, {"json": {"stage": "thanks"}}),
+        (422, "POST", onward, ann, {"json": {"stage": 1}}),
+        (
+            422,
+            "POST",
+            f"/api/study/participants/{ann}/onward",
+            ann,
+            {"json": {"stage": "consent", "answers": {"a": 1}}},
+        ),
+        (409, "POST", f"/api/people/{ann}/actions", ann, {"json": {"action": "(fetch box-a)"}}),
+        (409, "POST", f"/api/people/{ann}/undo", ann, {}),
+        (409, "GET", f"/api/people/{ann}/drawing", ann, {}),
+        (409, "POST", "/api/team/people", None, {"json": {"person": "eve"}}),
+        (409, "POST", "/api/team/pause", None, {"json": {"paused": True}}),
+    ]
+    for status, method, path, who, more in refused:
+        answer = web.ask(method, path, who, **more)
+        assert (answer.status_code, set(answer.json())) == (status, {"detail"}), (path, answer.text)
+    for path in (
+        "/study/x",
+        f"/study/{web.access.operator}",
+        f"/part/{ann}/{web.access.token(bob)}",
+        "/study/export/x",
+    ):
+        assert web.client.get(path).status_code == 403
+    assert web.ask("GET", "/api/study").json()["events"] == 2
+    seen = web.onward(ann, "consent", id="1").json()
+    assert web.onward(ann, "consent", id="1").json() == seen  # said twice, it has happened once
+    assert "condition" not in json.dumps(seen)  # nobody is told theirs
+    packed = zipfile.ZipFile(io.BytesIO(web.client.get(f"/study/export/{web.access.operator}").content))
+    assert ann in packed.read("participants.csv").decode()
+    assert b"ann" not in packed.read("participants.csv")
+
+
+def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study_service, "LOOK", 0.02)
+    web = Web(
+        tiny, tmp_path, PLAN.replace("away = 10", "away = 0.002").replace("seed = 3", "seed = 3\nparticipants = 1")
+    )
+    with web.client:
+        ann = web.come("ann").json()["person"]
+        path = f"/api/people/{ann}"
+        token = web.access.token(ann)
+        with web.client.websocket_connect(f"{path}/events", subprotocols=["kitassist", f"token.{token}"]) as tab:
+            assert tab.receive_json()["study"]["kind"] == "consent"
+            time.sleep(0.4)  # longer than away, but connected
+            assert web.ask("GET", path, ann).json()["study"]["kind"] == "consent"
+        deadline = time.monotonic() + 20
+        while web.ask("GET", path, ann).json()["study"]["kind"] != "gone":
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        assert web.ask("GET", "/api/study").json()["taken"] == 0
+        back = web.ask("POST", f"/api/study/participants/{ann}/return", ann).json()
+        assert back["study"]["kind"] == "consent"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
+    chromium: Any, tmp_path: Path, tiny: Table
+) -> None:
+    file = written(tmp_path / "study.toml")
+    options = ("--study", file, "--data", tmp_path / "data")
+    context = chromium.new_context(viewport={"width": 360, "height": 740})
+    page, faults = context.new_page(), list[str]()
+    page.set_default_timeout(PATIENCE)
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("request", lambda asked: faults.append(asked.url) if "//127.0.0.1" not in asked.url[:20] else None)
+
+    def work() -> None:
+        for action in tiny.optimal_plan(tiny.initial) or ():
+            page.click(f'#actions button[data-action="{action}"]:not([disabled])')
+        page.wait_for_selector("#onward:not([hidden])")
+
+    def is_well() -> None:
+        assert violations(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
+
+    with served(*options, instance=None) as study:
+        port = study.url.rsplit(":", 1)[1]
+        page.goto(study.links["everybody"])
+        page.click("text=I do not agree >> visible=true", trial=True)
+        assert page.inner_html("#body em") == "agree"
+        is_well()
+        page.click("text=I agree and take part")
+        page.click('h2:text("What you will do") ~ form >> button')
+        page.wait_for_selector('h1:text("Practice")')
+        work()
+        is_well()
+        page.click("#onward")
+        page.wait_for_selector('h1:text("Your task")')
+        page.click("#actions button >> nth=0")
+        page.wait_for_function("() => document.getElementById('steps').textContent === '1'")
+        study.end(signal.SIGKILL)
+    with served(*options, "--port", port, instance=None) as study:
+        page.click('#actions button[data-action^="(return"]')  # back to where the task begins, and all of it
+        page.wait_for_function("() => document.getElementById('steps').textContent === '2'")
+        work()
+        page.click("#onward")
+        page.wait_for_selector('h2:text("How the task was")')
+        page.click('button:text("Continue")')
+        assert page.locator(".error:visible").count() == 6  # nothing is marked that nobody has marked
+        is_well()
+        for name in list(SCORES["nasa-tlx"])[:3]:
+            page.locator(f'[id="item {name}"] input').press("ArrowRight")
+        page.reload()  # what is marked remains
+        page.wait_for_selector('[id="item mental"] output:text("55")')
+        for name in list(SCORES["nasa-tlx"])[3:]:
+            page.locator(f'[id="item {name}"] input').press("Enter")
+        second = context.new_page()  # of the same browser
+        second.goto(study.links["everybody"])
+        second.wait_for_selector('h2:text("How the task was")')
+        page.click('button:text("Continue")')
+        second.wait_for_selector('h2:text("Your view")')
+        page.locator('[name="item rely"]').nth(5).check()
+        page.locator('[name="item wary"]').nth(2).check()
+        is_well()
+        page.click('button:text("Continue")')
+        page.fill("textarea", "=1+1, no")
+        page.click("#leave-button")
+        is_well()
+        page.click("#stay")
+        page.click('button:text("Continue")')
+        code = page.input_value("#code")
+        is_well()
+        assert second.input_value("#code") == code
+        second.goto(study.links["everybody"])
+        second.wait_for_selector('button:text("Begin as the next participant")')
+        assert violations(second) == []
+        second.goto(study.operator)
+        second.wait_for_selector("#people tr")
+        assert violations(second) == []
+        with second.expect_download() as download:
+            second.click("#export")
+        packed = zipfile.ZipFile(download.value.path())
+    assert code in packed.read("participants.csv").decode()
+    answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]
+    assert [row[-2:] for row in answers[:8]] == [
+        *[["55", "55"]] * 3, *[["50", "50"]] * 3, ["6", "6"], ["3", "5"],
+    ]  # fmt: skip
+    assert "'=1+1" in packed.read("answers.csv").decode()
+    actions = [json.loads(line)["action"] for line in packed.read("log-tiny.jsonl").decode().splitlines()]
+    assert actions[2:] == tiny.optimal_plan(tiny.initial)
+    assert faults == []
+    context.close()

@@ -1,0 +1,129 @@
+"""A rehearsal in one command, and what is made of it: an export that others read, and figures that are right."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import statistics
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from conftest import KITTING
+from scipy import stats
+from userstudies import PLAN, written
+
+from assist.cli import main
+from assist.userstudy import report
+from assist.userstudy.effects import cronbach_alpha, detectable, difference, hedges_g
+
+
+def run(*words: object) -> Any:
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 0, result.output
+    return result
+
+
+def read(folder: Path, name: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO((folder / name).read_text())))
+
+
+def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
+    data, unpacked = tmp_path / "data", tmp_path / "export"
+    said = run("serve", "--study", file, "--rehearse", 8, "--data", data, "--port", 0)
+    assert set(json.loads(said.stdout)) == {"url", "operator", "join"}
+    with zipfile.ZipFile(data / "user-study.zip") as packed:
+        packed.extractall(unpacked)
+
+    people, tasks, actions, answers = (
+        read(unpacked, f"{name}.csv") for name in ("participants", "tasks", "actions", "answers")
+    )
+    done = [one for one in people if one["status"] == "done"]
+    assert [one["condition"] for one in done].count("none") == len(done) / 2 == 4
+    assert len(people) == 9  # one left before the task, and holds no condition
+    assert [one["condition"] for one in people if one["status"] != "done"] == [""]
+    assert len({one["completion_code"] for one in done}) == 8
+    assert len(answers) == 8 * (6 + 2 + 1)
+    for name in ("participants", "tasks", "actions", "answers", "events"):
+        columns = [one["column"] for one in read(unpacked, "dictionary.csv") if one["table"] == name]
+        assert (unpacked / f"{name}.csv").read_text().splitlines()[0] == ",".join(columns)
+    for task in tasks:
+        own = [one for one in actions if one["participant"] == task["participant"] and one["task"] == "tiny"]
+        assert int(task["actions"]) == len(own)
+        assert int(task["suggestions"]) == sum(one["suggestion"] != "" for one in own)
+        assert (task["finished"], own[-1]["cost_after"], task["optimal_cost"]) == ("true", "0.0", "6.0")
+
+    # The same figures by other means.
+    summary = json.loads((data / "report" / "summary.json").read_text())
+    assert summary["simulated"]
+    counted = {
+        name: [float(one["actions"]) for one in tasks if one["condition"] == name] for name in ("none", "attention")
+    }
+    measure = summary["measures"][0]
+    for cell in measure["cells"]:
+        values = counted[cell["condition"]]
+        half = stats.t.ppf(0.975, 3) * statistics.stdev(values) / 2
+        assert (cell["n"], cell["mean"]) == (4, pytest.approx(statistics.mean(values)))
+        assert cell["high"] - cell["mean"] == pytest.approx(half)
+    apart = statistics.mean(counted["attention"]) - statistics.mean(counted["none"])
+    assert measure["differences"][0]["mean"] == pytest.approx(apart)
+    trust = {one["measure"]: one for one in summary["measures"]}["trust"]
+    given: dict[str, dict[str, int]] = {one["participant"]: {} for one in done if one["condition"] == "none"}
+    for one in answers:
+        if one["participant"] in given and one["questionnaire"] == "trust":
+            given[one["participant"]][one["item"]] = int(one["answer"])
+    means = [(one["rely"] + 8 - one["wary"]) / 2 for one in given.values()]
+    assert trust["cells"][0]["mean"] == pytest.approx(statistics.mean(means))
+    assert [row["reached"] for row in summary["flow"]][-1] == 8
+    assert sum(row["left"] for row in summary["flow"]) == 1
+
+    text = (data / "report" / "report.md").read_text()
+    assert "**A rehearsal.** Participants are simulated" in text
+    assert "**Few participants.** Fewer than 10 in every condition" in text
+    for name in ("outcomes", "differences", "flow", "scales-nasa-tlx", "scales-trust"):
+        assert f"](figures/{name}.png)" in text
+        assert (data / "report" / "figures" / f"{name}.svg").stat().st_size > 1000
+
+    # An unpacked export says the same as the folder, and `fit` reads its log.
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(report, "_pictures", lambda *_: iter(()))  # which are drawn already
+        assert json.loads(run("study-report", unpacked, "--json").stdout) == summary
+        assert "actions per task" in run("study-report", data, "--out", tmp_path / "again").stdout
+    fitted = json.loads(run("fit", KITTING / "tiny.pddl", unpacked / "log-tiny.jsonl", "--json").stdout)
+    assert {one["person"]: one["actions"] for one in fitted} == {
+        one["participant"]: int(one["actions"]) for one in tasks
+    }
+
+
+def test_what_the_command_refuses(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
+    for words, message in [
+        (["serve"], "expected INSTANCE and --humans K, or --study FILE.toml"),
+        (["serve", "--study", file], "--study needs --data DIR"),
+        (["serve", "--study", file, "--data", tmp_path, "--policy", "none"], "--policy does not go with --study"),
+        (["serve", "--study", file, "--data", tmp_path, "--rehearse", "9"], "the study has 8 places"),
+        (["serve", "--study", written(tmp_path / "bad.toml", "tasks = 1")], "bad.toml:1: tasks: 1; expected a list"),
+    ]:
+        result = CliRunner().invoke(main, [str(word) for word in words])
+        assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
+    result = CliRunner().invoke(main, ["study-report", str(tmp_path)])
+    assert result.exit_code == 1
+    assert result.stderr.count("\n") == 1
+
+
+def test_statistics_are_those_worked_out_by_hand() -> None:
+    a, b = [1.0, 2.0, 3.0], [2.0, 4.0, 6.0, 8.0]
+    found = difference(a, b)
+    peer = stats.ttest_ind(a, b, equal_var=False).confidence_interval(0.95)
+    assert (found.value, found.low, found.high) == pytest.approx((-3, peer.low, peer.high))
+    assert hedges_g(a, b) == pytest.approx(-3 / math.sqrt(4.4) * (1 - 3 / 19))
+    assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
+    assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
+    assert detectable(64, 64) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
+    for nothing in (difference([1], [2, 3]).low, hedges_g([1], [2, 3]), cronbach_alpha([[1, 2]]), detectable(1, 5)):
+        assert math.isnan(nothing)
