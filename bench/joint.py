@@ -185,6 +185,39 @@ class _Store(NamedTuple):
         return self._replace(row=row, drop=np.resize(self.drop, size + room), after=np.resize(self.after, size + room))
 
 
+# Loops, where a line on whole arrays would do: those take several times as long to compile.
+@numba.njit(cache=True)
+def _dot(a: Floats, b: Floats) -> float:
+    """Give a . b."""
+    total = 0.0
+    for h in range(len(a)):
+        total += a[h] * b[h]
+    return total
+
+
+@numba.njit(cache=True)
+def _fill(a: Floats, value: float) -> None:
+    """Set every entry of a."""
+    for h in range(len(a)):
+        a[h] = value
+
+
+@numba.njit(cache=True)
+def _copy(a: Floats, b: Floats, mass: float) -> None:
+    """Set a to b / mass."""
+    for h in range(len(a)):
+        a[h] = b[h] / mass
+
+
+@numba.njit(cache=True)
+def _nowhere_below(a: Floats, b: Floats) -> bool:
+    """Tell whether a >= b."""
+    for h in range(len(a)):  # noqa: SIM110  numba has no generators
+        if not a[h] >= b[h]:
+            return False
+    return True
+
+
 @numba.njit(cache=True)
 def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
     """Store a vector, and let go of those of its state that it makes superfluous."""
@@ -197,7 +230,7 @@ def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
                     share = store.row[i, h] / row[h]
             superfluous = share * drop >= store.drop[i]
         else:
-            superfluous = (row >= store.row[i]).all()
+            superfluous = _nowhere_below(row, store.row[i])
         if not superfluous:
             before = i
         elif before == NONE:
@@ -206,7 +239,8 @@ def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
             store.after[before] = store.after[i]
         i = store.after[i]
     i = store.used[0]
-    store.row[i], store.drop[i], store.after[i] = row, drop, store.head[s]
+    _copy(store.row[i], row, 1.0)
+    store.drop[i], store.after[i] = drop, store.head[s]
     store.head[s], store.used[0] = i, i + 1
 
 
@@ -236,15 +270,18 @@ def _sweep(value: Floats, helping: bool, m: JointProblem) -> float:
     best, total, change = np.empty(hidden), np.empty(hidden), 0.0
     for s in range(len(value)):
         y = s // places
-        best[:] = 0.0 if m.first[y] == m.first[y + 1] else -np.inf
+        _fill(best, 0.0 if m.first[y] == m.first[y + 1] else -np.inf)
         for d in range(m.first[y], m.first[y + 1] if helping else min(m.first[y] + 1, m.first[y + 1])):
             to, way = _ends(d, s, m)
-            total[:] = m.reward[d] - way
+            for h in range(hidden):
+                total[h] = m.reward[d, h] - way
             for o in range(m.begin[d], m.begin[d + 1]):
                 _back(d, o, value[m.target[o] * places + to], m, total)
-            best[:] = np.maximum(best, total)
-        change = max(change, np.abs(best - value[s]).max())
-        value[s] = best
+            for h in range(hidden):
+                best[h] = max(best[h], total[h])
+        for h in range(hidden):
+            change = max(change, abs(best[h] - value[s, h]))
+            value[s, h] = best[h]
     return change
 
 
@@ -288,7 +325,7 @@ def _upper(s: int, belief: Floats, seen: Floats, points: _Store) -> float:
 @numba.njit(cache=True)
 def _reach(d: int, o: int, belief: Floats, m: JointProblem, after: Floats) -> float:
     """Fill `after` with the belief after an outcome of a deed, times the outcome's chance, which is returned."""
-    after[:] = 0.0
+    _fill(after, 0.0)
     total = 0.0
     for h in range(len(belief)):
         joint = belief[h] * m.chance[o, h]
@@ -307,14 +344,17 @@ def _trial(
     Returns how many vectors have been stored.
     """
     places, after, depth = len(m.way), np.empty(beliefs.shape[1]), 0
-    q = np.empty((len(path), np.diff(m.first).max()))
+    deeds = 0
+    for y in range(len(m.first) - 1):
+        deeds = max(deeds, m.first[y + 1] - m.first[y])
+    q = np.empty((len(path), deeds))
     while True:
         s, belief = path[depth], beliefs[depth]
         y = s // places
         best, deed = -np.inf, NONE
         for d in range(m.first[y], m.first[y + 1]):
             to, way = _ends(d, s, m)
-            value = (m.reward[d] * belief).sum() - way
+            value = _dot(m.reward[d], belief) - way
             for o in range(m.begin[d], m.begin[d + 1]):
                 if _reach(d, o, belief, m, after) > 0.0:
                     value += m.gamma * _upper(m.target[o] * places + to, after, seen, points)
@@ -330,7 +370,7 @@ def _trial(
                 excess = _upper(target, after, seen, points) - _lower(target, after, plans)[0] - gap / m.gamma * chance
                 if excess > most:
                     most, path[depth + 1] = excess, target
-                    beliefs[depth + 1] = after / chance
+                    _copy(beliefs[depth + 1], after, chance)
         if most == 0.0 or depth == len(path) - 2:
             break
         depth += 1
@@ -359,7 +399,7 @@ def _backup(
         if q[d - m.first[y]] < known:
             continue
         to, way = _ends(d, s, m)
-        low = high = (m.reward[d] * belief).sum() - way
+        low = high = _dot(m.reward[d], belief) - way
         for o in range(m.begin[d], m.begin[d + 1]):
             if _reach(d, o, belief, m, after) > 0.0:
                 target = m.target[o] * places + to
@@ -370,7 +410,8 @@ def _backup(
             below, deed = low, d
     if below > known + finest:
         to, way = _ends(deed, s, m)
-        alpha[:] = m.reward[deed] - way
+        for h in range(len(alpha)):
+            alpha[h] = m.reward[deed, h] - way
         for o in range(m.begin[deed], m.begin[deed + 1]):
             _reach(deed, o, belief, m, after)
             target = m.target[o] * places + to
@@ -378,6 +419,6 @@ def _backup(
         _put(s, alpha, 0.0, plans)
         stored += 1
     if deed != NONE and above < bound - finest:
-        _put(s, belief, (seen[s] * belief).sum() - above, points)
+        _put(s, belief, _dot(seen[s], belief) - above, points)
         stored += 1
     return stored

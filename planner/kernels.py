@@ -102,6 +102,9 @@ NOWHERE = -(1 << 31)
 CLUSTER = (1 << 21) - 1
 """Fields of a packed state that hold a cluster's value, or a sum that tells one, have 21 bits."""
 
+FIRST = np.int64(0)
+"""The first test: a number, not a literal, since numba compiles what is called with a literal once more for it."""
+
 PRIME = 8191
 """Sums that tell the value of a variable are taken modulo this prime."""
 
@@ -185,7 +188,7 @@ def spread(tests, decoder, closed, block, start, out, filled):
         while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
             index = block[i]
             decode(decoder, index, words)
-            t = holding(tests, words, 0)
+            t = holding(tests, words, FIRST)
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     transitions += 1
@@ -222,7 +225,7 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
         while i < len(block) and waiting + tests.most <= min(len(pending), most - filled):
             index = block[i]
             decode(decoder, index, words)
-            t = holding(tests, words, 0)
+            t = holding(tests, words, FIRST)
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     transitions += 1
@@ -264,7 +267,7 @@ def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
         while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
             index = block[i]
             decode(decoder, index, words)
-            t = holding(tests, words, 0)
+            t = holding(tests, words, FIRST)
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     transitions += 1
@@ -326,7 +329,7 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
                 continue  # it has been reached on a cheaper way since it was pushed
             close_one(closed, index)
             decode(decoder, index, words)
-            t = holding(tests, words, 0)
+            t = holding(tests, words, FIRST)
             while t < len(tests.word):
                 for move in range(tests.first[t], tests.first[t + 1]):
                     target = after(tests, words, move, index)
@@ -361,7 +364,7 @@ def fill_transitions(tests, decoder, states, block, number, offsets, actions, ta
         index = block[i]
         decode(decoder, index, words)
         begin = row
-        t = holding(tests, words, 0)
+        t = holding(tests, words, FIRST)
         while t < len(tests.word):
             for move in range(tests.first[t], tests.first[t + 1]):
                 action = tests.action[move]

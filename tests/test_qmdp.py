@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import pickle
 
+import numba
 import numpy as np
 import pytest
+from conftest import graph_task
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -14,9 +17,10 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
 from assist.people.human import Human, HumanModel
+from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import QMDP, qmdp
-from planner import Table
+from assist.person.qmdp import QMDP, Arrays, qmdp
+from planner import Table, sweep
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
 
@@ -138,3 +142,15 @@ def test_people_who_are_never_helped_have_the_same_values_from_equations_as_from
     monkeypatch.setattr(module, "DIRECT", 0)
     swept = module.evaluate(pomdp, never, tolerance=1e-9)
     np.testing.assert_allclose(solved, swept, atol=1e-8)
+
+
+@pytest.mark.parametrize("sent", [False, True])
+def test_one_compiled_form_serves_every_problem(tiny_choices: Choices, sent: bool) -> None:
+    """Whether it was made here or sent by another process, which writes protection does not survive."""
+    problem, other = make(tiny_choices), AssistPOMDP.of(HumanModel.exact(Choices.of(sweep(graph_task([(1, 0, 1)])))))
+    vectors = VectorPolicy(other, np.zeros((2, *other.prior.shape)), np.zeros(2, np.int64), np.arange(3))
+    assert vectors._arrays.gamma == other.gamma
+    if sent:
+        other, vectors = pickle.loads(pickle.dumps((other, vectors)))
+        assert other.chosen.flags.writeable
+    assert numba.typeof(Arrays.of(problem)) == numba.typeof(Arrays.of(other)) == numba.typeof(vectors._arrays)

@@ -9,7 +9,7 @@ observability", 2009).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numba
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
-from .qmdp import Arrays
+from .qmdp import Arrays, read_only
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,10 @@ class VectorPolicy:
         for array in (self.vectors, self.robot, self.first):
             array.flags.writeable = False
 
+    def __getstate__(self) -> dict[str, object]:
+        """Give what another process is sent: not what it can work out again."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     @cached_property
     def _arrays(self) -> Arrays:
         return Arrays.of(self.pomdp)
@@ -73,9 +77,8 @@ class VectorPolicy:
             Need not be normalised; values scale with it.
         """
         q = np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
-        # Contiguous, so that one compiled form serves everybody.
-        x, belief = np.ascontiguousarray(x, dtype=np.int64), np.ascontiguousarray(belief, dtype=float)
-        _look_ahead(q, x, belief, self.vectors, self.first, self._arrays)
+        of_state = read_only(self.vectors), read_only(self.first)
+        _look_ahead(q, read_only(x, np.int64), read_only(belief, float), *of_state, self._arrays)
         if self.pomdp.frontier is not None:
             broken_off = self.pomdp.final[x] & ~self.pomdp.model.choices.goal[x]
             q[broken_off, 0] = self.value(x[broken_off], belief[broken_off])
@@ -91,9 +94,9 @@ class VectorPolicy:
         return np.where(best >= 0, self.robot[best], 0) if len(self.robot) else np.zeros(len(x), dtype=np.int64)
 
     def _best(self, x: NDArray[np.int64], belief: Floats) -> tuple[Floats, NDArray[np.int64]]:
-        x, belief = np.ascontiguousarray(x, dtype=np.int64), np.ascontiguousarray(belief, dtype=float)
         value, best = np.zeros(len(x)), np.full(len(x), -1, dtype=np.int64)
-        _maximise(value, best, x, belief, self.vectors, self.first)
+        of_state = read_only(self.vectors), read_only(self.first)
+        _maximise(value, best, read_only(x, np.int64), read_only(belief, float), *of_state)
         return value, best
 
 

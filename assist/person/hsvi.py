@@ -39,6 +39,7 @@ PIVOTS = 5
 CANDIDATES = 256  # the latest beliefs of a state that a bound may rest on
 RELEVANT = 0.5  # beliefs that could lower the bound by less than this share of what one can are left aside
 NONE = -1
+ZERO, ONE, NEITHER = map(np.int64, (0, 1, NONE))  # numba compiles what is called with a literal once more for it
 TINY, HUGE = 1e-290, 1e300  # TINY * HUGE is large, so that an empty entry of both beliefs never binds
 FAST = {"reassoc", "contract", "nsz", "nnan"}
 
@@ -186,6 +187,31 @@ def dot(a, b):
     return total
 
 
+# The same for whole arrays (a[:] = b, (a <= b).all(), a / b) takes several times as long to compile, since it brings
+# broadcasting and the words of its errors along, once for each function from which it is called.
+@numba.njit(cache=True)
+def _fill(a, value):
+    """Set every entry of a."""
+    for i in range(len(a)):
+        a[i] = value
+
+
+@numba.njit(cache=True)
+def _copy(a, b):
+    """Set a to b."""
+    for i in range(len(a)):
+        a[i] = b[i]
+
+
+@numba.njit(cache=True)
+def _nowhere_above(a, b):
+    """Tell whether a <= b."""
+    for i in range(len(a)):  # noqa: SIM110  numba has no generators
+        if not a[i] <= b[i]:
+            return False
+    return True
+
+
 @numba.njit(cache=True, fastmath=FAST)
 def _share(belief, inverse, enough):
     """Give the largest weight of a belief within another, or something below `enough` once it cannot reach that."""
@@ -203,17 +229,18 @@ def _share(belief, inverse, enough):
 @numba.njit(cache=True)
 def upper(x, belief, hull, room):
     """Give the upper bound of a state at an unnormalised belief."""
+    drop, inverse, after, candidate, worths = hull.drop, hull.inverse, hull.after, room.candidate, room.worth
     base = dot(hull.corner[x], belief)
     best, first, count = 0.0, NONE, 0
     i = hull.head[x]
     while i >= 0:
-        worth = hull.drop[i] * _share(belief, hull.inverse[i], RELEVANT * best / hull.drop[i])
+        worth = drop[i] * _share(belief, inverse[i], RELEVANT * best / drop[i])
         if worth < RELEVANT * best and count < CANDIDATES:
-            room.candidate[count], room.worth[count] = i, worth
+            candidate[count], worths[count] = i, worth
             count += 1
         if worth < best:
             best, first = worth, i
-        i = hull.after[i]
+        i = after[i]
     if count < 2:
         return base + best
     return base + min(best, _pivot(belief, first, best, count, hull, room))
@@ -228,9 +255,9 @@ def _pivot(belief, first, best, count, hull, room):
     basis, row, weight, dual, direction, matrix = (
         room.basis, room.row, room.weight, room.dual, room.direction, room.matrix,
     )  # fmt: skip
-    left, change = room.left, room.change
-    k = 1
-    basis[0], row[0], weight[0] = first, 0, best / hull.drop[first]
+    left, change, drop, points = room.left, room.change, hull.drop, hull.belief
+    k = ONE
+    basis[0], row[0], weight[0] = first, 0, best / drop[first]
     smallest = HUGE
     for h in range(len(belief)):
         share = (belief[h] + TINY) * hull.inverse[first, h]
@@ -238,9 +265,9 @@ def _pivot(belief, first, best, count, hull, room):
             smallest, row[0] = share, h
     for _ in range(PIVOTS):
         for j in range(k):
-            dual[j] = hull.drop[basis[j]]
+            dual[j] = drop[basis[j]]
             for r in range(k):
-                matrix[j, r] = hull.belief[basis[j], row[r]]
+                matrix[j, r] = points[basis[j], row[r]]
         if not _eliminate(matrix, dual, k):
             break
         enter, slack = _price(belief, best, count, k, hull, room)
@@ -248,10 +275,10 @@ def _pivot(belief, first, best, count, hull, room):
             break
         for r in range(k):
             for j in range(k):
-                matrix[r, j] = hull.belief[basis[j], row[r]]
+                matrix[r, j] = points[basis[j], row[r]]
             direction[r] = 1.0 if r == slack else 0.0
             if enter >= 0:
-                direction[r] = hull.belief[enter, row[r]]
+                direction[r] = points[enter, row[r]]
         if not _eliminate(matrix, direction, k):
             break
         step, leave = HUGE, NONE
@@ -259,14 +286,14 @@ def _pivot(belief, first, best, count, hull, room):
             if direction[j] > 1e-12 and weight[j] < step * direction[j]:
                 step, leave = weight[j] / direction[j], j
         bound = NONE
-        left[:] = belief
+        _copy(left, belief)
         if enter >= 0:
-            change[:] = hull.belief[enter]
+            _copy(change, points[enter])
         else:
-            change[:] = 0.0
+            _fill(change, 0.0)
         for j in range(k):
-            _subtract(left, weight[j], hull.belief[basis[j]])
-            _subtract(change, direction[j], hull.belief[basis[j]])
+            _subtract(left, weight[j], points[basis[j]])
+            _subtract(change, direction[j], points[basis[j]])
         for r in range(k):  # the slacks of these are not in the basis
             change[row[r]] = 0.0
         for h in range(len(belief)):
@@ -289,11 +316,11 @@ def _pivot(belief, first, best, count, hull, room):
             k -= 1
             basis[leave], weight[leave], row[slack] = basis[k], weight[k], row[k]
     worth, scale = 0.0, 1.0
-    left[:] = 0.0
+    _fill(left, 0.0)
     for j in range(k):
         weight[j] = max(weight[j], 0.0)
-        worth += weight[j] * hull.drop[basis[j]]
-        _subtract(left, -weight[j], hull.belief[basis[j]])
+        worth += weight[j] * drop[basis[j]]
+        _subtract(left, -weight[j], points[basis[j]])
     for h in range(len(belief)):
         if left[h] > belief[h]:
             scale = min(scale, belief[h] / left[h])
@@ -310,18 +337,21 @@ def _subtract(a, factor, b):
 @numba.njit(cache=True)
 def _price(belief, best, count, k, hull, room):
     """Give the candidate, or else the position in `row` of the slack, that promises most; `NONE` for neither."""
+    drop, points, candidate, worth, dual, row = (
+        hull.drop, hull.belief, room.candidate, room.worth, room.dual, room.row,
+    )  # fmt: skip
     enter, slack, most = NONE, NONE, 1e-3 * best
     for c in range(count):
-        i = room.candidate[c]
-        reduced = hull.drop[i]
+        i = candidate[c]
+        reduced = drop[i]
         for r in range(k):
-            reduced -= room.dual[r] * hull.belief[i, room.row[r]]
-        gain = reduced * room.worth[c] / hull.drop[i]
+            reduced -= dual[r] * points[i, row[r]]
+        gain = reduced * worth[c] / drop[i]
         if reduced < 0.0 and gain < most:
             enter, most = i, gain
     if enter == NONE:
         for r in range(k):
-            gain = -room.dual[r] * belief[room.row[r]]
+            gain = -dual[r] * belief[row[r]]
             if gain < most:
                 slack, most = r, gain
     return enter, slack
@@ -356,33 +386,34 @@ def _eliminate(a, y, k):
 @numba.njit(cache=True)
 def add_point(x, belief, value, hull):
     """Add the bound at a belief of mass 1, and remove beliefs that it makes superfluous."""
+    after, head, space, drops, inverse, state = hull.after, hull.head, hull.space, hull.drop, hull.inverse, hull.state
     drop = value + ROUNDING * abs(value) - dot(hull.corner[x], belief)
     if drop >= 0.0:
         return
-    new = hull.space[1]
+    new = space[1]
     if new >= 0:
-        hull.space[1] = hull.after[new]
+        space[1] = after[new]
     else:
-        new = hull.space[0]
-        hull.space[0] += 1
+        new = space[0]
+        space[0] += 1
     for h in range(len(belief)):
         hull.belief[new, h] = belief[h]
-        hull.inverse[new, h] = 1.0 / belief[h] if belief[h] > 1e-200 else HUGE
-    hull.drop[new], hull.state[new] = drop, x
-    before, i = NONE, hull.head[x]
+        inverse[new, h] = 1.0 / belief[h] if belief[h] > 1e-200 else HUGE
+    drops[new], state[new] = drop, x
+    before, i = NONE, head[x]
     while i >= 0:
-        following = hull.after[i]
-        needed = hull.drop[i] / drop
-        if _share(hull.belief[i], hull.inverse[new], needed) >= needed:
+        following = after[i]
+        needed = drops[i] / drop
+        if _share(hull.belief[i], inverse[new], needed) >= needed:
             if before >= 0:
-                hull.after[before] = following
+                after[before] = following
             else:
-                hull.head[x] = following
-            hull.after[i], hull.state[i], hull.space[1] = hull.space[1], NONE, i
+                head[x] = following
+            after[i], state[i], space[1] = space[1], NONE, i
         else:
             before = i
         i = following
-    hull.after[new], hull.head[x] = hull.head[x], new
+    after[new], head[x] = head[x], new
 
 
 @numba.njit(cache=True)
@@ -401,59 +432,64 @@ def lower(x, belief, plans):
 @numba.njit(cache=True)
 def add_plan(x, robot, vector, belief, plans):
     """Add an alpha vector to a state, made for a belief, and remove those that are nowhere above it."""
-    before, i = NONE, plans.head[x]
+    after, head, space, live = plans.after, plans.head, plans.space, plans.live
+    before, i = NONE, head[x]
     while i >= 0:
-        following = plans.after[i]
-        if (plans.vector[i] <= vector).all():
+        following = after[i]
+        if _nowhere_above(plans.vector[i], vector):
             if before >= 0:
-                plans.after[before] = following
+                after[before] = following
             else:
-                plans.head[x] = following
-            plans.after[i], plans.state[i], plans.space[1] = plans.space[1], NONE, i
-            plans.live[x] -= 1
+                head[x] = following
+            after[i], plans.state[i], space[1] = space[1], NONE, i
+            live[x] -= 1
         else:
             before = i
         i = following
-    i = plans.space[1]
+    i = space[1]
     if i >= 0:
-        plans.space[1] = plans.after[i]
+        space[1] = after[i]
     else:
-        i = plans.space[0]
-        plans.space[0] += 1
-    plans.vector[i], plans.witness[i], plans.robot[i], plans.state[i] = vector, belief, robot, x
-    plans.after[i], plans.head[x] = plans.head[x], i
-    plans.live[x] += 1
-    if plans.live[x] > plans.limit[x]:
+        i = space[0]
+        space[0] += 1
+    _copy(plans.vector[i], vector)
+    _copy(plans.witness[i], belief)
+    plans.robot[i], plans.state[i] = robot, x
+    after[i], head[x] = head[x], i
+    live[x] += 1
+    if live[x] > plans.limit[x]:
         _retire(x, plans)
-        plans.limit[x] = max(FEW, 2 * plans.live[x])
+        plans.limit[x] = max(FEW, 2 * live[x])
 
 
 @numba.njit(cache=True)
 def _retire(x, plans):
     """Keep in a state's list only the vectors that are best at some belief for which one of them was made."""
+    after, head = plans.after, plans.head
     useful = np.zeros(plans.live[x], dtype=np.bool_)
-    i = plans.head[x]
+    i = head[x]
     while i >= 0:
         best, at = -np.inf, 0
-        k, j = 0, plans.head[x]
+        k, j = 0, head[x]
         while j >= 0:
             value = dot(plans.vector[j], plans.witness[i])
             if value > best:
                 best, at = value, k
-            k, j = k + 1, plans.after[j]
+            k, j = k + 1, after[j]
         useful[at] = True
-        i = plans.after[i]
-    before, k, i = NONE, 0, plans.head[x]
+        i = after[i]
+    before, k, i, kept = NONE, 0, head[x], 0
     while i >= 0:
-        following = plans.after[i]
+        following = after[i]
         if useful[k]:
             before = i
+            kept += 1
         elif before >= 0:
-            plans.after[before] = following
+            after[before] = following
         else:
-            plans.head[x] = following
+            head[x] = following
         k, i = k + 1, following
-    plans.live[x] = useful.sum()
+    plans.live[x] = kept
 
 
 @numba.njit(cache=True)
@@ -481,9 +517,9 @@ def _split(x, r, belief, told, other, lapsed, m):
             told[h] = other[h] = steady * belief[h]
             lapsed[h] = uniform * belief[h]
         return place, slot
-    told[:] = 0.0
-    other[:] = 0.0
-    lapsed[:] = 0.0
+    _fill(told, 0.0)
+    _fill(other, 0.0)
+    _fill(lapsed, 0.0)
     for h in range(len(belief)):
         mass = belief[h]
         if mass == 0.0:
@@ -544,7 +580,7 @@ def _promising(d, work, room, path, hull, m):
     """Give the robot action with the largest upper bound, and look up no more of them than that needs."""
     robots = m.robot_actions[path.state[d]]
     while True:
-        r = 0
+        r = ZERO
         for k in range(1, robots):
             if path.q[d, k] > path.q[d, r]:
                 r = k
@@ -572,14 +608,14 @@ def _plan(x, r, picked, vector, plans, m):
     thetas = len(m.theta)
     place, slot = m.afterstate[x, r], m.suggested[x, r]
     if m.goal[place]:
-        vector[:] = -m.robot_costs[x, r]
+        _fill(vector, -m.robot_costs[x, r])
         return
     count = m.counts[place]
     other, mean, told = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for b in range(len(vector) // thetas):
-        other[:] = 0.0
-        mean[:] = 0.0
-        told[:] = 0.0
+        _fill(other, 0.0)
+        _fill(mean, 0.0)
+        _fill(told, 0.0)
         for a in range(count):
             p, c, i = m.chosen[place, a, b], m.costs[place, a], picked[a]
             for t in range(thetas):
@@ -613,13 +649,13 @@ def _raise(d, step, work, path, plan, plans, m):
     """Back the lower bound up at a depth of the path; return whether it gained more than `step`."""
     x, belief = path.state[d], path.belief[d]
     picked, kept, vector = plan
-    best, robot = -np.inf, NONE
+    best, robot = -np.inf, NEITHER
     for r in range(m.robot_actions[x]):
         if path.q[d, r] > best:
             value = _look_down(d, r, work, path, picked, plans, m)
             if value > best:
                 best, robot = value, r
-                kept[:] = picked
+                _copy(kept, picked)
     if not best > lower(x, belief, plans)[0] + step + 4 * ROUNDING * abs(best):
         return False
     _plan(x, robot, kept, vector, plans, m)
@@ -628,12 +664,13 @@ def _raise(d, step, work, path, plan, plans, m):
 
 
 @numba.njit(cache=True)
-def _begin(d, belief, q, path, m):
-    """Put a belief on the path, with what is known of each robot action before its children are looked at."""
-    x = path.state[d]
-    path.belief[d] = belief
+def _begin(d, belief, mass, q, path, m):
+    """Put belief / mass on the path, with what is known of each robot action before its children are looked at."""
+    x, own = path.state[d], path.belief[d]
+    for h in range(len(belief)):
+        own[h] = belief[h] / mass
     for r in range(m.robot_actions[x]):
-        path.q[d, r], path.known[d, r] = dot(q[x, r], belief), False
+        path.q[d, r], path.known[d, r] = dot(q[x, r], own), False
 
 
 @numba.njit(cache=True, nogil=True)
@@ -653,8 +690,8 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
         if gap <= enough or short:
             break
         path.state[0] = x0
-        _begin(0, prior, q, path, m)
-        depth, target, reach, cut = 0, TARGET * gap, 1.0, False
+        _begin(ZERO, prior, 1.0, q, path, m)
+        depth, target, reach, cut = ZERO, TARGET * gap, 1.0, False
         while True:
             x = path.state[depth]
             r = _promising(depth, work, room, path, hull, m)
@@ -683,7 +720,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             depth += 1
             path.state[depth] = m.targets[place, chosen]
             path.bound[depth] = path.child[depth - 1, r, chosen] / chance
-            _begin(depth, path.after[depth - 1, r, chosen] / chance, q, path, m)
+            _begin(depth, path.after[depth - 1, r, chosen], chance, q, path, m)
         improved, lowered = False, 0.0
         for d in range(depth, -1, -1):
             x, belief = path.state[d], path.belief[d]
@@ -728,8 +765,8 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
         i = hull.head[x]
         while i >= 0:
             belief = hull.belief[i]
-            _begin(0, belief, q, path, m)
-            value = path.q[0, _promising(0, work, room, path, hull, m)]
+            _begin(ZERO, belief, 1.0, q, path, m)
+            value = path.q[0, _promising(ZERO, work, room, path, hull, m)]
             value += 2 * ROUNDING * abs(value)
             hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
             i = hull.after[i]
@@ -740,7 +777,7 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
         for i in used:
             if plans.state[i] != x:  # one of those before has shown it to be superfluous
                 continue
-            _begin(0, plans.witness[i], q, path, m)
-            _raise(0, step, work, path, plan, plans, m)
+            _begin(ZERO, plans.witness[i], 1.0, q, path, m)
+            _raise(ZERO, step, work, path, plan, plans, m)
             done += 1
     return len(order), done

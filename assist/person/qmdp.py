@@ -18,7 +18,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -32,7 +32,20 @@ from .pomdp import AssistPOMDP
 ROUNDING = 1e-12
 """Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
 
+EACH = np.int64(-1)  # a number, not a literal, for which numba would compile once more
+
 DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
+
+
+def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
+    """Give a contiguous view that is read-only, wherever the array is from: compiled code is given nothing else.
+
+    numba compiles once more for every mixture of arrays that may be written to and of others, and those that another
+    process sends may be, whatever they were there.
+    """
+    view = np.ascontiguousarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
 
 
 @dataclass(frozen=True)
@@ -65,9 +78,8 @@ class QMDP:
         belief : float array, shape (N, B, T)
         """
         q = np.full((len(x), self.q_mdp.shape[1]), -np.inf)
-        # Contiguous, so that one compiled form serves everybody.
-        x, belief = np.ascontiguousarray(x, dtype=np.int64), np.ascontiguousarray(belief, dtype=float)
-        _expected(q, x, belief.reshape(len(x), self.q_mdp[0, 0].size), self._flat, self.pomdp.robot_actions)
+        x, flat = read_only(x, np.int64), read_only(belief, float).reshape(len(x), self.q_mdp[0, 0].size)
+        _expected(q, x, flat, read_only(self._flat), read_only(self.pomdp.robot_actions))
         return q
 
     @cached_property
@@ -122,7 +134,7 @@ def qmdp(
     betas, thetas = pomdp.grid.shape
     q = np.full((len(value), betas, pomdp.suggested.shape[1], thetas), -np.inf)
     q[pomdp.final, :, 0] = value[pomdp.final]
-    _q_values(q, value, order, arrays)
+    _q_values(q, value, read_only(order), arrays)
     q = np.ascontiguousarray(q.transpose(0, 2, 1, 3))
     return QMDP(pomdp, value, q)
 
@@ -201,6 +213,7 @@ def _converge(
 
     Each beta by itself, since some take much longer, and several at a time.
     """
+    order, robot = read_only(order), read_only(robot)
 
     def one(b: int) -> bool:
         residual, left = np.inf, sweeps
@@ -240,13 +253,18 @@ class Arrays(NamedTuple):
     def of(cls, pomdp: AssistPOMDP) -> Arrays:
         """Collect the arrays of a problem."""
         choices = pomdp.model.choices
+        arrays = {
+            "counts": choices.applicable.sum(axis=1), "targets": choices.targets, "costs": choices.costs,
+            "goal": choices.goal, "final": pomdp.final, "robot_actions": pomdp.robot_actions,
+            "suggested": pomdp.suggested, "afterstate": pomdp.afterstate, "robot_costs": pomdp.robot_costs,
+            "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "low": pomdp.low, "weight": pomdp.weight,
+            "theta": pomdp.grid.theta,
+        }  # fmt: skip
         return cls(
-            counts=choices.applicable.sum(axis=1), targets=choices.targets, costs=choices.costs, goal=choices.goal,
-            final=pomdp.final, robot_actions=pomdp.robot_actions, suggested=pomdp.suggested,
-            afterstate=pomdp.afterstate, robot_costs=pomdp.robot_costs, chosen=pomdp.chosen,
-            unsuggested=pomdp.unsuggested, low=pomdp.low, weight=pomdp.weight, theta=pomdp.grid.theta,
-            gamma=pomdp.gamma, lapse=pomdp.model.lapse,
-        )  # fmt: skip
+            **{name: read_only(array) for name, array in arrays.items()},
+            gamma=float(pomdp.gamma),
+            lapse=float(pomdp.model.lapse),
+        )
 
 
 @numba.njit(cache=True)
@@ -353,4 +371,4 @@ def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: Arrays) -> 
     expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
         for b in range(value.shape[1]):
-            _row(q[x, b], expected, mean, other, value, x, b, -1, m)
+            _row(q[x, b], expected, mean, other, value, x, b, EACH, m)

@@ -37,7 +37,7 @@ from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP
-from .qmdp import QMDP, ROUNDING, Arrays, evaluate, qmdp, sweep_order
+from .qmdp import QMDP, ROUNDING, Arrays, evaluate, qmdp, read_only, sweep_order
 
 BACKUPS = 1000  # between two looks at the clock
 MEMORY_LIMIT_MB = 4000.0  # unless another is given
@@ -154,12 +154,11 @@ class Solution:
 
     def upper_bound(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give what no policy exceeds, shape (N,), convex in the belief; arguments as in `q_values`."""
-        # Contiguous, so that one compiled form serves everybody.
-        x, size = np.ascontiguousarray(x, dtype=np.int64), self.pomdp.prior.size
-        beliefs = np.ascontiguousarray(belief, dtype=float).reshape(len(x), size)
-        corner, point = self.corner.reshape(-1, size), self.point.reshape(-1, size)
-        value = np.empty(len(x))
-        upper_hull.uppers(value, x, beliefs, corner, point, self.drop, self.first, upper_hull.PIVOTS)
+        value, size = np.empty(len(x)), self.pomdp.prior.size
+        beliefs = read_only(belief, float).reshape(len(x), size)
+        corner, point = (read_only(array).reshape(-1, size) for array in (self.corner, self.point))
+        drop, first = read_only(self.drop), read_only(self.first)
+        upper_hull.uppers(value, read_only(x, np.int64), beliefs, corner, point, drop, first, upper_hull.PIVOTS)
         return value
 
 
@@ -293,11 +292,12 @@ class _Search:
         """Add the vectors of a policy that looks only at x; return its value at the root."""
         value = evaluate(self.pomdp, robot, max_sweeps=max_sweeps)
         flat = np.ascontiguousarray(value).reshape(len(value), -1)
-        hsvi.add_plans(flat, robot, self.pomdp.prior.reshape(-1), self.plans)
+        hsvi.add_plans(flat, robot, _own(self.pomdp.prior), self.plans)
         return float((value[self.pomdp.model.choices.initial] * self.pomdp.prior).sum())
 
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
         """Give both bounds at a belief."""
+        belief = _own(belief)
         lower, _ = hsvi.lower(x, belief, self.plans)
         upper = hsvi.upper(x, belief, self.hull, hsvi.new_room(len(belief)))
         return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
@@ -353,7 +353,7 @@ class _Search:
     def trials(self, x: int, belief: Floats, target: float) -> int:
         """Improve the bounds by some trials."""
         return hsvi.trials(
-            x, belief, target, BACKUPS, self.fineness, self.path, self.plans, self.hull, self.q, self.arrays
+            x, _own(belief), target, BACKUPS, self.fineness, self.path, self.plans, self.hull, self.q, self.arrays
         )
 
     def solution(self, **facts: object) -> Solution:
@@ -369,6 +369,11 @@ class _Search:
             policy=policy, corner=self.hull.corner.reshape(shape), point=self.hull.belief[kept].reshape(shape),
             drop=self.hull.drop[kept], first=first, **facts,  # type: ignore[arg-type]
         )  # fmt: skip
+
+
+def _own(belief: Floats) -> Floats:
+    """Give a flat copy that is not read-only: what is compiled for one kind of array is not compiled for another."""
+    return np.array(belief).reshape(-1)
 
 
 FIXED = ("corner", "head", "live", "limit", "space")

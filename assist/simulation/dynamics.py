@@ -159,9 +159,13 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arra
             for t in range(thetas):
                 belief[b, t] *= likelihood
                 evidence += belief[b, t]
-        belief *= 1.0 / evidence
+        for b in range(betas):
+            for t in range(thetas):
+                belief[b, t] *= 1.0 / evidence
         return
-    after[:] = 0.0
+    for b in range(betas):
+        for t in range(thetas):
+            after[b, t] = 0.0
     for b in range(betas):
         p, followed, rest = m.chosen[x, slot, b], m.chosen[x, suggestion, b], m.unsuggested[x, robot, b]
         for t in range(thetas):
@@ -173,4 +177,6 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arra
             at, up = m.low[x, robot, t], m.weight[x, robot, t]
             after[b, at] += joint * (1.0 - up)
             after[b, at + 1] += joint * up
-    belief[:] = after * (1.0 / evidence)
+    for b in range(betas):
+        for t in range(thetas):
+            belief[b, t] = after[b, t] * (1.0 / evidence)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planner.storage import finite
 
 from ..people.decision import NOTHING, Floats
-from ..person.qmdp import Arrays
+from ..person.qmdp import Arrays, read_only
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
@@ -238,7 +238,7 @@ class Group:
             p = np.array([pool.people[i].chances(choices) for i in own])
             value, lapse = np.array([pool.people[i].value(choices) for i in own]), 0.0
             row[own] = np.arange(len(own))
-        minds = Minds(p, value, choices.h, eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
+        minds = Minds(p, value, read_only(choices.h), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
         return cls(Arrays.of(pomdp), minds, row)
 
 
