@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
+from conftest import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from userstudies import PLAN, SCORES, Part, written
@@ -18,7 +21,7 @@ from userstudies import PLAN, SCORES, Part, written
 from assist.live.problem import InapplicableError
 from assist.study.study import StudyError
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
-from assist.userstudy.plan import read
+from assist.userstudy.plan import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
 from planner import Table
 from planner.errors import ResultsExistError
@@ -243,3 +246,14 @@ def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
     opened().close()
     with pytest.raises(ResultsExistError, match=r"not that of .*study.toml"):
         opened(PLAN.replace("seed = 3", "seed = 4"))
+
+
+def test_the_example_is_a_study_and_the_documentation_shows_it() -> None:
+    file = ROOT / "docs" / "examples" / "kitting-study.toml"
+    assert [one.name for one in read(file).conditions] == ["none", "reactive", "attention", "priority"]
+    whole, page = tomllib.loads(file.read_text()), (ROOT / "docs" / "userstudy.md").read_text()
+    shown = tomllib.loads(page.split("```toml\n")[1].split("```")[0])
+    assert shown
+    assert shown.items() <= whole.items()
+    keys = {field.name for field in msgspec.structs.fields(FileTable)} - {"title"}
+    assert [key for key in keys if f"`{key}`" not in page and f"[{key}]" not in page] == []
