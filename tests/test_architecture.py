@@ -24,10 +24,10 @@ ROOMS = {
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
         diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
-    "assist.interop": "observed pomdpx pomdp policyx pomdp_py",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
     "assist.certify": "certificate prices bound",
     "assist.drawing": "subject profile scene layout svg picture frames files",
+    "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
@@ -55,6 +55,8 @@ ORDER.remove("planner")
 MAY_READ_PDDL = (
     *(f"assist.study.{file}" for file in ("study", "tasks", "cells", "protocol")),
     "assist.drawing",
+    "assist.interop.teams",
+    "assist.interop.rendering",
     "assist.userstudy.plan",
     "assist.cli",
 )

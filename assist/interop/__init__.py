@@ -1,4 +1,4 @@
-"""Problems and policies in other programs' formats."""
+"""Problems, policies and teams in other programs' formats and interfaces."""
 
 from planner.lazy import hand_on
 

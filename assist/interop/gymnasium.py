@@ -1,0 +1,379 @@
+"""The team as an environment of Gymnasium: one agent decides to whom the robot goes, and what it says there.
+
+Importing this module registers `kitassist/Team-v0`:
+
+    import gymnasium
+    import assist.interop.gymnasium
+
+    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2)
+    many = gymnasium.make_vec("kitassist/Team-v0", num_envs=1024, instance="kitting/tiny", humans=2)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.errors import MissingExtraError
+
+from ..people.decision import Floats
+from ..people.human import Mixture, Population
+from ..simulation.luck import Luck
+from ..simulation.run import World
+from ..team.pool import Pool
+from ..team.settings import Setting
+from ..team.state import BASE, NOBODY, TeamAction, TeamState
+from .rendering import Stage
+from .teams import Sight, Teams, pool_of
+
+try:
+    import gymnasium
+except ImportError:
+    raise MissingExtraError("environments need", "gymnasium", "gym") from None
+
+ID = "kitassist/Team-v0"
+
+Observation = dict[str, Any]
+
+
+class _Desk:
+    """What both environments share: teams, what is seen of them, and actions as numbers."""
+
+    def __init__(
+        self, instance: str | Path | Pool, teams: int, humans: int, *, beliefs: bool, people: int, pool_seed: int,
+        setting: Setting | None, population: Population | Mixture | None, distance: ArrayLike | None, world: World,
+        filters: bool = True,
+    ) -> None:  # fmt: skip
+        pool = pool_of(instance, size=people, seed=pool_seed, setting=setting, population=population)
+        if not 1 <= humans <= len(pool.people):
+            raise ValueError(f"humans {humans}: expected 1 to {len(pool.people)}, the size of the pool")
+        self.teams = Teams(pool, teams, humans, distance=distance, world=world, filters=filters)
+        self.sight = Sight(self.teams, beliefs=beliefs)
+        self.actions = 1 + humans * self.sight.robots
+
+    def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Discrete]:
+        """Give the spaces of one team."""
+        spaces, sight, humans = gymnasium.spaces, self.sight, self.teams.x.shape[1]
+        seen = {
+            "action_mask": spaces.MultiBinary(self.actions),
+            "active": spaces.MultiBinary(humans),
+            "alone": spaces.Box(0.0, 1.0, (humans, sight.robots), np.float32),
+            "cost_to_go": spaces.Box(0.0, sight.largest, (humans,), np.float32),
+            "erred": spaces.MultiBinary(humans),
+            "free": spaces.Discrete(2),
+            "location": spaces.Discrete(humans + 1),
+            "model": spaces.MultiDiscrete([sight.models] * humans),
+            "state": spaces.MultiDiscrete([sight.states] * humans),
+        }
+        if sight.beliefs:
+            seen["belief"] = spaces.Box(0.0, 1.0, (humans, *sight.hidden), np.float32)
+        return spaces.Dict(seen), spaces.Discrete(self.actions)
+
+    def mask(self) -> NDArray[np.int8]:
+        """Say which actions are possible, shape (N, actions): nothing always is, and is all while under way."""
+        teams = self.teams
+        possible = self.sight.mask() * ~teams.finished[:, :, None]
+        possible[:, :, 1:] *= (teams.travel.steps[teams.location][:, :-1] == 0)[:, :, None]  # first it has to arrive
+        flat = possible.reshape(len(possible), -1) * teams.free()[:, None]
+        return np.concatenate([np.ones((len(flat), 1), dtype=np.int8), flat.astype(np.int8)], axis=1)
+
+    def observe(self) -> Observation:
+        """Give what is seen of all teams."""
+        return {
+            "action_mask": self.mask(),
+            "free": self.teams.free().astype(np.int64),
+            "location": self.teams.location + 1,
+            **self.sight.seen(),
+        }
+
+    def decode(self, numbers: NDArray[np.int64]) -> TeamAction:
+        """Give what actions mean: 0 is nothing, and 1 + k R + r to go to person k and do r there."""
+        person, robot = np.divmod(numbers - 1, self.sight.robots)
+        stays = numbers == 0
+        return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, robot))
+
+    def encode(self, action: TeamAction) -> NDArray[np.int64]:
+        """Give the numbers of a policy's actions."""
+        return np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
+
+    def step(self, rows: NDArray[np.int64], numbers: NDArray[np.int64], luck: Luck) -> tuple[Any, Any, Any]:
+        """Step some teams; give which actions were not possible, what everybody did, and the rewards, shape (N,)."""
+        teams = self.teams
+        illegal = self.mask()[np.arange(len(numbers)), numbers] == 0
+        moved = np.zeros(len(numbers), dtype=bool)
+        moved[rows] = ~illegal[rows]
+        robot, way = teams.send(self.decode(np.where(moved, numbers, 0)))
+        drawn = np.empty((*teams.x.shape, 2))
+        every = np.arange(len(numbers))
+        for kind in (1, 2) if teams.on_grid else (1,):
+            drawn[..., kind - 1] = luck.draw(kind, every)
+        slot, cost = teams.step(rows, robot, drawn)
+        return illegal, (robot, slot), -(way + cost).sum(axis=1)
+
+
+class TeamEnv(gymnasium.Env):
+    """One robot and a team of people, as an environment of one agent.
+
+    An action is a number: 0 to do nothing, 1 + k R + r to go to person k and do robot action r there (0 says nothing,
+    the others suggest); `action_mask` in the observation and in `info` says which are possible. One that is not does
+    nothing, and `info["illegal"]` says so. The reward is minus the costs of a step, in cost units and not discounted.
+    The episode ends when everybody has finished, and is cut off after `setting.max_steps`.
+
+    After `reset(seed=s)` the episodes are those that `simulate(pool, ..., humans=K, episodes=n, seed=s)` numbers
+    0, 1, ...: with the same choices the same happens. `team` gives what team policies read.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+        The task, by its file or name, or a pool that is there already.
+    humans : int
+        K, people in a team.
+    beliefs : bool
+        Whether the robot's belief in (beta, theta) is seen; otherwise only what the task shows.
+    people, pool_seed : int
+        How many people there are to draw teams from, and the seed of those.
+    setting, population
+        As in `Pool.sample`.
+    distance : array, shape (K + 1, K + 1), optional
+        As in `Travel.of`.
+    world : "people" or "model"
+        As in `simulate`.
+    render_mode : "rgb_array" or "svg", optional
+        A picture of everybody's task, as an array of shape (height, width, 3), or as the text of an SVG document.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "svg"], "render_fps": 1}
+
+    def __init__(
+        self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, people: int = 12,
+        pool_seed: int = 0, setting: Setting | None = None, population: Population | Mixture | None = None,
+        distance: ArrayLike | None = None, world: World = "people", render_mode: str | None = None,
+    ) -> None:  # fmt: skip
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode {render_mode!r}: expected {' or '.join(self.metadata['render_modes'])}")
+        self._instance, self.render_mode = instance, render_mode
+        self._desk = _Desk(
+            instance, 1, humans, beliefs=beliefs, people=people, pool_seed=pool_seed, setting=setting,
+            population=population, distance=distance, world=world,
+        )  # fmt: skip
+        self.observation_space, self.action_space = self._desk.spaces()
+        self._seed: int | None = None
+        self._episode = -1
+        self._luck: Luck | None = None
+        self._seen: list[tuple[int, str]] = []
+        self._stage: Stage | None = None
+
+    @property
+    def pool(self) -> Pool:
+        """The people from whom teams are drawn."""
+        return self._desk.teams.pool
+
+    @property
+    def team(self) -> TeamState:
+        """What the robot knows, as team policies read it."""
+        return self._desk.teams.state()
+
+    @property
+    def is_free(self) -> bool:
+        """Whether the robot is at its place and may choose."""
+        return bool(self._desk.teams.free()[0])
+
+    def encode(self, action: TeamAction) -> int:
+        """Give the number of a team policy's action."""
+        return int(self._desk.encode(action)[0])
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Say which actions are possible, as MaskablePPO of sb3-contrib asks for it."""
+        return self._desk.mask()[0].astype(bool)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin the next episode; the first with a seed.
+
+        Parameters
+        ----------
+        seed : int, optional
+        options : dict, optional
+            `episode`: the number of the episode to begin, instead of the next; `team`: the numbers of its people.
+        """
+        super().reset(seed=seed)
+        options = options or {}
+        if seed is not None or self._seed is None:
+            self._seed = seed if seed is not None else int(self.np_random.integers(2**63))
+            self._episode = -1
+        self._episode = int(options.get("episode", self._episode + 1))
+        teams = self._desk.teams
+        luck = self._luck = Luck(self._seed, np.array([self._episode]), teams.x.shape[1])
+        drawn = luck.team(len(teams.pool.people))
+        people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
+        teams.begin(np.zeros(1, dtype=np.int64), people, lambda: luck.draw(0, np.zeros(1, dtype=np.int64)))
+        self._seen = []
+        return self._observation(), self._info(illegal=False)
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Let the robot act, and then everybody who has not finished."""
+        if self._luck is None:
+            raise gymnasium.error.ResetNeeded("step: expected reset before it")
+        teams = self._desk.teams
+        number = np.array([int(action)])
+        if not 0 <= number[0] < self._desk.actions:
+            raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}")
+        before = teams.x[0].copy()
+        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._luck)
+        if self.render_mode is not None:
+            self._remember(before, robot[0], slot[0])
+        terminated = bool(teams.finished.all())
+        truncated = not terminated and bool(teams.clock[0] >= teams.pool.setting.max_steps)
+        return self._observation(), float(reward[0]), terminated, truncated, self._info(illegal=bool(illegal[0]))
+
+    def _observation(self) -> Observation:
+        return {name: array[0] for name, array in self._desk.observe().items()}
+
+    def _info(self, *, illegal: bool) -> dict[str, Any]:
+        teams = self._desk.teams
+        return {
+            "action_mask": self._desk.mask()[0], "illegal": illegal, "episode_number": self._episode,
+            "people": teams.people[0].copy(), "steps": int(teams.clock[0]),
+        }  # fmt: skip
+
+    def _remember(self, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> None:
+        """Keep what was done, from which a picture is made when one is asked for."""
+        for place, number in enumerate(self._desk.teams.people[0]):
+            pomdp = self.pool.policies[self.pool.model[number]].pomdp
+            executed = pomdp.executes(int(x[place]), int(robot[place]))
+            after = int(pomdp.afterstate[x[place], robot[place]])
+            done = [executed] if executed else []
+            done += [pomdp.model.choices.name(after, int(slot[place]))] if slot[place] >= 0 else []
+            self._seen += [(place, action) for action in done if action]
+
+    def render(self) -> Any:
+        """Draw everybody's task as it is now."""
+        if self.render_mode is None:
+            return None
+        if isinstance(self._instance, Pool):
+            raise TypeError("render: expected an environment of a task by its file or name, and this one is of a pool")
+        if self._stage is None:
+            self._stage = Stage(self._instance)
+        teams = self._desk.teams
+        there = int(teams.location[0]) if self.is_free else BASE
+        return self._stage.draw(
+            self._seen, teams.finished[0], there, int(teams.clock[0]), as_svg=self.render_mode == "svg"
+        )
+
+
+class TeamVectorEnv(gymnasium.vector.VectorEnv):
+    """Many teams at a time, all in one compiled step; actions, observations and rewards are those of `TeamEnv`.
+
+    A team whose episode has ended begins the next in the step after (`AutoresetMode.NEXT_STEP`); that step's action
+    counts for nothing. After `reset(seed=s)` the first episode of team i is the one that `simulate` numbers i.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+    num_envs : int
+        N, teams at a time.
+    humans, beliefs, people, pool_seed, setting, population, distance, world
+        As in `TeamEnv`; without beliefs none are kept, and `team` has none.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self, instance: str | Path | Pool, num_envs: int = 1, humans: int = 2, *, beliefs: bool = True,
+        people: int = 12, pool_seed: int = 0, setting: Setting | None = None,
+        population: Population | Mixture | None = None, distance: ArrayLike | None = None, world: World = "people",
+    ) -> None:  # fmt: skip
+        self.num_envs = num_envs
+        self._desk = _Desk(
+            instance, num_envs, humans, beliefs=beliefs, people=people, pool_seed=pool_seed, setting=setting,
+            population=population, distance=distance, world=world, filters=beliefs,
+        )  # fmt: skip
+        self.single_observation_space, self.single_action_space = self._desk.spaces()
+        batch = gymnasium.vector.utils.batch_space
+        self.observation_space = batch(self.single_observation_space, num_envs)
+        self.action_space = batch(self.single_action_space, num_envs)
+        self._luck: Luck | None = None
+        self._ended = np.zeros(num_envs, dtype=bool)
+
+    @property
+    def pool(self) -> Pool:
+        """The people from whom teams are drawn."""
+        return self._desk.teams.pool
+
+    @property
+    def team(self) -> TeamState:
+        """What the robots know, as team policies read it."""
+        return self._desk.teams.state()
+
+    def encode(self, action: TeamAction) -> NDArray[np.int64]:
+        """Give the numbers of a team policy's actions, shape (N,)."""
+        return self._desk.encode(action)
+
+    def action_masks(self) -> NDArray[np.bool_]:
+        """Say which actions are possible, shape (N, actions)."""
+        return self._desk.mask().astype(bool)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode in every team.
+
+        Parameters
+        ----------
+        seed : int or sequence of int, optional
+            A sequence counts as a whole: the teams draw from one source.
+        options : dict, optional
+            There are none.
+        """
+        super().reset(
+            seed=None if seed is None else seed if isinstance(seed, int) else _one_seed(seed), options=options
+        )
+        given = self.np_random_seed if seed is not None else None
+        number = int(self.np_random.integers(2**63)) if given is None else int(given)
+        teams = self._desk.teams
+        self._luck = Luck(number, np.arange(self.num_envs), teams.x.shape[1])
+        self._begin(np.arange(self.num_envs), self._luck)
+        self._ended = np.zeros(self.num_envs, dtype=bool)
+        return self._observed(np.zeros(self.num_envs, dtype=bool))
+
+    def _begin(self, rows: NDArray[np.int64], luck: Luck) -> None:
+        people = luck.team(len(self.pool.people))[rows]
+        self._desk.teams.begin(rows, people, lambda: luck.draw(0, rows))
+
+    def step(
+        self, actions: NDArray[np.int64]
+    ) -> tuple[Observation, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Let every robot act, and then everybody who has not finished."""
+        if self._luck is None:
+            raise gymnasium.error.ResetNeeded("step: expected reset before it")
+        numbers = np.asarray(actions, dtype=np.int64)
+        if numbers.shape != (self.num_envs,) or (numbers < 0).any() or (numbers >= self._desk.actions).any():
+            raise ValueError(f"actions: expected {self.num_envs} numbers from 0 to {self._desk.actions - 1}")
+        teams, ended = self._desk.teams, self._ended
+        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), numbers, self._luck)
+        if ended.any():
+            self._begin(np.flatnonzero(ended), self._luck)
+        terminated = np.logical_and.reduce(teams.finished, axis=1)
+        truncated = ~terminated & (teams.clock >= self.pool.setting.max_steps)
+        self._ended = terminated | truncated
+        seen, info = self._observed(illegal & ~ended)
+        return seen, np.where(ended, 0.0, reward), terminated, truncated, info
+
+    def _observed(self, illegal: NDArray[np.bool_]) -> tuple[Observation, dict[str, Any]]:
+        seen = self._desk.observe()
+        return seen, {"action_mask": seen["action_mask"].copy(), "illegal": illegal}
+
+
+def _one_seed(seeds: Sequence[int | None]) -> int:
+    return int(np.random.SeedSequence([0 if seed is None else 1 + seed for seed in seeds]).generate_state(1)[0])
+
+
+if ID not in gymnasium.registry:
+    gymnasium.register(
+        ID, entry_point=f"{__name__}:{TeamEnv.__name__}", vector_entry_point=f"{__name__}:{TeamVectorEnv.__name__}"
+    )

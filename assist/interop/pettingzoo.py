@@ -1,0 +1,180 @@
+"""A robot at each station, as a parallel environment of PettingZoo: every one has a person of its own to help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from planner.errors import MissingExtraError
+
+from ..people.human import Mixture, Population
+from ..simulation.luck import Luck
+from ..simulation.run import World
+from ..team.pool import Pool
+from ..team.settings import Setting
+from .teams import Sight, Teams, pool_of
+
+try:
+    import gymnasium
+    import pettingzoo
+except ImportError as error:
+    raise MissingExtraError("environments need", str(error.name), "gym") from None
+
+
+class StationsEnv(pettingzoo.ParallelEnv):
+    """K stations with a person and a robot at each; no robot moves.
+
+    An agent's actions are the robot actions of its person's problem: 0 says nothing, the others suggest.
+    `action_mask` in the observation and in `info` says which are possible; one that is not does nothing, and
+    `info["illegal"]` says so. The reward is minus the costs at the station, in cost units, or those of all stations
+    where it is shared. An agent is done when its person has finished; all are cut off after `setting.max_steps`.
+
+    After `reset(seed=s)` the episodes have the people and the luck of those that `simulate` numbers 0, 1, ... with
+    that seed.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+        The task, by its file or name, or a pool that is there already.
+    humans : int
+        K, stations.
+    beliefs : bool
+        Whether the robots' beliefs in (beta, theta) are seen.
+    shared : bool
+        Whether every agent's reward is that of all.
+    people, pool_seed : int
+        How many people there are to draw teams from, and the seed of those.
+    setting, population
+        As in `Pool.sample`.
+    world : "people" or "model"
+        As in `simulate`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "kitassist_stations_v0",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self, instance: str | Path | Pool, humans: int = 2, *, beliefs: bool = True, shared: bool = False,
+        people: int = 12, pool_seed: int = 0, setting: Setting | None = None,
+        population: Population | Mixture | None = None, world: World = "people",
+    ) -> None:  # fmt: skip
+        pool = pool_of(instance, size=people, seed=pool_seed, setting=setting, population=population)
+        if not 1 <= humans <= len(pool.people):
+            raise ValueError(f"humans {humans}: expected 1 to {len(pool.people)}, the size of the pool")
+        self._teams = Teams(pool, 1, humans, world=world)
+        self._sight = Sight(self._teams, beliefs=beliefs)
+        self._shared, self.render_mode = shared, None
+        self.possible_agents = [f"robot_{place}" for place in range(humans)]
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self._space() for agent in self.possible_agents}
+        self.action_spaces = {agent: gymnasium.spaces.Discrete(self._sight.robots) for agent in self.possible_agents}
+        self._seed: int | None = None
+        self._episode = -1
+
+    def _space(self) -> Any:
+        spaces, sight = gymnasium.spaces, self._sight
+        seen = {
+            "action_mask": spaces.MultiBinary(sight.robots),
+            "active": spaces.Discrete(2),
+            "alone": spaces.Box(0.0, 1.0, (sight.robots,), np.float32),
+            "cost_to_go": spaces.Box(0.0, sight.largest, (), np.float32),
+            "erred": spaces.Discrete(2),
+            "model": spaces.Discrete(sight.models),
+            "state": spaces.Discrete(sight.states),
+        }
+        if sight.beliefs:
+            seen["belief"] = spaces.Box(0.0, 1.0, sight.hidden, np.float32)
+        return spaces.Dict(seen)
+
+    def observation_space(self, agent: str) -> Any:
+        """Give an agent's observation space, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """Give an agent's action space, always the same object."""
+        return self.action_spaces[agent]
+
+    @property
+    def pool(self) -> Pool:
+        """The people from whom teams are drawn."""
+        return self._teams.pool
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin the next episode; the first with a seed.
+
+        Parameters
+        ----------
+        seed : int, optional
+        options : dict, optional
+            `episode`: the number of the episode to begin, instead of the next.
+        """
+        if seed is not None or self._seed is None:
+            self._seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+            self._episode = -1
+        self._episode = int((options or {}).get("episode", self._episode + 1))
+        teams, row = self._teams, np.zeros(1, dtype=np.int64)
+        luck = self._luck = Luck(self._seed, np.array([self._episode]), len(self.possible_agents))
+        teams.begin(row, luck.team(len(teams.pool.people)), lambda: luck.draw(0, row))
+        self.agents = list(self.possible_agents)
+        return self._observed(dict.fromkeys(self.agents, False))
+
+    def step(self, actions: dict[str, int]) -> tuple[dict[str, Any], ...]:
+        """Let every robot act, and then everybody who has not finished."""
+        teams, row = self._teams, np.zeros(1, dtype=np.int64)
+        robot = np.zeros_like(teams.x)
+        illegal = {}
+        possible = self._sight.mask()[0]
+        places = {agent: self.possible_agents.index(agent) for agent in self.agents}
+        for agent, place in places.items():
+            wanted = int(actions[agent])
+            illegal[agent] = not possible[place, wanted]
+            robot[0, place] = 0 if illegal[agent] else wanted
+        luck = np.empty((*teams.x.shape, 2))
+        for kind in (1, 2) if teams.on_grid else (1,):
+            luck[..., kind - 1] = self._luck.draw(kind, row)
+        _, cost = teams.step(row, robot, luck)
+        rewards = {agent: -float(cost.sum() if self._shared else cost[0, place]) for agent, place in places.items()}
+        terminated = {agent: bool(teams.finished[0, place]) for agent, place in places.items()}
+        late = bool(teams.clock[0] >= teams.pool.setting.max_steps)
+        truncated = {agent: late and not ended for agent, ended in terminated.items()}
+        seen, info = self._observed(illegal)
+        self.agents = [agent for agent in self.agents if not (terminated[agent] or truncated[agent])]
+        return seen, rewards, terminated, truncated, info
+
+    def _observed(self, illegal: dict[str, bool]) -> tuple[dict[str, Any], dict[str, Any]]:
+        seen, possible = self._sight.seen(), self._sight.mask()[0]
+        observations, infos = {}, {}
+        for agent in self.agents:
+            place = self.possible_agents.index(agent)
+            own = {name: array[0, place] for name, array in seen.items()}
+            own |= {name: np.int64(own[name]) for name in ("active", "erred")}
+            own["cost_to_go"] = np.array(own["cost_to_go"], dtype=np.float32)
+            observations[agent] = {"action_mask": possible[place].copy(), **own}
+            infos[agent] = {"action_mask": possible[place].copy(), "illegal": illegal[agent]}
+        return observations, infos
+
+    def render(self) -> None:
+        """Draw nothing: `TeamEnv` has pictures."""
+
+    def close(self) -> None:
+        """Let nothing go: nothing is held."""
+
+
+def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> StationsEnv:
+    """Make a parallel environment, a robot at each station.
+
+    Parameters
+    ----------
+    instance : str, Path or Pool
+    humans : int
+    **options
+        Of `StationsEnv`.
+    """
+    return StationsEnv(instance, humans, **options)

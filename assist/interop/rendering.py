@@ -1,0 +1,66 @@
+"""Environments as pictures: everybody's task as it is, and where the robot is."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import load
+
+from ..drawing.files import png, require
+from ..drawing.frames import Frame, draw_frames
+from ..drawing.picture import Artist
+
+
+class Stage:
+    """Draws teams at a task.
+
+    Parameters
+    ----------
+    instance : str or Path
+        The task, by its file or name.
+    """
+
+    def __init__(self, instance: str | Path) -> None:
+        self.artist = Artist(load(instance))
+
+    def draw(
+        self, done: Sequence[tuple[int, str]], finished: NDArray[np.bool_], robot: int, step: int, *, as_svg: bool
+    ) -> Any:
+        """Draw everybody after what has been done.
+
+        Parameters
+        ----------
+        done : sequence of (int, str)
+            At which place, and the ground action; in order.
+        finished : bool array, shape (K,)
+        robot : int
+            The place where the robot is; another number where it is with nobody.
+        step : int
+        as_svg : bool
+            Give the text of an SVG document, instead of an array of shape (height, width, 3).
+
+        Raises
+        ------
+        MissingExtraError
+            An array without the extra `plots`.
+        """
+        rows = []
+        for place, ended in enumerate(finished):
+            actions = [action for at, action in done if at == place]
+            values = self.artist.subject.follow(actions)[-1]
+            last = "has finished" if ended else self.artist.say(actions[-1]) if actions else ""
+            rows.append((Frame(tuple(values), f"person {place + 1}, step {step}", last, robot=place == robot),))
+        (picture,) = draw_frames(self.artist, rows, theme="light")
+        if as_svg:
+            return picture.svg
+        require(".gif")  # Pillow reads what was drawn
+        from PIL import Image
+
+        with Image.open(io.BytesIO(png(picture, 1.0))) as image:
+            return np.array(image.convert("RGB"))

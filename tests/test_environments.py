@@ -1,0 +1,190 @@
+"""Teams as environments of Gymnasium and PettingZoo: their libraries' own checks, and the simulator's episodes."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+from pettingzoo.utils.conversions import parallel_to_aec
+
+from assist import Pool, simulate
+from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
+from assist.interop.pettingzoo import parallel_env
+from assist.people.choices import Choices
+from assist.people.human import Population
+from assist.team.policies import POLICIES
+from assist.team.settings import Setting
+
+EPISODES = 4
+
+
+def total(env: TeamEnv, policy: str) -> list[float]:
+    """The discounted return of each episode in which a team policy decides."""
+    chooses = env.pool.policy(policy, env.team.travel)
+    returns = []
+    for episode in range(EPISODES):
+        env.reset(seed=5 if episode == 0 else None)
+        discounted, step, over = 0.0, 0, False
+        while not over:
+            action = env.encode(chooses(env.team)) if env.is_free else 0
+            _, reward, terminated, truncated, info = env.step(action)
+            assert not info["illegal"]
+            discounted += env.pool.setting.gamma**step * reward
+            step, over = step + 1, terminated or truncated
+        returns.append(discounted)
+    return returns
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
+    found = simulate(pool, policy, humans=2, episodes=EPISODES, seed=5)
+    assert total(TeamEnv(pool, 2), policy) == pytest.approx(found.discounted_return.tolist(), abs=1e-9)
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_where_ways_take_time(tiny_choices: Choices, world: str) -> None:
+    setting = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "priority", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert found.interventions.any()
+    assert not found.finished.all()  # some are cut off
+    assert total(TeamEnv(pool, 3, world=world), "priority") == pytest.approx(found.discounted_return.tolist())
+
+
+def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> None:
+    found = simulate(pool, "attention", humans=2, episodes=70, seed=5)  # luck is drawn for 64 at a time
+    env = TeamVectorEnv(pool, 70, 2)
+    chooses = pool.policy("attention")
+    env.reset(seed=5)
+    assert env.np_random_seed == 5
+    returns, going, begun = np.zeros(70), np.ones(70, dtype=bool), 0
+    for step in range(pool.setting.max_steps):
+        seen, reward, terminated, truncated, info = env.step(env.encode(chooses(env.team)))
+        assert seen in env.observation_space
+        assert (info["action_mask"] == seen["action_mask"]).all()
+        returns[going] += pool.setting.gamma**step * reward[going]
+        ended = terminated | truncated
+        begun += int((~going & (seen["active"].all(axis=1)) & (seen["location"] == 0)).sum())
+        going &= ~ended
+        if not going.any():
+            break
+    assert returns == pytest.approx(found.discounted_return)
+    assert begun > 0  # who has ended begins again while others go on
+
+
+def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
+    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2, people=2)
+    assert "belief" in env.observation_space.spaces
+    check_env(env.unwrapped)
+    unseen = TeamEnv(pool, 2, beliefs=False)
+    assert "belief" not in unseen.observation_space.spaces
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*not able to test alternative render modes.*")
+        check_env(unseen, skip_render_check=True)
+
+
+def test_many_are_made_natively() -> None:
+    env = gymnasium.make_vec(ID, num_envs=3, instance="kitting/tiny", humans=2, people=2)
+    assert isinstance(env.unwrapped, TeamVectorEnv)
+    first, _ = env.reset(seed=[1, 2, 3])
+    again, _ = env.reset(seed=[1, 2, 3])
+    assert all((first[name] == again[name]).all() for name in first)
+    unseen = TeamVectorEnv(env.unwrapped.pool, 3, 2, beliefs=False)
+    other, _ = unseen.reset(seed=[1, 2, 3])
+    assert {*first} - {*other} == {"belief"}
+    for _ in range(3):  # nobody's belief is kept, and the same happens
+        first, *_ = env.step(np.zeros(3, dtype=int))
+        other, *_ = unseen.step(np.zeros(3, dtype=int))
+        assert (first["state"] == other["state"]).all()
+
+
+def test_what_is_not_possible_does_nothing_and_says_so(pool: Pool) -> None:
+    env, quiet = TeamEnv(pool, 2), TeamEnv(pool, 2)
+    env.reset(seed=1)
+    quiet.reset(seed=1)
+    env.step(0)
+    quiet.step(0)
+    (forbidden, *_) = np.flatnonzero(~env.action_masks())
+    seen, reward, *_, info = env.step(int(forbidden))
+    other, same, *_, said = quiet.step(0)
+    assert (info["illegal"], said["illegal"]) == (True, False)
+    assert reward == same
+    assert all(np.array_equal(seen[name], other[name]) for name in seen)
+    with pytest.raises(ValueError, match="expected 0 to"):
+        env.step(1000)
+
+
+def test_a_suggestion_is_heard(pool: Pool) -> None:
+    """What is seen of a person who was helped moves with the task, and the robot is there."""
+    env = TeamEnv(pool, 2)
+    seen, info = env.reset(seed=2)
+    action = int(np.flatnonzero(info["action_mask"])[-1])
+    after, reward, *_ = env.step(action)
+    assert (seen["location"], after["location"]) == (0, 2)
+    assert reward == pytest.approx(-(2 + pool.setting.c_move + pool.setting.c_suggest))
+    assert not np.array_equal(seen["belief"][1], after["belief"][1])
+
+
+def test_a_team_is_drawn() -> None:
+    env = gymnasium.make(ID, instance="kitting/tiny", humans=2, people=2, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    env.step(0)
+    second = env.render()
+    assert first.dtype == np.uint8
+    assert first.shape[2] == 3
+    assert first.shape != second.shape or not np.array_equal(first, second)
+    drawn = TeamEnv("kitting/tiny", 1, people=1, render_mode="svg")
+    drawn.reset(seed=0)
+    assert "person 1, step 0" in drawn.render()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_pettingzoo_finds_nothing_wrong(pool: Pool, shared: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    def make() -> object:
+        return parallel_env(instance=pool, humans=2, shared=shared)
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*(action mask|Action mask|observation|NaN).*")
+        parallel_api_test(make(), num_cycles=60)
+        parallel_seed_test(make, num_cycles=20)
+        api_test(parallel_to_aec(make()), num_cycles=60)
+    assert capsys.readouterr().out.count("Passed") == 2
+
+
+def test_a_station_is_a_team_of_one_whose_robot_is_there(tiny_choices: Choices) -> None:
+    setting, beginners = Setting(c_suggest=0.3, c_move=0.0), Population(beta=(0.1, 0.3))
+    pool = Pool.sample(tiny_choices, 3, seed=2, setting=setting, population=beginners)
+    found = simulate(pool, "reactive", humans=1, episodes=EPISODES, seed=9)
+    assert found.interventions.any()
+    env = parallel_env(pool, 1)
+    returns = []
+    for episode in range(EPISODES):
+        seen, _ = env.reset(seed=9 if episode == 0 else None)
+        discounted, step = 0.0, 0
+        while env.agents:
+            erred = bool(seen["robot_0"]["erred"])
+            seen, reward, *_ = env.step({"robot_0": int(erred)})  # every robot action of this task is optimal
+            discounted += pool.setting.gamma**step * reward["robot_0"]
+            step += 1
+        returns.append(discounted)
+    assert returns == pytest.approx(found.discounted_return.tolist())
+
+
+def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib
+    import sys
+
+    from planner.errors import MissingExtraError
+
+    monkeypatch.setitem(sys.modules, "gymnasium", None)
+    for name in ("assist.interop.gymnasium", "assist.interop.pettingzoo"):
+        monkeypatch.delitem(sys.modules, name)
+        with pytest.raises(MissingExtraError, match=r"environments need gymnasium: .*\[gym\]"):
+            importlib.import_module(name)
+    assert tmp_path.exists()
