@@ -108,7 +108,11 @@ def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
     assert "condition" not in json.dumps(seen)  # nobody is told theirs
     packed = zipfile.ZipFile(io.BytesIO(web.client.get(f"/study/export/{web.access.operator}").content))
     assert ann in packed.read("participants.csv").decode()
-    assert b"ann" not in packed.read("participants.csv")
+    web.come("participant 5f3a-of-a-recruiting-service")
+    journal = (web.service.folder / "journal.jsonl").read_text()
+    assert "visited" in journal
+    assert "recruiting" not in journal  # who comes with a name has none here
+    assert web.ask("GET", "/api/team").status_code == 200
 
 
 def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
@@ -205,15 +209,23 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         is_well()
         assert second.input_value("#code") == code
         second.goto(study.links["everybody"])
-        second.wait_for_selector('button:text("Begin as the next participant")')
         assert violations(second) == []
+        second.click('button:text("Begin as the next participant")')
+        second.click("text=I agree and take part")
+        second.click('h2:text("What you will do") ~ form >> button')
+        second.click("#leave:not([hidden]) a")  # in the middle of practice
+        second.click("#stay")
+        second.click("#leave:not([hidden]) a")
+        second.click("#leave-now")
+        second.wait_for_selector('h2:text("You have left the study")')
         second.goto(study.operator)
         second.wait_for_selector("#people tr")
         assert violations(second) == []
         with second.expect_download() as download:
             second.click("#export")
         packed = zipfile.ZipFile(download.value.path())
-    assert code in packed.read("participants.csv").decode()
+    people = [line.split(",") for line in packed.read("participants.csv").decode().splitlines()[1:]]
+    assert [(row[3], row[4], row[6]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
     answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]
     assert [row[-2:] for row in answers[:8]] == [
         *[["55", "55"]] * 3, *[["50", "50"]] * 3, ["6", "6"], ["3", "5"],

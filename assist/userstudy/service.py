@@ -64,17 +64,19 @@ class StudyService(Service):
 
     def code(self, visit: str) -> str:
         """Give the code of who comes with an id of their browser's: always the same, and nothing follows from it."""
-        made = hmac.new(self.access.operator.encode(), visit.encode(errors="replace"), hashlib.sha256).digest()
-        number, signs = int.from_bytes(made[:8], "big"), ""
+        number, signs = int.from_bytes(self._digest(visit)[:8], "big"), ""
         for _ in range(6):
             number, place = divmod(number, len(LETTERS))
             signs += LETTERS[place]
         return f"P-{signs}"
 
     async def visit(self, visit: str, *, simulated: bool) -> dict[str, Any]:
-        """Let somebody come, or come back."""
-        code = self.code(visit)
-        return await self.report(StudyEvent("visited", code, id=visit, simulated=simulated))
+        """Let somebody come, or come back; the id, which may say who they are, is kept nowhere."""
+        once = self._digest(visit)[8:].hex()
+        return await self.report(StudyEvent("visited", self.code(visit), id=once, simulated=simulated))
+
+    def _digest(self, visit: str) -> bytes:
+        return hmac.new(self.access.operator.encode(), visit.encode(errors="replace"), hashlib.sha256).digest()
 
     def watch(self, person: str) -> Watcher:
         """Begin to tell what somebody sees; who had gone is back."""

@@ -223,7 +223,7 @@ function show() {
   at("leave").hidden = !under || leaves || study.kind === "consent";
   at("leaving").hidden = !(leaves && under);
   at("stage").hidden = leaves && under;
-  for (const button of at("stage").querySelectorAll(".buttons button")) button.disabled = outbox.busy;
+  for (const button of document.querySelectorAll("main .buttons button")) button.disabled = outbox.busy;
   if (shown === key(study) && !(leaves && under)) return;
   const first = shown === null;
   shown = key(study);
@@ -298,11 +298,7 @@ const back = () => {
   show();
 };
 at("stay").addEventListener("click", back);
-at("leave-now").addEventListener("click", () => {
-  history.replaceState(null, "", location.pathname);
-  shown = null;
-  send("withdraw", {});
-});
+at("leave-now").addEventListener("click", () => send("withdraw", {}));
 at("leave-button").addEventListener("click", () => {
   history.replaceState(null, "", `${location.pathname}?leave`);
   show();
