@@ -1,6 +1,6 @@
 """What it costs that real people are not in step: lockstep against a decision after every event.
 
-    python bench/live_timing.py [--instance FILE] [--episodes 100]
+    python bench/live_timing.py [--instance FILE]... [--humans K]... [--episodes 100] [--record FILE]
 
 The same simulated people, each with the same luck in a choice of their own, work either in lockstep (the robot does one
 thing, then everybody acts once) or each at their own pace: the time between two of their actions is drawn anew each
@@ -10,16 +10,22 @@ time (gamma, mean 1, coefficient of variation 0.5), the robot decides after ever
 from __future__ import annotations
 
 import heapq
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
+from tables import Columns, cell, record_option, write_record
 
 from assist.live.assistant import Assistant
 from assist.live.simulated import SimulatedPerson
 from assist.people.human import Population
 from assist.team.settings import Setting
 from planner import CostToGo, cost_to_go, load
+
+KITTING = Path(__file__).parent.parent / "domains/kitting"
+DEFAULT = (KITTING / "tiny.pddl", KITTING / "paper-fixed.pddl")
 
 TICK = 2.0 / 3.0
 """Of the mean time between two actions: 2 s of 3 s, as served."""
@@ -68,26 +74,54 @@ def episode(task: CostToGo, setting: Setting, humans: int, seed: int, timing: st
     return actions / humans, spoken / humans
 
 
+COLUMNS: Columns = {
+    "task": cell("task"),
+    "people": cell("people"),
+    "timing": cell("timing"),
+    "actions per person": cell("actions", ".2f"),
+    "suggestions per person": cell("suggestions", ".2f"),
+    "more actions than in step": lambda row: "" if row["more"] is None else f"{row['more']:.2f} ± {row['error']:.2f}",
+}
+TIMINGS = {
+    "in step": ("lockstep", "attention"),
+    "own pace, a decision after every action, and when idle": ("own pace", "attention"),
+    "own pace, a decision after every action": ("own pace, no tick", "attention"),
+    "in step, nobody helps": ("lockstep", "none"),
+}
+
+
+def compare(task: CostToGo, setting: Setting, humans: int, episodes: int) -> Iterator[dict[str, Any]]:
+    """Give for each timing what people do, and by how much that is more than in lockstep, paired."""
+    found: dict[str, Any] = {}
+    for name, (timing, policy) in TIMINGS.items():
+        found[name] = np.array([episode(task, setting, humans, seed, timing, policy) for seed in range(episodes)])
+        more = found[name][:, 0] - found["in step"][:, 0]
+        actions, spoken = found[name].mean(axis=0)
+        first = name == "in step"
+        yield {
+            "people": humans, "timing": name, "actions": actions, "suggestions": spoken,
+            "more": None if first else more.mean(), "error": more.std(ddof=1) / np.sqrt(episodes),
+        }  # fmt: skip
+
+
 @click.command()
-@click.option("--instance", default=str(Path(__file__).parent.parent / "domains/kitting/paper.pddl"))
+@click.option("--instance", "instances", multiple=True, type=Path, default=DEFAULT)
 @click.option("--episodes", default=100, show_default=True)
 @click.option("--humans", multiple=True, type=int, default=(1, 3, 6))
 @click.option("--c-suggest", default=0.2, show_default=True)
-def main(instance: str, episodes: int, humans: tuple[int, ...], c_suggest: float) -> None:
+@record_option
+def main(
+    instances: tuple[Path, ...], episodes: int, humans: tuple[int, ...], c_suggest: float, record: Path | None
+) -> None:
     """Print actions and suggestions per person, and the difference from lockstep, paired, with its standard error."""
-    task = cost_to_go(load(instance))
-    setting = Setting(c_suggest=c_suggest, knowledge="exact")
-    print("people  timing               actions per person   suggestions   more actions than in lockstep")
-    for count in humans:
-        found = {}
-        timings = [(timing, "attention") for timing in ("lockstep", "own pace", "own pace, no tick")]
-        for timing, policy in (*timings, ("lockstep", "none")):
-            name = "nobody helps" if policy == "none" else timing
-            found[name] = np.array([episode(task, setting, count, seed, timing, policy) for seed in range(episodes)])
-            more = found[name][:, 0] - found["lockstep"][:, 0]
-            error = more.std(ddof=1) / np.sqrt(episodes)
-            actions, spoken = found[name].mean(axis=0)
-            print(f"{count:6}  {name:18} {actions:20.2f} {spoken:13.2f} {more.mean():15.2f} ± {error:.2f}")
+    setting, rows = Setting(c_suggest=c_suggest, knowledge="exact"), []
+    for instance in instances:
+        task = cost_to_go(load(instance))
+        for count in humans:
+            for row in compare(task, setting, count, episodes):
+                rows.append(row | {"task": instance.stem})
+                print("; ".join(show(rows[-1]) for show in COLUMNS.values()), flush=True)
+    write_record(record, COLUMNS, rows)
 
 
 if __name__ == "__main__":
