@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import broken_live
 import click
 import numpy as np
 from click.testing import CliRunner
@@ -61,6 +62,7 @@ ARGUMENTS: dict[str, list[str]] = {
     ],
     "study": ["--protocol", "study.toml", "--out", "study", "--json"],
     "draw": ["problem.pddl", "--plan", "found.plan", "--out", "drawn.svg", "--json"],
+    "serve": broken_live.ARGUMENTS,
 }  # fmt: skip
 OUTPUTS = ("policy.npz", "episodes.jsonl", "trace.jsonl", "people.jsonl")
 NUMBERS = (
@@ -138,7 +140,8 @@ class Fuzzer:
             "TOML": (0.04 * ("study" in self.commands), self._toml),
             "policies": (0.04 * ("policy" in self.commands), self._policy),
             "results": (0.08, self._results),
-            "drawings": (0.06 * ("draw" in self.commands), self._drawing),
+            "drawings": (0.12 * ("draw" in self.commands), self._drawing),
+            "sessions": (0.12 * ("serve" in self.commands), self._session),
         }
         weights = np.array([weight for weight, _ in kinds.values()])
         kind = str(self.rng.choice(list(kinds), p=weights / weights.sum()))
@@ -148,6 +151,8 @@ class Fuzzer:
                 shutil.rmtree(folder / name, ignore_errors=True)
             for name in OUTPUTS:
                 (folder / name).unlink(missing_ok=True)
+        if kind != "sessions":
+            shutil.rmtree(folder / "session", ignore_errors=True)
         return kinds[kind][1](folder)
 
     def _one(self, options: Sequence[Any]) -> Any:
@@ -275,7 +280,7 @@ class Fuzzer:
             document = json.loads(file.read_text())
             self._spoil_value(document)
             file.write_text(json.dumps(document))
-        takers = ("simulate", "bound", *(("policy", "export") if name == "population.json" else ()))
+        takers = ("simulate", "bound", "serve", *(("policy", "export") if name == "population.json" else ()))
         command = self._one([taker for taker in takers if taker in self.commands])
         return Input("JSON", command, (command, *ARGUMENTS[command], option, name), broken)
 
@@ -336,7 +341,15 @@ class Fuzzer:
         ]
         if name == "log.jsonl":
             arguments[1:3] = ["--trace", name]
-        return Input("drawings", "draw", ("draw", *arguments))
+        command = (
+            self._one(["draw", "draw", "serve"]) if name == "drawing.toml" and "serve" in self.commands else "draw"
+        )
+        return Input("drawings", command, (command, *(arguments if command == "draw" else ARGUMENTS[command])))
+
+    def _session(self, folder: Path) -> Input:
+        broken_live.spoil(self, folder)
+        self.journal = (folder / broken_live.JOURNAL).read_bytes()
+        return Input("sessions", "serve", ("serve", *ARGUMENTS["serve"]))
 
     def _policy(self, folder: Path) -> Input:
         """A policy of one's own, or a saved one as Python loads it."""
@@ -434,6 +447,8 @@ class Fuzzer:
             wrong.append(f"exit code {code} without a word")
         if code == 0 and made.broken:
             wrong.append("success, though the input is broken")
+        if made.kind == "sessions":
+            wrong += broken_live.wrong(self.journal, folder, code)
         if code == 0 and made.command != "load":
             wrong += self._wrong_answer(made, folder, stdout)
         if left := [str(path) for path in folder.rglob(".unfinished-*")]:

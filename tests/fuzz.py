@@ -28,6 +28,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import broken_live
 import click
 import numpy as np
 from broken import ARGUMENTS, Fuzzer, Input
@@ -63,6 +64,7 @@ def here(
 
 def without_processes() -> None:
     """Let this process do what commands leave to others."""
+    import assist.live.server
     import assist.study.report
     import assist.study.runner
     import planner.batch
@@ -98,6 +100,7 @@ def without_processes() -> None:
 
     planner.batch.outcomes = assist.study.runner.outcomes = here
     assist.study.report._draw_all = lambda *_: None
+    assist.live.server.serve = broken_live.work
     fast_downward.translate = translate_once
     planner.task.Checker = planner.solving.Checker = Checker
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -40,8 +41,19 @@ class Reason:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Reason:
-        """Read what `dataclasses.asdict` made, and JSON may have kept."""
+        """Read what `dataclasses.asdict` made, and JSON may have kept.
+
+        Raises
+        ------
+        ValueError
+            It did not.
+        """
         values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in plain.items()}
+        for name, value in values.items():
+            pair = name.endswith("_interval")
+            numbers = value if pair and isinstance(value, tuple) and len(value) == 2 else () if pair else (value,)
+            if not numbers or not all(type(one) in (int, float) and math.isfinite(one) for one in numbers):
+                raise ValueError(f"reason {str(name)[:40]!r}: {str(value)[:40]}")
         return cls(**values)
 
 
@@ -68,8 +80,19 @@ class Advice:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Advice:
-        """Read what `dataclasses.asdict` made, and JSON may have kept."""
-        reason = plain["reason"]
+        """Read what `dataclasses.asdict` made, and JSON may have kept.
+
+        Raises
+        ------
+        ValueError
+            It did not.
+        """
+        reason, arrived = plain["reason"], plain["arrived"]
+        person, suggestion = plain["person"], plain["suggestion"]
+        if not isinstance(arrived, bool) or not all(isinstance(one, str | None) for one in (person, suggestion)):
+            raise ValueError(f"advice {str(dict(plain))[:60]}")
+        if person is None and (suggestion is not None or reason is not None):
+            raise ValueError("advice for nobody")
         return cls(
             plain["person"], plain["suggestion"], None if reason is None else Reason.of(reason), plain["arrived"]
         )

@@ -30,6 +30,16 @@ from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .problem import InapplicableError, UnknownError
 
+OF_SOMEBODY = ("joined", "left", "began", "acted", "undone")
+KINDS = (*OF_SOMEBODY, "arrived", "elapsed", "paused", "resumed")
+
+NEEDED = ("n", "time", "event", "step")
+FIELDS: Mapping[str, type | tuple[type, ...]] = {
+    "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
+    "followed": bool, "unheard": bool, "advice": dict, "answer": dict,
+}  # fmt: skip
+"""What a record of an event may hold, of which kind."""
+
 NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
 """What people can be called: it stands in addresses of pages."""
 
@@ -73,6 +83,27 @@ class Event:
     seen: int | None = None
     task: str | None = None
     id: str | None = None
+
+
+def require_record(record: Mapping[str, Any]) -> None:
+    """Refuse what is no record of an event.
+
+    Raises
+    ------
+    ValueError
+    """
+    for name, value in record.items():
+        expected = FIELDS.get(name, ())
+        if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
+            raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
+    if missing := [name for name in NEEDED if name not in record]:
+        raise ValueError(f"there is no '{missing[0]}'")
+    kind = record["event"]
+    if kind not in KINDS or not math.isfinite(record["time"]):
+        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(KINDS)}")
+    needed = {"person": kind in OF_SOMEBODY, "action": kind == "acted", "answer": "id" in record}
+    if missing := [name for name, so in needed.items() if so and name not in record]:
+        raise ValueError(f"there is no '{missing[0]}'")
 
 
 @dataclass
@@ -168,7 +199,14 @@ class Course:
             return NOTHING
 
     def again(self, record: Mapping[str, Any]) -> None:
-        """Let happen again what has been recorded, the robot's decision included."""
+        """Let happen again what has been recorded, the robot's decision included.
+
+        Raises
+        ------
+        ValueError
+            It cannot have happened.
+        """
+        require_record(record)
         self._take(record)
         advice = Advice.of(record["advice"]) if "advice" in record else self.advice
         if not self.paused:

@@ -158,8 +158,8 @@ class Session:
                 self._check(record)
                 continue
             try:
-                if record["n"] != course.count + 1:
-                    raise ValueError(f"event {record['n']}; expected {course.count + 1}")
+                if record.get("n") != course.count + 1:
+                    raise ValueError(f"event {record.get('n')}; expected {course.count + 1}")
                 course.again(record)
                 last = record["time"]
             except (KeyError, TypeError, AttributeError, ValueError) as error:
