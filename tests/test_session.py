@@ -289,6 +289,32 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
             opened()
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("event", "flew"), ("event", None), ("time", "soon"), ("time", float("nan")), ("id", [1]), ("answer", None),
+        ("person", None), ("action", "(fly)"), ("step", True), ("n", 9), ("more", 1), ("advice", {}),
+        ("advice", {"person": None, "suggestion": "(return box-a)", "reason": None, "arrived": True}),
+        ("advice", {"person": "ann", "suggestion": None, "reason": {"saving": float("inf")}, "arrived": True}),
+    ],
+)  # fmt: skip
+def test_a_journal_with_what_cannot_have_happened_is_refused_with_its_line(
+    opened: Callable[..., Session], tmp_path: Path, name: str, value: Any
+) -> None:
+    session = opened()
+    session.join("ann", id="come")
+    session.observe("ann", "(fetch box-a)", id="1")
+    session.close()
+    file = tmp_path / "journal.jsonl"
+    *before, last = map(json.loads, file.read_text().splitlines())
+    last = {key: one for key, one in (last | {name: value}).items() if one is not None}
+    content = "".join(json.dumps(record) + "\n" for record in (*before, last))
+    file.write_text(content)
+    with pytest.raises(DamagedFileError, match=r"journal\.jsonl:3: "):
+        opened()
+    assert file.read_text() == content
+
+
 def test_many_threads_report_and_everything_happens_once(opened: Callable[..., Session], tmp_path: Path) -> None:
     session = opened()
     names = [f"p{number}" for number in range(8)]
