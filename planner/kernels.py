@@ -319,6 +319,7 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
     pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
     values = np.empty(len(pending), dtype=np.int64)
+    numbers = np.empty(len(pending), dtype=np.int64)
     i = start
     while i < len(block):
         waiting, begun = 0, i
@@ -348,7 +349,11 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
                 pending[asked], values[asked] = pending[j], values[j]
                 asked += 1
         for j in range(asked):
-            number = number_of(states, pending[j])
+            numbers[j] = number_of(states, pending[j])
+            if numbers[j] >= 0:
+                prefetch(distance, numbers[j])
+        for j in range(asked):
+            number = numbers[j]
             if number >= 0 and values[j] < distance[number] and values[j] < fetch_min(distance, number, values[j]):
                 out[filled], through[filled] = pending[j], values[j]
                 filled += 1
