@@ -69,8 +69,8 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         read(written(tmp_path / "study.toml", PLAN.replace("consent =", "thanks =", 1)))
 
 
-KINDS = ["visited"] * 2 + ["onward"] * 6 + ["withdrew", "left", "returned"]
-HAPPENS = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 8)), min_size=20, max_size=90)
+KINDS = ["visited"] * 2 + ["onward"] * 12 + ["withdrew", "left", "left", "returned"]
+HAPPENS = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 9)), min_size=100, max_size=200)
 PLACES = 7
 ORDER = ["d", "c", "attention", "none", "none", "attention", "c"]
 
@@ -128,6 +128,15 @@ def test_conditions_stay_balanced_whoever_comes_and_goes(
         assert given_to == ORDER[: len(given_to)]
 
 
+def done_together(journal: Path) -> list[list[str]]:
+    """What ann and the simulated people of her team did in the task, action by action."""
+    records = [json.loads(line) for line in journal.read_bytes().splitlines()[1:]]
+    own = [
+        one for one in records if one["person"] == "ann" and one.get("stage") == "task tiny" and "answers" not in one
+    ]
+    return [[sub.get("action", sub["event"]) for sub in one["team"]] for one in own if one["event"] == "acted"]
+
+
 def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: Path) -> None:
     session = opened()
     seen: list[tuple[bytes, dict[str, Any]]] = []
@@ -159,6 +168,9 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
         (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # of which nobody was told
         again = opened(folder=folder)
         assert {**{name: again.person(name) for name in again.people}, "log": again.log()} == views
+        if (mine := views.get("ann")) and mine["study"]["kind"] == "task" and mine["steps"] == 1:
+            Part(again, "ann").finish()  # and simulated people go on as they would have
+            assert done_together(folder / JOURNAL) == done_together(tmp_path / "data" / JOURNAL)
         again.close()
         shutil.rmtree(folder)
 
