@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo live test lint bench bench-smallest study docs wheel-check clean
+.PHONY: demo live test test-all lint bench bench-smallest study docs wheel-check clean
 
 # Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
 # file), so that it is thrown away here.
@@ -25,6 +25,10 @@ live: $(VENV)/.live $(VENV)/.compiled
 	@$(BIN)/kitassist serve domains/kitting/paper.pddl --humans 3 --simulate 2 --c-suggest 0.2
 
 test: $(VENV)/.test $(VENV)/.warm
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
+
+# The same, and longer versions of some tests.
+test-all: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: $(VENV)/.test

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import subprocess
 import sys
 from functools import cache
@@ -29,7 +31,6 @@ LARGE = {
     "four-boxes", "five-items", "six-items", "eight-items", "nine-items",
 }  # fmt: skip
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
-PAPERS = [KITTING / f"{name}.pddl" for name in ("paper", "paper-fixed", "sealed", "tiny", "unsolvable", "costs/ways")]
 
 
 @cache
@@ -79,14 +80,23 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="session")
 def small_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path, dict]:
-    """A study that was carried out by the command with one worker: the study, its folder, and what was printed."""
+    """A study that was carried out by the command with one worker: the study, its folder, and what was printed.
+
+    It takes seconds, and so is made once for all processes that run tests.
+    """
     from studies import write  # which imports this file
 
-    folder = tmp_path_factory.mktemp("study")
-    file = write(folder)
-    result = kitassist("study", "--protocol", file, "--out", folder / "out", "--json")
-    assert (result.returncode, result.stderr) == (0, "")
-    return read(file), folder / "out", json.loads(result.stdout)
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "small-study"
+    folder.mkdir(exist_ok=True)
+    printed = folder / "printed.json"
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not printed.exists():
+            result = kitassist("study", "--protocol", write(folder), "--out", folder / "out", "--json")
+            assert (result.returncode, result.stderr) == (0, "")
+            printed.write_text(result.stdout)
+    return read(folder / "small.toml"), folder / "out", json.loads(printed.read_text())
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:

@@ -167,7 +167,7 @@ def test_the_tasks_have_what_is_looked_for() -> None:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
 @given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
 def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool) -> None:

@@ -338,7 +338,7 @@ def returns(policy: Policy, episodes: int, rng: np.random.Generator) -> np.ndarr
     return total
 
 
-@pytest.mark.parametrize("episodes", [4_000, pytest.param(20_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize("episodes", [4_000, pytest.param(20_000, marks=pytest.mark.slow)])
 def test_people_as_modelled_give_the_policy_what_its_bounds_say(episodes: int) -> None:
     pomdp = problem("paper-fixed", 0.99, 0.2, 0.5)
     solution = solve(pomdp)

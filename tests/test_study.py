@@ -1,4 +1,4 @@
-"""Studies carried out: killed and resumed, spread over a cluster, damaged, and with policies that fail."""
+"""Studies carried out: killed and resumed, damaged, and with policies that fail."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import invoke, kitassist
+from conftest import invoke
 from studies import TINY, contents, write
 
 from assist.study.cells import carry_out
@@ -44,18 +44,6 @@ def test_a_killed_study_resumes_to_the_same_bytes(small_study: tuple[Study, Path
     assert {f.name: f.read_bytes() for f in (out / "figures").iterdir()} == {
         f.name: f.read_bytes() for f in (whole / "figures").iterdir()
     }
-
-
-def test_a_cluster_gives_the_same_bytes(small_study: tuple[Study, Path, dict], tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    study, whole, _ = small_study
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        result = kitassist(
-            "study", "--protocol", study.file, "--out", tmp_path / "out", "--scheduler", cluster.scheduler_address
-        )
-    assert result.returncode == 0, result.stderr
-    assert contents(tmp_path / "out") == contents(whole)
 
 
 def test_repeats_can_be_added_and_another_study_is_refused(

@@ -134,7 +134,7 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
 
 @pytest.mark.parametrize("hashed", [False, True], ids=["bitmap", "hashed"])
 @pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))])
 def test_random_tasks(seed, costs, hashed, monkeypatch):
     if hashed:
         monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
@@ -288,7 +288,7 @@ def wide(bits: int) -> Task:
     )
 
 
-@pytest.mark.parametrize("bits", [1, 40, 61, 63, 64, 65, 130])
+@pytest.mark.parametrize("bits", [1, 40, 61, 63, 64, 65, pytest.param(130, marks=pytest.mark.slow)])
 def test_few_states_of_many_bits(bits):
     assert len(check(wide(bits))) == bits + 1
 
