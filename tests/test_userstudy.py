@@ -24,7 +24,7 @@ from assist.userstudy.cohort import Cohort, FullError, StudyEvent
 from assist.userstudy.plan import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
 from planner import Table
-from planner.errors import ResultsExistError
+from planner.errors import DamagedFileError, ResultsExistError
 
 Open = Callable[..., StudySession]
 
@@ -173,6 +173,26 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
             assert done_together(folder / JOURNAL) == done_together(tmp_path / "data" / JOURNAL)
         again.close()
         shutil.rmtree(folder)
+
+
+def test_a_journal_that_cannot_have_been_is_refused_with_its_line(opened: Open, tmp_path: Path) -> None:
+    session = opened()
+    ann = Part(session, "ann")
+    ann.come()
+    ann.to("questionnaire trust")
+    session.close()
+    lines = (tmp_path / "data" / JOURNAL).read_text().splitlines()
+    for number, (old, new) in enumerate([
+        ('"event":"onward"', '"event":"onwards"'), ('"stage":"instructions"', '"stage":"thanks"'),
+        ('"person":"ann"', '"person":"bob"'), ('"time":', '"time":"x","was":'), ('"action":"(', '"action":"(un'),
+    ]):  # fmt: skip
+        line = next(n for n, one in enumerate(lines) if old in one and n > 1)
+        folder = tmp_path / f"broken-{number}"
+        folder.mkdir()
+        broken = [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
+        (folder / JOURNAL).write_text("\n".join(broken) + "\n")
+        with pytest.raises(DamagedFileError, match=rf"journal.jsonl:{line + 1}: cannot have happened"):
+            opened(folder=folder)
 
 
 def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:

@@ -154,13 +154,24 @@ class Cohort:
         return record
 
     def again(self, record: Mapping[str, Any]) -> None:
-        """Let happen again what has been recorded."""
-        if "team" in record:
+        """Let happen again what has been recorded.
+
+        Raises
+        ------
+        ValueError
+            It cannot have happened.
+        """
+        if record["event"] not in KINDS or not isinstance(record["time"], int | float):
+            raise ValueError("no event of a study")
+        if record["event"] != "visited":
             person = self.known(record["person"])
-            stage = self._to(person, record)
-            if record["event"] == "onward" and stage.what and stage.kind in ("practice", "task"):
-                self._group(person, stage, record.get("condition"))
-            person.groups[stage.kind].again(record["team"])
+            at = person.at + (record["event"] == "onward")
+            here = self.stages[person.at].name
+            if at >= len(self.stages) or record.get("stage", here) != here:
+                raise ValueError(f"{person.code} is at {here}")
+            if "team" in record:
+                stage = self.stages[at]
+                self._group(person, stage, record.get("condition")).again(record["team"])
         self._note(record)
 
     def _visits(self, event: Event) -> dict[str, Any]:
@@ -200,7 +211,7 @@ class Cohort:
             if self._over(person):
                 raise InapplicableError("this task is over")
             own = Event("acted", person.code, event.action, event.followed, event.seen)
-            return facts | {"stage": stage.name, "team": self._at_task(person).act(own, n, time)}
+            return facts | {"stage": stage.name, **self._at_task(person).act(own, n, time)}
         if kind == "onward" and isinstance(event, StudyEvent):
             return facts | self._onward(person, event, n, time)
         raise InapplicableError(f"{kind}: not at {stage.name}")
@@ -251,10 +262,6 @@ class Cohort:
             person.condition, self.begun = record["condition"], self.begun + 1
         if "completion" in record:
             person.completion, person.status = record["completion"], DONE
-
-    def _to(self, person: Participant, record: Mapping[str, Any]) -> Stage:
-        """Give the stage in which what happened in a team did."""
-        return self.stages[person.at + (record["event"] == "onward")]
 
     def _group(self, person: Participant, stage: Stage, condition: str | None) -> Group:
         if stage.kind not in person.groups:

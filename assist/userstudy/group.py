@@ -60,18 +60,16 @@ class Group:
         kind = "began" if self._past else "joined"
         return self._all([Event(kind, name, task=task) for name in (self.name, *self._mates)], n, time)
 
-    def act(self, event: Event, n: int, time: float) -> list[Sub]:
-        """Let the participant act, then everybody else once."""
+    def act(self, event: Event, n: int, time: float) -> dict[str, Any]:
+        """Let the participant act, then everybody else once; give that, and what there was to see of it (`seen`)."""
         before = self.course.person(self.name)
-        standing = before["suggestion"]
         subs = self._all([event], n, time, mates=True)
         after = self.course.person(self.name)
-        heard = not subs[0].get("unheard")
-        subs[0]["seen"] = {
-            "suggestion": standing if heard else None, "cost_before": before["cost_to_go"],
-            "cost_after": after["cost_to_go"], "finished": after["finished"],
+        seen = {
+            "suggestion": None if subs[0].get("unheard") else before["suggestion"],
+            "cost_before": before["cost_to_go"], "cost_after": after["cost_to_go"], "finished": after["finished"],
         }  # fmt: skip
-        return subs
+        return {"team": subs, "seen": seen}
 
     def elapse(self, n: int, time: float) -> list[Sub]:
         """Let the robot decide once more; nothing may come of it."""

@@ -199,7 +199,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             steps[code] += 1
             found.actions.append(row)
             if code in current:
-                _count(current[code], row, record["team"][0]["seen"]["finished"], record["time"] - began[code])
+                _count(current[code], row, record["seen"]["finished"], record["time"] - began[code])
     found.participants = list(people.values())
     return found
 
@@ -215,8 +215,7 @@ def _answer(study: UserStudy, person: Row, name: str, answer: Any) -> Row:
 
 
 def _action(person: Row, record: Mapping[str, Any], step: int) -> Row:
-    own = record["team"][0]
-    seen = own["seen"]
+    own, seen = record["team"][0], record["seen"]
     kind, _, task = record["stage"].partition(" ")
     followed = None if seen["suggestion"] is None else own["action"].strip().lower() == seen["suggestion"].lower()
     return {
