@@ -25,7 +25,7 @@ ROOMS = {
         diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem priority policies settings pool",
     "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
-    "assist.certify": "certificate prices bound",
+    "assist.certify": "certificate prices lattice conflicts clairvoyant bound",
     "assist.drawing": "subject profile scene layout svg picture frames files",
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",

@@ -10,6 +10,9 @@ what coming from the nearest other place does. That holds for all prices. At tho
 (`assist.certify.prices`), each V_k is bounded from above by solving the problem with beta and theta hidden
 (`assist.person.solver`), so that knowing people better than one can is no source of looseness.
 
+Where paths are asked for, what the prices leave open, that the robot may be in two places at a time as long as it is in
+one on average, is narrowed by samples (`assist.certify.clairvoyant`); the bound then holds with a confidence.
+
 The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
 simulated as well.
 """
@@ -33,6 +36,8 @@ from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .certificate import Certificate, horizon, returns
+from .clairvoyant import Clairvoyant, Sampled
+from .lattice import Lattice
 from .prices import Kind, Tell, kinds_of, search, window_of
 
 FOR_BOUND = 0.8
@@ -40,6 +45,9 @@ FOR_BOUND = 0.8
 
 FOR_PRICES = 0.4
 """The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
+
+FOR_PATHS = 0.3
+"""The share of the time for a bound in which lucks are sampled, if any are to be."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,8 @@ class TeamBound:
         Who is at each place.
     travel : Travel
     upper : float
-        Mean discounted return, in cost units.
+        Mean discounted return, in cost units. Where lucks were sampled it holds with a confidence of
+        `clairvoyant.CONFIDENCE`, else in any case.
     slack : float
         By how much `upper` could be lower, at most, if each person's problem had been solved to the end: the sum of
         what is between the solver's bounds.
@@ -62,6 +71,10 @@ class TeamBound:
     price : float array, shape (W,)
         lambda_t, in cost units.
     seconds : float
+    proven : float
+        What holds in any case.
+    sampled : Sampled or None
+        What the sampled lucks gave.
     """
 
     pool: Pool
@@ -72,6 +85,8 @@ class TeamBound:
     upper_seen: float
     price: Floats
     seconds: float
+    proven: float
+    sampled: Sampled | None = None
 
     def __post_init__(self) -> None:
         self.price.flags.writeable = False
@@ -126,6 +141,7 @@ def upper_bound(
     gap: float = 1e-3,
     time_limit: float | None = None,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
+    paths: int = 0,
     seed: Seed = 0,
     jobs: int | None = None,
     progress: Tell | None = None,
@@ -151,6 +167,9 @@ def upper_bound(
     memory_limit_mb : float
         What people's problems may take, in megabytes, which is known before they are set up; and once more what each
         of those that are solved at a time may.
+    paths : int
+        Lucks that are sampled to make the bound tighter; with 0, none are, and the bound holds in any case. Worth while
+        in teams of up to about six people. What a time limit leaves no time for is left out, but for a few.
     seed : int or Generator
     jobs : int, optional
         Problems that are solved at a time; as many as there are processors unless given.
@@ -168,23 +187,28 @@ def upper_bound(
     travel = travel or pool.setting.travel(len(members))
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
+    paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
     gamma, luck, tell = pool.setting.gamma, entropy(seed), progress or (lambda *_: None)
     steps = window_of(pool, members, luck) if window is None else whole("window", window)
     kinds = kinds_of(pool, members, travel, steps, memory_limit_mb=memory_limit_mb, tell=tell)
     price = np.zeros(0)
+    for_people = (1 - FOR_PATHS) * limit if paths else limit
     if len(members) > 1 and steps:
-        price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * limit, tell=tell)
+        price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * for_people, tell=tell)
+    lattices: dict[int, Lattice] = {}
 
     def one(number: int, kind: Kind) -> tuple[float, float, float]:
         visits = kind.at(price)
         best = kind.best(visits)
         still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
-        share = (start + limit - time.perf_counter()) / still
+        share = (start + for_people - time.perf_counter()) / still
         solution = solve(
             visits.pomdp, gap=gap, time_limit=None if time_limit is None else max(0.0, share),
             memory_limit_mb=memory_limit_mb, best=best,
         )  # fmt: skip
+        if paths:
+            lattices[number] = Lattice(visits, solution)
         return solution.upper, solution.upper - solution.lower, solution.value_qmdp
 
     parts: list[tuple[float, float, float]] = []
@@ -196,7 +220,21 @@ def upper_bound(
     paid = float(price @ gamma ** np.arange(len(price)))
     counts = np.array([kind.count for kind in kinds])
     upper, slack, seen = (float(counts @ column) for column in np.array(parts).T)
-    return TeamBound(pool, members, travel, upper + paid, slack, seen + paid, price, time.perf_counter() - start)
+    proven, sampled = upper + paid, None
+    if paths and len(members) > 1:
+        everybody = [lattices[number] for number, kind in enumerate(kinds) for _ in range(kind.count)]
+
+        begun = time.perf_counter()
+
+        def left(done: int) -> float:
+            tell("sampling lucks", done, paths)
+            return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
+
+        sampled = Clairvoyant(everybody, price, steps).sampled(paths, luck, left)
+    return TeamBound(
+        pool, members, travel, min(proven, sampled.upper) if sampled else proven, slack, seen + paid, price,
+        time.perf_counter() - start, proven, sampled,
+    )  # fmt: skip
 
 
 def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:

@@ -27,15 +27,20 @@ from .team import team_of, team_options
 )  # fmt: skip
 @gap_option("Relative gap to which each person's problem is solved.")
 @seconds_option("Seconds for all of it; what has been proven by then is reported.", default=300.0)
+@click.option(
+    "--paths", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Sample so many courses of events for a tighter bound, which then holds with 95 % confidence.",
+)  # fmt: skip
 @click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options
 @json_option
 def bound(
-    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, jobs: int | None,
+    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, paths: int, jobs: int | None,
     as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
     from ..certify.bound import certify
+    from ..certify.clairvoyant import CONFIDENCE
 
     start = time.perf_counter()
     with policy_errors():
@@ -45,13 +50,15 @@ def bound(
         with stages() as show:
             found, certificates = certify(
                 made.pool, policies, episodes=episodes, seed=team["seed"], time_limit=left, progress=show,
-                travel=made.travel, gap=gap, jobs=jobs, memory_limit_mb=team["memory_limit"],
+                travel=made.travel, gap=gap, paths=paths, jobs=jobs, memory_limit_mb=team["memory_limit"],
             )  # fmt: skip
     best = max(certificates, key=lambda certificate: certificate.value)
     if as_json:
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
+            "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
+            "confidence": CONFIDENCE if found.sampled else 1.0,
             "price": found.price.tolist(), "seconds": found.seconds, "setting": asdict(made.pool.setting),
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
@@ -66,3 +73,8 @@ def bound(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; people's problems are "
         f"solved so far that the bound is at most {best.slack_percent:.2f} of these percent too high for it"
     )
+    if found.sampled:
+        click.echo(
+            f"the bound is that of {found.sampled.paths} sampled courses of events, and holds with {CONFIDENCE:.0%} "
+            f"confidence; {found.proven:.3f} holds in any case"
+        )

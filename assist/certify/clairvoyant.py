@@ -1,0 +1,320 @@
+"""A tighter bound on team policies, from samples: a robot that knows everybody's luck and pays for using it.
+
+The bound of `assist.certify.bound` lets the robot be in two places at a time as long as it is in one on average. Here
+it is in one place in every step, but knows how everything will come out, and pays a penalty that is zero on average
+for whoever does not know (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic programs",
+2010; for weakly coupled problems with Lagrangian penalties Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
+
+**Theorem.** Let W(s) be any function of the team's state, zero where all have finished, and V(s) one that no policy
+exceeds, both discounted to step 0. With
+
+    D(s, a) = W(s) - r(s, a) - E[W(s') | s, a]
+
+the mean return of every policy that does not know what comes is at most
+
+    W(s_0) - E[ min over a_0, a_1, ...  of  sum_{t < T} D(s_t, a_t) - (V - W)(s_T) ].
+
+*Proof.* For such a policy the sum of W(s_{t+1}) - E[W(s_{t+1}) | s_t, a_t] has mean zero, since each term has, given
+all before it. So its return is on average at most that of r(s_0, a_0) + ... + V(s_T) less that sum, which is W(s_0)
+less the sum of D plus (V - W)(s_T); and along each luck that is at most what the best actions for this luck make of it.
+
+Here V is the sum of the prices to be paid and of people's bounds, W = V - alpha U with U of `assist.certify.conflicts`,
+and s is made of nodes of `assist.certify.lattice`, at which the robot knows more than it can. For V alone D is what
+people lose by not getting what is best for them, and the price of a step in which the robot is with nobody: with
+alpha 0 the bound is that of the prices, less what is lost in any case. Alpha is chosen on lucks of its own; any is
+sound.
+
+The least sum is found by A* over all people's graphs at a time. That the mean of U falls by no more than
+`Wishes.fall` makes D at least a sum over people, which prices for this luck take apart: the least of that is the
+estimate that guides the search. Where it is given up, after `POPPED` states, the least estimate of what is open
+stands for the least sum, and is not above it.
+
+The mean over lucks has a standard error, so that the bound holds with a confidence.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numba.typed import Dict, List
+
+from ..people.decision import Floats
+from .conflicts import Conflicts, Scale, Wishes, lost
+from .lattice import END, Graph, Lattice
+
+ALPHAS = (0.0, 0.2, 0.4, 0.6, 0.8)
+"""What share of U the penalty takes into account: the best of these."""
+
+PILOT = 0.1
+"""The share of lucks, in addition, on which alpha is chosen."""
+
+FOR_ALPHA = 0.6
+"""It is chosen at the latest when this share of the time is left."""
+
+AFTER = 10
+"""Steps without prices in which the robot is still in one place at a time."""
+
+ROUNDS = 60
+"""Times that the prices for one luck are changed."""
+
+STEP = 0.3
+"""What they change by in the first round, in cost units."""
+
+POPPED = 20_000
+"""States that are looked at for one luck, at most, times people."""
+
+CONFIDENCE = 0.95
+ERRORS = 1.645
+"""So many standard errors above the mean the bound holds with that confidence (one-sided, normal)."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A bound from samples.
+
+    Attributes
+    ----------
+    mean, stderr : float
+        Of the bound, in cost units.
+    paths : int
+        Lucks that were sampled.
+    alpha : float
+    """
+
+    mean: float
+    stderr: float
+    paths: int
+    alpha: float
+
+    @property
+    def upper(self) -> float:
+        """What no policy exceeds, with a confidence of `CONFIDENCE`."""
+        return self.mean + ERRORS * self.stderr
+
+
+Path = tuple[list[Graph], list[Wishes]]
+"""What can come about with one luck of all people."""
+
+
+class Clairvoyant:
+    """The bound for a team whose people have these lattices, at these prices.
+
+    Parameters
+    ----------
+    lattices : sequence of Lattice
+        One for each person; people with one problem share one.
+    price : float array, shape (W,)
+        Of the steps that the lattices' problems tell apart.
+    steps : int
+        For so many, at least, and for `AFTER` without a price, the robot is in one place at a time.
+    """
+
+    def __init__(self, lattices: Sequence[Lattice], price: Floats, steps: int = 0) -> None:
+        gamma = lattices[0].arrays.gamma
+        tasks = [lattice.visits.alone.model.choices for lattice in lattices]
+        unit = min(float(task.costs[task.applicable].min()) for task in tasks)
+        self.scale = Scale.of(price, gamma, unit)
+        conflicts = {id(lattice): Conflicts(lattice, self.scale) for lattice in lattices}
+        self.people = [conflicts[id(lattice)] for lattice in lattices]
+        self.steps = max(steps, len(price) + AFTER)
+        self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
+        self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
+        self.value = float(self.scale.paid[0]) + sum(lattice.value for lattice in lattices)
+        self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
+
+    def path(self, rng: np.random.Generator) -> Path:
+        """Draw everybody's luck."""
+        graphs = [person.lattice.graph(rng.random(self.steps + 1)) for person in self.people]
+        return graphs, [person.of(graph) for person, graph in zip(self.people, graphs, strict=True)]
+
+    def bound(self, path: Path, alpha: float) -> float:
+        """Give what the robot gets at most that knows this luck, less its penalty."""
+        graphs, wishes = path
+        least = [
+            graph._replace(cost=(1 - alpha) * graph.cost - alpha * wish.fall)
+            for graph, wish in zip(graphs, wishes, strict=True)
+        ]
+        ahead, guide = _guide(least, (1 - alpha) * self.price, self.discount)
+        found = _search(
+            List(graphs), List([wish.of for wish in wishes]), List([wish.mean for wish in wishes]),
+            List([person.rows.row for person in self.people]), List(guide), ahead, self.price * self.discount, alpha,
+            self.scale, self.steps, POPPED // len(graphs),
+        )  # fmt: skip
+        return self.value - alpha * self.lost - found
+
+    def sampled(self, paths: int, seed: int, left: Callable[[int], float] = lambda _: 1.0) -> Sampled:
+        """Average over so many lucks, or fewer where time is short, but no fewer than 2.
+
+        Parameters
+        ----------
+        left : callable
+            Called with how many lucks have been looked at; gives the share of the time that is left, 0 or less if none.
+        """
+        tried: list[list[float]] = []
+        while len(tried) < max(2, PILOT * paths) and (not tried or left(len(tried)) > FOR_ALPHA):
+            path = self.path(_luck(seed, 0, len(tried)))
+            tried.append([self.bound(path, alpha) for alpha in ALPHAS])
+        alpha = ALPHAS[int(np.mean(tried, axis=0).argmin())]
+        found: list[float] = []
+        while len(found) < 2 or (len(found) < paths and left(len(tried) + len(found)) > 0):
+            found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
+        return Sampled(
+            float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(len(found))), len(found), alpha
+        )  # fmt: skip
+
+
+def _luck(seed: int, kind: int, number: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4, kind, number)))
+
+
+def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats, list[Floats]]:
+    """Find prices for this luck at which people's least costs, each by themselves, come to most (subgradients).
+
+    Returns
+    -------
+    ahead : float array, shape (T + 2,)
+        What the robot's time from each step on adds to the costs.
+    values : list of float arrays, shape (n,)
+        Each person's least cost from each node of their graph on.
+    """
+    steps = len(discount) - 1
+    surcharge, past = np.zeros(steps), np.full(steps, 1e-12)
+    best, kept = -np.inf, (np.zeros(steps + 2), [np.zeros(len(graph.node)) for graph in graphs])
+    for _ in range(ROUNDS):
+        busy = np.zeros(steps)
+        values = [np.zeros(len(graph.node)) for graph in graphs]
+        for graph, value in zip(graphs, values, strict=True):
+            _least(graph, surcharge * discount[:steps], value, busy)
+        ahead = np.append(np.cumsum((-surcharge * discount[:steps])[::-1])[::-1], [0.0, 0.0])
+        total = ahead[0] + sum(float(value[0]) for value in values)
+        if total > best:
+            best, kept = total, (ahead, values)
+        slope = busy - 1
+        past += slope**2
+        surcharge = np.maximum(-price[:steps], surcharge + STEP * slope / np.sqrt(past))
+    return kept
+
+
+@numba.njit(cache=True)
+def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None:
+    """Fill in the least costs from each node on, and count the steps of attention on the best way."""
+    layers = len(graph.layer) - 1
+    best = np.full(len(value), -1)
+    for t in range(layers - 1, -1, -1):
+        for j in range(graph.layer[t], graph.layer[t + 1]):
+            least = np.inf
+            for e in range(graph.edge[j], graph.edge[j + 1]):
+                cost = graph.cost[e]
+                if graph.attends[e]:
+                    cost += surcharge[t]
+                if graph.to[e] != END:
+                    cost += value[graph.to[e]]
+                if cost < least:
+                    least, best[j] = cost, e
+            value[j] = least if best[j] >= 0 else 0.0
+    j = 0
+    for t in range(layers):
+        e = best[j]
+        if e < 0:
+            break
+        busy[t] += graph.attends[e]
+        j = graph.to[e]
+        if j == END:
+            break
+
+
+@numba.njit(cache=True)
+def _search(
+    graphs: Any, of: Any, mean: Any, rows: Any, guide: Any, ahead: Floats, price: Floats, alpha: float, scale: Scale,
+    steps: int, most: int,
+) -> float:  # fmt: skip
+    """Give the least sum of D for one luck, or less where that takes more states than `most`; prices are discounted."""
+    people = len(graphs)
+    start = np.zeros(people, np.int64)
+    estimate = ahead[0]
+    for k in range(people):
+        estimate += guide[k][0]
+    states, costs, times = [start], [0.0], [0]
+    heap = [(estimate, 0)]
+    radix, exact = np.empty(people, np.int64), True
+    product = float(steps + 2)
+    for k in range(people):
+        radix[k] = len(graphs[k].node) + 1
+        product *= radix[k]
+    exact = product < 2.0**62  # else states are not recognised when they are met again, which only takes longer
+    seen = Dict.empty(numba.types.int64, numba.types.float64)
+    here, next_ = np.ones((people, len(scale.weight) + 1)), np.ones((people, len(scale.weight) + 1))
+    idle = np.empty(people, np.int64)
+    popped = 0
+    while len(heap):
+        estimate, number = heapq.heappop(heap)
+        state, cost, t = states[number], costs[number], times[number]
+        if t < 0:
+            return estimate
+        if exact:
+            code = t
+            for k in range(people):
+                code = code * radix[k] + state[k] + 1
+            if code in seen and seen[code] <= cost:
+                continue
+            seen[code] = cost
+        popped += 1
+        if popped > most:
+            return estimate
+        finished = True
+        for k in range(people):
+            here[k] = rows[k][of[k][state[k]] if state[k] != END else 0]
+            finished = finished and state[k] == END
+        loss = alpha * lost(t, here, scale)
+        if finished or t == steps:  # nothing, or nothing more, is left out: from here on V is what is known
+            total = cost - loss + (price[t:].sum() if finished else 0.0)
+            states.append(state)
+            costs.append(total)
+            times.append(-1)
+            heapq.heappush(heap, (total, len(states) - 1))
+            continue
+        forced = -1
+        for k in range(people):
+            idle[k] = END
+            if state[k] == END:
+                continue
+            for e in range(graphs[k].edge[state[k]], graphs[k].edge[state[k] + 1]):
+                if not graphs[k].attends[e]:
+                    idle[k] = e
+                    break
+            if idle[k] == END:
+                forced = k  # on its way to somebody the robot goes on
+        for k in range(-1, people):
+            if (forced >= 0 and k != forced) or (k >= 0 and state[k] == END):
+                continue
+            first, end = 0, 1
+            if k >= 0:
+                first, end = graphs[k].edge[state[k]], graphs[k].edge[state[k] + 1]
+            for e in range(first, end):
+                if k >= 0 and not graphs[k].attends[e]:
+                    continue
+                total = cost - loss
+                if k < 0:
+                    total += price[t]
+                then, estimate = state.copy(), ahead[t + 1]
+                for i in range(people):
+                    if state[i] == END:
+                        next_[i] = rows[i][0]
+                        continue
+                    does = e if i == k else idle[i]
+                    total += graphs[i].cost[does]
+                    then[i], next_[i] = graphs[i].to[does], mean[i][does]
+                    if then[i] != END:
+                        estimate += guide[i][then[i]]
+                total += alpha * lost(t + 1, next_, scale)
+                states.append(then)
+                costs.append(total)
+                times.append(t + 1)
+                heapq.heappush(heap, (total + estimate, len(states) - 1))
+    return np.inf

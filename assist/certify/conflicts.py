@@ -1,0 +1,260 @@
+"""What it costs, on average, that several people want the robot at the same time.
+
+Let everybody's robot go on as it is best for them at the prices of the bound. A person for whom its attention is worth
+G_k in a step wants it where that is above the price. Were all wishes granted the bound would be reached; as one is, at
+most, a step loses at least
+
+    lambda + sum_k (G_k - lambda)^+ - max_k G_k^+
+
+and what is lost from a state on, if people go on like that, is
+
+    U = sum_t gamma^t ( lambda_t + sum_k E (G_kt - lambda_t)^+ - integral over g of (1 - prod_k P(G_kt <= g)) )
+
+since people's lucks are independent. So for each node of a person `Conflicts` needs the distribution of their G at
+each later step, on a few levels g; and as U is linear in each person's distribution, its mean over what may follow is
+U of the mean distributions. That makes it a penalty whose mean can be worked out for any number of people.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.decision import Floats
+from ..person.qmdp import Arrays
+from .lattice import END, Graph, Ints, Known, Lattice, Nodes, at, work_out
+
+LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
+"""Between these G is told apart, in units of the cheapest action's cost; what is above the last counts as that."""
+
+
+class Scale(NamedTuple):
+    """Steps and levels: a row has an entry for each level of each of W steps, and one more for what is added.
+
+    Attributes
+    ----------
+    price : float array, shape (W,)
+    paid : float array, shape (W + 1,)
+        What the prices of each step and all later ones come to, discounted to step 0.
+    weight : float array, shape (W * L,)
+        Width of each level, discounted.
+    level : float array, shape (L + 1,)
+    gamma : float
+    """
+
+    price: Floats
+    paid: Floats
+    weight: Floats
+    level: Floats
+    gamma: float
+
+    @classmethod
+    def of(cls, price: Floats, gamma: float, unit: float) -> Scale:
+        """Make the scale for prices of W steps."""
+        discount = gamma ** np.arange(len(price))
+        paid = np.append(np.cumsum((price * discount)[::-1])[::-1], 0.0)
+        return cls(np.array(price), paid, np.kron(discount, unit * np.diff(LEVELS)), unit * LEVELS, gamma)
+
+
+class Rows(NamedTuple):
+    """The rows of nodes; row 0 is that of everybody who wants nothing any more.
+
+    Attributes
+    ----------
+    of : int array, shape (nodes,)
+        Each node's; -1 where it has not been worked out.
+    row : float array, shape (rows, W * L + 1)
+        P(G <= g) at each step, and what adds up: the mean of (G - lambda)^+ and of what the bound is too high by,
+        discounted to step 0.
+    used : int array, shape (1,)
+    """
+
+    of: Ints
+    row: Floats
+    used: Ints
+
+
+class Wishes(NamedTuple):
+    """The rows of a graph's nodes, shape (n,), and edges, shape (e, W * L + 1).
+
+    Attributes
+    ----------
+    of : int array
+        Of each node.
+    mean : float array
+        Of each edge: the mean of the rows that may follow.
+    fall : float array, shape (e,)
+        By how much U can be lower in the mean after the edge than after the best one.
+    """
+
+    of: Ints
+    mean: Floats
+    fall: Floats
+
+
+class Conflicts:
+    """The wishes of one person, as far as they have been worked out."""
+
+    def __init__(self, lattice: Lattice, scale: Scale) -> None:
+        self.lattice, self.scale = lattice, scale
+        width = len(scale.weight) + 1
+        self.rows = Rows(np.full(len(lattice.nodes.first), -1), np.empty((1 << 10, width)), np.ones(1, dtype=np.int64))
+        self.rows.row[0] = 1.0
+        self.rows.row[0, -1] = 0.0
+        self.step = lattice.visits.layout.step
+
+    def of(self, graph: Graph) -> Wishes:
+        """Give the rows of a graph."""
+        wishes = Wishes(
+            np.zeros(len(graph.node), dtype=np.int64), np.empty((len(graph.to), len(self.scale.weight) + 1)),
+            np.zeros(len(graph.to)),
+        )  # fmt: skip
+        while not _wishes(
+            graph, wishes, self.rows, self.scale, self.step, self.lattice.attended, self.lattice.nodes,
+            self.lattice.known, self.lattice.arrays, self.lattice.order,
+        ):  # fmt: skip
+            self._grow()
+        return wishes
+
+    def at_root(self) -> Floats:
+        """Give the mean row at the beginning, shape (W * L + 1,)."""
+        for node in self.lattice.root.tolist():
+            while not _row(
+                node, self.rows, self.scale, self.step, self.lattice.attended, self.lattice.nodes, self.lattice.known,
+                self.lattice.arrays, self.lattice.order,
+            ):  # fmt: skip
+                self._grow()
+        return np.asarray(self.lattice.chance @ self.rows.row[self.rows.of[self.lattice.root]])
+
+    def _grow(self) -> None:
+        if self.rows.used[0] + 1 >= len(self.rows.row):
+            self.rows = self.rows._replace(row=np.concatenate([self.rows.row, np.empty_like(self.rows.row)]))
+        else:
+            self.lattice.grow()
+
+
+@numba.njit(cache=True)
+def _wanted(
+    node: int, x: int, price: float, top: float, nodes: Nodes, attended: NDArray[np.bool_], robots: int
+) -> float:
+    """Give what attention is worth at a node, at most `top`."""
+    with_it, without = np.inf, np.inf
+    for r in range(robots):
+        regret = nodes.regret[nodes.first[node] + r]
+        if attended[x, r]:
+            with_it = min(with_it, regret)
+        else:
+            without = min(without, regret)
+    return 0.0 if with_it == np.inf else min(without - with_it + price, top)
+
+
+@numba.njit(cache=True)
+def _follow(edge: int, start: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
+    """Fill in the mean of the rows after an edge, from a column on; before, zeros."""
+    out[:] = 0.0
+    before, last = 0.0, out.shape[0] - 1
+    for k in range(nodes.begin[edge], nodes.begin[edge + 1]):
+        chance = nodes.share[k] - before
+        before = nodes.share[k]
+        row = rows.row[rows.of[nodes.to[k]] if nodes.to[k] != END else 0]
+        for c in range(start, last + 1):
+            out[c] += chance * row[c]
+
+
+@numba.njit(cache=True)
+def _row(
+    node: int, rows: Rows, scale: Scale, step: Ints, attended: NDArray[np.bool_], nodes: Nodes, known: Known,
+    m: Arrays, order: Ints,
+) -> bool:  # fmt: skip
+    """Work out the row of a node, and of all that follow; tell whether there was room."""
+    levels = len(scale.level) - 1
+    stack = [node]
+    while len(stack):
+        n = stack[-1]
+        if rows.of[n] >= 0:
+            stack.pop()
+            continue
+        x = at(n, known)
+        t = step[x]
+        if t >= len(scale.price):
+            rows.of[n] = 0
+            stack.pop()
+            continue
+        if not work_out(n, nodes, known, m, order):
+            return False
+        e, robots = nodes.first[n], m.robot_actions[x]
+        best = e + nodes.regret[e : e + robots].argmin()
+        ready = True
+        for k in range(nodes.begin[best], nodes.begin[best + 1]):
+            if nodes.to[k] != END and rows.of[nodes.to[k]] < 0:
+                stack.append(nodes.to[k])
+                ready = False
+        if not ready:
+            continue
+        if rows.used[0] + 1 >= len(rows.row):
+            return False
+        number = rows.used[0]
+        rows.used[0] += 1
+        row = rows.row[number]
+        _follow(best, (t + 1) * levels, row, rows, nodes)
+        wanted = _wanted(n, x, scale.price[t], scale.level[levels], nodes, attended, robots)
+        row[-1] += scale.gamma**t * (nodes.regret[best] + max(0.0, wanted - scale.price[t]))
+        for i in range(levels):
+            below = (scale.level[i + 1] - wanted) / (scale.level[i + 1] - scale.level[i])
+            row[t * levels + i] = min(1.0, max(0.0, below))
+        rows.of[n] = number
+        stack.pop()
+    return True
+
+
+@numba.njit(cache=True)
+def _wishes(
+    graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, step: Ints, attended: NDArray[np.bool_], nodes: Nodes,
+    known: Known, m: Arrays, order: Ints,
+) -> bool:  # fmt: skip
+    """Fill in the rows of a graph; tell whether there was room."""
+    levels, last = len(scale.level) - 1, wishes.mean.shape[1] - 1
+    for t in range(len(graph.layer) - 1):
+        for j in range(graph.layer[t], graph.layer[t + 1]):
+            node = graph.node[j]
+            if not _row(node, rows, scale, step, attended, nodes, known, m, order):
+                return False
+            wishes.of[j] = rows.of[node]
+            first = nodes.first[node]
+            best, least = graph.edge[j], np.inf
+            for e in range(graph.edge[j], graph.edge[j + 1]):
+                number = first + e - graph.edge[j]
+                for k in range(nodes.begin[number], nodes.begin[number + 1]):
+                    if nodes.to[k] != END and not _row(
+                        nodes.to[k], rows, scale, step, attended, nodes, known, m, order
+                    ):
+                        return False
+                _follow(number, 0, wishes.mean[e], rows, nodes)
+                if nodes.regret[number] < least:
+                    best, least = e, nodes.regret[number]
+            for e in range(graph.edge[j], graph.edge[j + 1]):
+                fall = wishes.mean[best, last] - wishes.mean[e, last]
+                for c in range((t + 1) * levels, last):
+                    fall += scale.weight[c] * max(0.0, wishes.mean[best, c] - wishes.mean[e, c])
+                wishes.fall[e] = fall
+    return True
+
+
+@numba.njit(cache=True)
+def lost(step: int, rows: Floats, scale: Scale) -> float:
+    """Give U from a step on, discounted to step 0, of people with these rows, shape (K, W * L + 1)."""
+    levels, last = len(scale.level) - 1, rows.shape[1] - 1
+    if step >= len(scale.price):
+        return 0.0
+    total = scale.paid[step]
+    for k in range(len(rows)):
+        total += rows[k, last]
+    for c in range(step * levels, last):
+        below = 1.0
+        for k in range(len(rows)):
+            below *= rows[k, c]
+        total -= scale.weight[c] * (1.0 - below)
+    return total

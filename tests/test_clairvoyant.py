@@ -1,0 +1,195 @@
+"""Penalties have mean zero, and the search over what can come about with a luck misses nothing."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+from conftest import KITTING, invoke
+from test_joint import COSTS, pool_of
+
+from assist.certify import clairvoyant
+from assist.certify.clairvoyant import Clairvoyant, Path
+from assist.certify.conflicts import lost
+from assist.certify.lattice import END, Graph, Lattice, at, worth
+from assist.certify.prices import kinds_of
+from assist.person.solver import solve
+
+PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
+
+
+def made(price: np.ndarray) -> Clairvoyant:
+    pool = pool_of(*COSTS[0])
+    lattices = []
+    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price)):
+        visits = kind.at(price)
+        lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
+    return Clairvoyant(lattices, price)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Clairvoyant:
+    return made(PRICE)
+
+
+@pytest.fixture(scope="module")
+def short_sighted() -> Clairvoyant:
+    """With so few steps that everything can be tried."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clairvoyant, "AFTER", 1)
+        return made(PRICE[1:4])
+
+
+@pytest.fixture(scope="module")
+def paths(robot: Clairvoyant) -> list[Path]:
+    return [robot.path(np.random.default_rng(seed)) for seed in range(4)]
+
+
+def belief_at(lattice: Lattice, node: int) -> np.ndarray:
+    known, size = lattice.known, lattice.known.corner.shape[1]
+    if node >= len(known.drop):
+        return np.eye(size)[(node - len(known.drop)) % size]
+    return known.point[node] / known.point[node].sum()
+
+
+def chances(lattice: Lattice, edge: int) -> dict[int, float]:
+    """The chance of each node that may follow."""
+    ends = slice(lattice.nodes.begin[edge], lattice.nodes.begin[edge + 1])
+    found: dict[int, float] = {}
+    for to, share in zip(lattice.nodes.to[ends], np.diff(lattice.nodes.share[ends], prepend=0.0), strict=True):
+        found[int(to)] = found.get(int(to), 0.0) + float(share)
+    return found
+
+
+def test_what_a_belief_is_divided_among_adds_up_to_it(robot: Clairvoyant, paths: list[Path]) -> None:
+    """By the filter's own chances: nodes after an action, times their chances, are the joint of choice and type."""
+    lattice, (graphs, _) = robot.people[0].lattice, paths[0]
+    pomdp = lattice.visits.pomdp
+    split = 0
+    for node in graphs[0].node[:40].tolist():
+        first, x = lattice.nodes.first[node], int(at(node, lattice.known))
+        if first < 0:
+            continue
+        belief = belief_at(lattice, node).reshape(pomdp.grid.shape)
+        for r in range(pomdp.robot_actions[x]):
+            found, expected, promise = chances(lattice, first + r), {}, -float(pomdp.robot_costs[x, r])
+            place = pomdp.afterstate[x, r]
+            for a in np.flatnonzero(pomdp.model.choices.applicable[place]):
+                one = (np.array([x]), np.array([r]), np.array([a]))
+                chance = float((pomdp.likelihood(*one)[0] * belief).sum())
+                after = pomdp.update(belief[None], *one)[0]
+                y = int(pomdp.model.choices.targets[place, a])
+                promise -= chance * float(pomdp.model.choices.costs[place, a])
+                if not pomdp.model.choices.goal[y]:
+                    expected[y] = expected.get(y, 0.0) + chance * after.reshape(-1)
+            mixed = {y: np.zeros(pomdp.prior.size) for y in expected}
+            for to, chance in found.items():
+                if to != END:
+                    mixed[int(at(to, lattice.known))] += chance * belief_at(lattice, to)
+                    promise += pomdp.gamma * chance * worth(to, lattice.known)
+            for y, whole in expected.items():
+                np.testing.assert_allclose(mixed[y], whole, atol=1e-9)
+            split += len(found) > len(expected) + 1
+            regret = worth(node, lattice.known) - promise
+            assert lattice.nodes.regret[first + r] == pytest.approx(regret, abs=1e-9)
+    assert split > 10  # beliefs were divided
+
+
+def test_the_penalty_has_mean_zero(robot: Clairvoyant, paths: list[Path]) -> None:
+    """The mean of U over all that two people may do next is what the search takes for it."""
+    compared = []
+    for graphs, wishes in paths:
+        for t in range(min(4, *(len(graph.layer) - 2 for graph in graphs))):
+            edges, after = [], []
+            for person, graph in zip(robot.people, graphs, strict=True):
+                j = int(graph.layer[t])
+                edge = int(graph.edge[j + 1]) - 1
+                edges.append(edge)
+                lattice = person.lattice
+                number = lattice.nodes.first[graph.node[j]] + edge - graph.edge[j]
+                after.append(chances(lattice, number))
+            mean = np.array([wish.mean[edge] for wish, edge in zip(wishes, edges, strict=True)])
+            total = 0.0
+            for ends in product(*(some.items() for some in after)):
+                rows = [
+                    person.rows.row[person.rows.of[to] if to != END else 0]
+                    for person, (to, _) in zip(robot.people, ends, strict=True)
+                ]
+                total += math.prod(chance for _, chance in ends) * lost(t + 1, np.array(rows), robot.scale)
+            compared.append(total)
+            assert lost(t + 1, mean, robot.scale) == pytest.approx(total, abs=1e-9)
+    assert max(compared) > 0.05
+
+
+def least(
+    robot: Clairvoyant, path: Path, alpha: float, state: tuple[int, ...], t: int, seen: dict[tuple[int, ...], float]
+) -> float:
+    """The least sum of D from a state on, by trying everything."""
+    graphs, wishes = path
+    if (t, *state) in seen:
+        return seen[t, *state]
+
+    def loss(step: int, rows: list[np.ndarray]) -> float:
+        return alpha * float(lost(step, np.array(rows), robot.scale))
+
+    people = robot.people
+    here = [p.rows.row[w.of[j] if j != END else 0] for p, w, j in zip(people, wishes, state, strict=True)]
+    paid = robot.price * robot.discount
+    if all(j == END for j in state):
+        return float(paid[t:].sum()) - loss(t, here)
+    if t == robot.steps:
+        return -loss(t, here)
+
+    def edges(graph: Graph, j: int) -> list[int]:
+        return [END] if j == END else list(range(graph.edge[j], graph.edge[j + 1]))
+
+    best = np.inf
+    for chosen in product(*(edges(graph, j) for graph, j in zip(graphs, state, strict=True))):
+        with_robot = sum(bool(g.attends[e]) for g, e in zip(graphs, chosen, strict=True) if e != END)
+        if with_robot > 1:
+            continue
+        cost = (1 - with_robot) * paid[t] - loss(t, here)
+        cost += sum(float(g.cost[e]) for g, e in zip(graphs, chosen, strict=True) if e != END)
+        after = [w.mean[e] if e != END else p.rows.row[0] for p, w, e in zip(people, wishes, chosen, strict=True)]
+        cost += loss(t + 1, after)
+        then = tuple(int(g.to[e]) if e != END else END for g, e in zip(graphs, chosen, strict=True))
+        best = min(best, cost + least(robot, path, alpha, then, t + 1, seen))
+    seen[t, *state] = best
+    return best
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.75])
+def test_the_search_finds_the_least(
+    alpha: float, short_sighted: Clairvoyant, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """All that can be done is tried; and where the search is given up, the bound is not below."""
+    robot, found, given_up = short_sighted, [], 0
+    for seed in range(6):
+        path = robot.path(np.random.default_rng(seed))
+        whole = least(robot, path, alpha, (0, 0), 0, {})
+        bound = robot.bound(path, alpha)
+        assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
+        with monkeypatch.context() as patch:
+            patch.setattr(clairvoyant, "POPPED", 4)
+            early = robot.bound(path, alpha)
+        assert early >= bound - 1e-9
+        given_up += early > bound + 1e-3
+        found.append(whole)
+    assert np.ptp(found) > 0.05
+    assert given_up
+
+
+def test_sampled_lucks_on_the_command_line() -> None:
+    result = invoke(
+        "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
+        "--episodes", "500", "--policy", "priority", "--paths", "40", "--time-limit", "3600", "--json",
+    )  # fmt: skip
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    sampled = document["sampled"]
+    assert (sampled["paths"], document["confidence"]) == (40, 0.95)
+    assert document["upper"] == min(document["upper_proven"], sampled["mean"] + 1.645 * sampled["stderr"])
+    assert document["upper"] < document["upper_proven"]
