@@ -261,11 +261,12 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path, record: 
 @click.option("--time-limit", type=float, default=60.0, show_default=True, help="Seconds for each person's problem.")
 @click.option("--gap", type=float, default=5e-4, show_default=True)
 @click.option("--c-suggest", type=float, default=1.0, show_default=True)
+@click.option("--paths", type=int, default=0, show_default=True, help="Sampled lucks for a bound of 95 % confidence.")
 @out_option
 @record_option
 def gap(
     instances: tuple[str, ...], gammas: tuple[float, ...], sizes: tuple[int, ...], own: int, seed: int,
-    time_limit: float, gap: float, c_suggest: float, out: Path, record: Path | None,
+    time_limit: float, gap: float, c_suggest: float, paths: int, out: Path, record: Path | None,
 ) -> None:  # fmt: skip
     """Certify policies of teams of several sizes."""
     rows = []
@@ -274,7 +275,7 @@ def gap(
             for humans in sizes:
                 knowledge = "own" if humans <= own else "exact"
                 pool = pool_of(name, humans, seed, gamma=gamma, c_suggest=c_suggest, knowledge=knowledge)
-                found = upper_bound(pool, gap=gap, time_limit=time_limit * len(pool.policies))
+                found = upper_bound(pool, gap=gap, time_limit=time_limit * len(pool.policies), paths=paths)
                 certified = {
                     label: found.certify(pool.policy(label), label, episodes=20_000 if humans <= own else 2_000)
                     for label in ("none", "reactive", "attention", "priority")
@@ -282,6 +283,7 @@ def gap(
                 best, (relaxed, error) = certified["priority"], found.relaxed()
                 rows.append(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
+                     "proven": found.proven,
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
                      "attention gap %": certified["attention"].gap_percent,
                      "reactive gap %": certified["reactive"].gap_percent,
