@@ -8,7 +8,7 @@ from conftest import KITTING
 
 TINY = f"""
 title = "small"
-seed = 3
+seed = 5
 repeats = 3
 instances = ["{KITTING}/tiny.pddl"]
 humans = [1, 2]

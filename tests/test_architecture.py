@@ -19,12 +19,12 @@ ROOMS = {
         checking checker built task replay budget successors statespace costtogo moves compiled atomics checkpoint
         reached kernels mutexes invariants clusters coding trie searches sweep saved ondemand methods solving results
         batch engine arrays""",
-    "assist.people": "choices decision terms memory choice_model own human compiled belief",
-    "assist.person": "archive pomdp region problem qmdp alpha_vectors hsvi upper_hull solver",
+    "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
+    "assist.person": "archive pomdp region visited problem qmdp estimates alpha_vectors hsvi upper_hull solver",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
         diagnostics population record people comparison summary""",
-    "assist.team": "arguments travel state attention subproblem priority policies settings pool",
-    "assist.simulation": "dynamics episodes luck presence run simulate belief_trace illustration",
+    "assist.team": "arguments travel state attention subproblem settings wide priority policies pool",
+    "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts clairvoyant bound",
     "assist.drawing": "subject profile scene layout svg picture frames files",
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",

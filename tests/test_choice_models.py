@@ -377,12 +377,13 @@ def broken(choices, q, beta):
 '''
 
 STUDY = f"""
+seed = 5
 repeats = 1
 instances = ["{KITTING}/tiny.pddl"]
 humans = [2]
 pool = 2
 draws = 1
-trials = 2
+trials = 6
 policies = ["none", "attention"]
 [populations.boltzmann]
 [populations.habits]

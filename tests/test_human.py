@@ -164,10 +164,16 @@ def test_perceived_cost_to_go_is_a_lasting_misconception(sealed: Table) -> None:
 def test_who_is_mistaken_about_actions_sees_each_outcome_for_itself(sealed: Table) -> None:
     choices = Choices.of(sealed)
     h = perceived_cost_to_go(choices, 0.5, np.random.default_rng(4), "action")
-    eps = np.random.default_rng(4).standard_normal(choices.targets.shape)
-    for x, slot in np.argwhere(choices.applicable).tolist():
-        after = choices.targets[x, slot]
-        assert h[x, slot] == (0.0 if choices.goal[after] else choices.h[after] + 0.5 * eps[x, slot])
+    x, slot = np.nonzero(choices.applicable)
+    after = choices.targets[x, slot]
+    assert (h[x, slot][choices.goal[after]] == 0).all()
+    assert (np.isinf(h[x, slot]) == np.isinf(choices.h[after])).all()
+    mistaken = ~choices.goal[after] & np.isfinite(choices.h[after])
+    eps = h[x, slot][mistaken] - choices.h[after][mistaken]
+    assert len(np.unique(eps.round(9))) == len(eps)  # one of its own for each choice, though many lead to one state
+    assert len(np.unique(after[mistaken])) < len(eps)
+    assert abs(eps.mean()) < 4 * 0.5 / np.sqrt(len(eps))
+    assert eps.std() == pytest.approx(0.5, rel=0.15)
     np.testing.assert_array_equal(
         perceived_cost(choices, h)[choices.applicable], (choices.costs + h)[choices.applicable]
     )

@@ -42,8 +42,17 @@ def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
             Pool.sample(tiny_choices, size, seed=0)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="goal cannot be reached"):
         Pool.sample(replace(tiny_choices, h=np.full(len(tiny_choices), np.inf)), 2, seed=0)
-    with pytest.raises(TypeError, match="OnDemand: expected the cost-to-go of every state"):
-        Pool.sample(OnDemand(tiny.task), 2, seed=0)
+    for name, options in (
+        ("execute", {"setting": Setting(execute=True)}),
+        ("weights", {"population": Population(weights={"goals": (0.0, 1.0)})}),
+    ):
+        with pytest.raises(ValueError, match=f"{name}: expected a task that is looked at whole, of at most 200,000"):
+            Pool.sample(OnDemand(tiny.task), 2, seed=0, **options)  # type: ignore[arg-type]
+    large = Pool.sample(tiny, 2, seed=0, states=5)
+    with pytest.raises(ValueError, match=r"'attention-never': expected a task that is looked at whole"):
+        large.policy("attention-never")
+    with pytest.raises(ValueError, match="expected one kind"):
+        simulate(Pool.joined([large, Pool.sample(tiny, 2, seed=0)]), "none", humans=2, episodes=1, seed=0)
 
 
 @pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])

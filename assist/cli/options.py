@@ -134,6 +134,11 @@ def megabytes_option(text: str, default: float | None = None) -> Option[Any]:
     )
 
 
+def region_states_option(text: str) -> Option[Any]:
+    """Say of how many states a large task is looked at."""
+    return click.option("--region-states", type=click.IntRange(min=1), default=20_000, show_default=True, help=text)
+
+
 def max_states_option(text: str) -> Option[Any]:
     """Give the option that says which tasks are too large to be solved in every state."""
     return click.option(

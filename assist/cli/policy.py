@@ -19,6 +19,7 @@ from .options import (
     json_option,
     max_states_option,
     megabytes_option,
+    region_states_option,
     seconds_option,
 )
 from .person import person_options, person_problem
@@ -32,10 +33,7 @@ from .task import costs_of
 @seconds_option("Seconds for the search.", default=60.0)
 @megabytes_option("Memory for the task's table, and for the search.", default=2000.0)
 @max_states_option("Ask for the cost-to-go of a larger task on demand.")
-@click.option(
-    "--region-states", type=click.IntRange(min=1), default=20_000, show_default=True,
-    help="Of a larger task look at so many states, those that are met most likely.",
-)  # fmt: skip
+@region_states_option("Of a larger task look at so many states, those that are met most likely.")
 @click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
 @json_option

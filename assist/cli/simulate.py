@@ -57,9 +57,10 @@ def simulate(
         steps: list[Any] = []
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
         for name, policy in policies.items():
+            ready = made.prepared(policy)
             with progress_bar(f"simulating {name}", episodes) as advance:
                 kept |= {"episodes": episodes, "name": name, "progress": advance}
-                results.append(run(made.pool, policy, **kept, **options))
+                results.append(run(made.pool, ready, **kept, **options))
         if figure:
             shown = Illustration.of(made.pool, policy, results[-1], **options)
             style.save(episode_figure(shown.episode, shown.trace, None if name == "none" else shown.alone), figure)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,16 +11,28 @@ import click
 from planner import Instance, LimitError
 
 from .console import EXIT_FAILED, fail
-from .options import INPUT_FILE, SEED, Command, Option, Range, megabytes_option, range_option, with_options
+from .options import (
+    INPUT_FILE,
+    SEED,
+    Command,
+    Option,
+    Range,
+    max_states_option,
+    megabytes_option,
+    range_option,
+    region_states_option,
+    with_options,
+)
 from .person import model_options
 from .population import people_option, population_of, population_options, read_population
 from .progress import stages
-from .task import one_instance, table_of
+from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
     from ..people.human import Mixture, Population
     from ..team.pool import Pool
+    from ..team.state import TeamPolicy
     from ..team.travel import Travel
 
 
@@ -42,6 +55,8 @@ def team_options(command: Command) -> Command:
         ),
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
         megabytes_option("MB for policies.", default=4000.0),
+        max_states_option("Ask for the cost-to-go of a larger task on demand."),
+        region_states_option("Of a larger task work policies out on so many states, those that are met most likely."),
     )  # fmt: skip
     return with_options(command, options)
 
@@ -54,11 +69,18 @@ class Team(NamedTuple):
     pool: Pool
     travel: Travel
 
+    def prepared(self, policy: str | TeamPolicy) -> TeamPolicy:
+        """Make a policy of a name, and show how far that is."""
+        if not isinstance(policy, str):
+            return policy
+        with stages() as show:
+            return self.pool.policy(policy, self.travel, progress=partial(show, f"solving people's POMDPs, {policy}"))
+
 
 def team_of(
     instance: str, *, humans: int, size: int, seed: int, domain: str | None, distances: Path | None, beta: Range,
     theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
-    memory_limit: float, **setting: Any,
+    memory_limit: float, max_states: int, region_states: int, **setting: Any,
 ) -> Team:  # fmt: skip
     """Draw so many people and solve the POMDP of each; errors are those of a command."""
     from ..team.pool import Pool
@@ -72,14 +94,14 @@ def team_of(
     except ValueError as error:
         raise click.UsageError(f"--prior {prior}: {error}") from None
     found = one_instance(instance, domain)
+    known = costs_of(found, max_states=max_states, memory_limit_mb=None)
     with stages() as show:
-        show("solving the task", 0, 1)
-        table = table_of(found)
         try:
             travel = travel_of(chosen := Setting(**setting), humans, distances)
             pool = Pool.sample(
-                table, size, seed=seed, setting=chosen, population=population, prior=believed,
-                memory_limit_mb=memory_limit,
+                known, size, seed=seed, setting=chosen, population=population, prior=believed,
+                memory_limit_mb=memory_limit, states=region_states,
+                region=region_states if known.method == "sweep" else None,
                 progress=lambda done, total: show("solving people's POMDPs", done, total),
             )  # fmt: skip
         except LimitError as error:

@@ -7,6 +7,7 @@ from .choice_model import Weighted as Weighted
 from .choice_model import boltzmann as boltzmann
 from .choices import WAIT as WAIT
 from .choices import Choices as Choices
+from .choices import keys_of as keys_of
 from .decision import NOTHING as NOTHING
 from .decision import choice as choice
 from .decision import influence as influence
@@ -20,6 +21,7 @@ from .human import HumanModel as HumanModel
 from .human import Mixture as Mixture
 from .human import Population as Population
 from .memory import remembered as remembered
+from .misconception import Misconception as Misconception
 from .terms import NOTHING_YET as NOTHING_YET
 from .terms import TERMS as TERMS
 from .terms import Situation as Situation

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from planner import Table, Transitions
+from planner import CostToGo, Table, Transitions
 from planner.arrays import read_only
 
 T = TypeVar("T", bound=np.generic)
@@ -23,6 +23,36 @@ WAIT = -1
 
 STAND_STILL = "(wait)"
 """What it is called."""
+
+
+BLOCK = 1 << 16
+"""States whose values are unpacked at a time."""
+
+
+def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Mix the bits of numbers, shape (...): each of a result depends on all of a number's (splitmix64's finaliser)."""
+    z = numbers + np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(z ^ (z >> np.uint64(31)))
+
+
+def keys_of(known: CostToGo, states: ArrayLike) -> NDArray[np.uint64]:
+    """Give a key of states, shape (N,): a hash of their variables' values, however they are numbered.
+
+    Parameters
+    ----------
+    known : CostToGo
+        Of their task, as a table or on demand: the keys are the same.
+    states : int array, shape (N,)
+    """
+    numbers = np.asarray(states, dtype=np.int64).reshape(-1)
+    keys = np.zeros(len(numbers), dtype=np.uint64)
+    for begin in range(0, len(numbers), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        for value in known.values(numbers[block]).T:
+            keys[block] = mix(keys[block] ^ value.astype(np.uint64))
+    return keys
 
 
 def require_goal(cost: float) -> None:
@@ -67,6 +97,8 @@ class Choices:
         The names of J terms, if any are worked out.
     features : float array, shape (n, A, J), or None
         What each of them says of each choice.
+    key : uint64 array, shape (n,), or None
+        What tells the task's state of each row from others (`keys_of`). None: its number does.
     """
 
     h: NDArray[np.float64]
@@ -81,6 +113,7 @@ class Choices:
     state: NDArray[np.int64] | None = None
     terms: tuple[str, ...] | None = None
     features: NDArray[np.float64] | None = None
+    key: NDArray[np.uint64] | None = None
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -92,6 +125,7 @@ class Choices:
         return cls.arranged(
             table.h.copy(), space.goal.copy(), space.transitions, table.optimal_choices(),
             names=table.task.actions, prices=table.task.costs, initial=space.initial,
+            key=keys_of(table, np.arange(len(table))),
         )  # fmt: skip
 
     @classmethod
@@ -106,6 +140,7 @@ class Choices:
         prices: Sequence[int],
         known: NDArray[np.bool_] | None = None,
         initial: int = 0,
+        key: NDArray[np.uint64] | None = None,
     ) -> Choices:
         """Arrange compressed rows of choices, with standing still where nothing else can be done.
 
@@ -122,6 +157,7 @@ class Choices:
         known : bool array, shape (n,), optional
             Of which states the choices are known; the others have empty rows.
         initial : int
+        key : uint64 array, shape (n,), optional
         """
         counts = np.diff(rows.offsets)
         source = np.repeat(np.arange(len(h)), counts)
@@ -140,7 +176,7 @@ class Choices:
         stuck = (counts == 0) & ~goal & (True if known is None else known)
         applicable[stuck, 0] = True
         costs[stuck, 0] = 1.0
-        return cls(h, goal, applicable, actions, targets, costs, best, names, initial)
+        return cls(h, goal, applicable, actions, targets, costs, best, names, initial, key=key)
 
     def __len__(self) -> int:
         return len(self.h)
@@ -149,6 +185,11 @@ class Choices:
     def task_states(self) -> int:
         """How many states the task has."""
         return len(self) if self.state is None else int(self.state.max(initial=-1)) + 1
+
+    @property
+    def keys(self) -> NDArray[np.uint64]:
+        """What tells the task's state of each row from others, shape (n,)."""
+        return self.of_task(np.arange(self.task_states, dtype=np.uint64)) if self.key is None else self.key
 
     def task_state(self, row: int) -> int:
         """Give the task's state of a row."""

@@ -7,15 +7,13 @@ The same equations stand compiled in `compiled`.
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .choices import Choices
+from .misconception import Misconception, Noise
 
 Floats = NDArray[np.float64]
-Noise = Literal["state", "action"]
 
 NOTHING = -1
 """The suggestion slot that stands for no suggestion."""
@@ -36,16 +34,10 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
     sigma : float
         Standard deviation, in cost units.
     rng : numpy.random.Generator
+        One number is taken from it, whatever the size of the task: the person's seed (`Misconception`).
     noise : "state" or "action"
     """
-    if noise not in ("state", "action"):
-        raise ValueError(f"noise '{noise}': expected 'state' or 'action'")
-    if noise == "action":
-        after = choices.h[choices.targets]
-        eps = rng.standard_normal((choices.task_states, after.shape[1]))
-        return np.where(choices.goal[choices.targets], 0.0, after + sigma * choices.of_task(eps))
-    h = choices.h + sigma * choices.of_task(rng.standard_normal(choices.task_states))
-    return np.where(choices.goal, 0.0, h)
+    return Misconception.drawn(sigma, rng, noise).of(choices)
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:

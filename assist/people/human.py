@@ -14,7 +14,8 @@ import numpy as np
 
 from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
-from .decision import Floats, Noise, perceived_cost, perceived_cost_to_go
+from .decision import Floats, perceived_cost
+from .misconception import Misconception, Noise
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,9 @@ class Human:
         Influence of the robot at the beginning, in [0, 1].
     sigma : float
         Standard deviation of their misconception, in cost units.
-    h : float array, shape (n,) or (n, A)
-        What they take for the cost-to-go of each state, or of what each choice leads to.
+    h : float array, shape (n,) or (n, A), or Misconception
+        What they take for the cost-to-go of each state, or of what each choice leads to; or from what that follows
+        for any part of a task.
     chooses : ChoiceModel
         How they choose; the paper's unless given.
     """
@@ -38,11 +40,16 @@ class Human:
     beta: float
     theta: float
     sigma: float
-    h: Floats
+    h: Floats | Misconception
     chooses: ChoiceModel = boltzmann
 
     def __post_init__(self) -> None:
-        self.h.flags.writeable = False
+        if not isinstance(self.h, Misconception):
+            self.h.flags.writeable = False
+
+    def expects(self, choices: Choices) -> Floats:
+        """Give what they take for the cost-to-go in a task or a part of one, shape (n,) or (n, A)."""
+        return self.h.of(choices) if isinstance(self.h, Misconception) else self.h
 
     @property
     def weights(self) -> Mapping[str, float]:
@@ -51,11 +58,11 @@ class Human:
 
     def chances(self, choices: Choices) -> Floats:
         """Give the chance of each of their choices where nothing is suggested, shape (n, A)."""
-        return chances(self.chooses, choices, perceived_cost(choices, self.h), np.array([self.beta]))[0]
+        return chances(self.chooses, choices, perceived_cost(choices, self.expects(choices)), np.array([self.beta]))[0]
 
     def value(self, choices: Choices) -> Floats:
         """Give V(x), shape (n,), at which their trust looks."""
-        return value(self.chooses, choices, perceived_cost(choices, self.h))
+        return value(self.chooses, choices, perceived_cost(choices, self.expects(choices)))
 
 
 Range = tuple[float, float]
@@ -100,12 +107,16 @@ class Population:
                     f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high" + f" <= {most:g}" * (most < np.inf)
                 )
 
-    def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
-        """Draw people for a task; with weights or without, they are otherwise the same."""
+    def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
+        """Draw people for a task; with weights or without, they are otherwise the same.
+
+        Without choices they are people for any part of any task, and the same as they would be with them.
+        """
         people = []
         for _ in range(count):
             beta, theta, sigma = (float(rng.uniform(*span)) for span in (self.beta, self.theta, self.sigma))
-            h = perceived_cost_to_go(choices, sigma, rng, self.noise)
+            mistaken = Misconception.drawn(sigma, rng, self.noise)
+            h = mistaken if choices is None else mistaken.of(choices)
             people.append(Human(beta, theta, sigma, h, self._model(rng)))
         return people
 
@@ -199,8 +210,8 @@ class Mixture:
         """Give parts and shares as plain data."""
         return {"parts": [part.as_dict() for part in self.parts], "shares": self.shares}
 
-    def sample(self, choices: Choices, count: int, rng: np.random.Generator) -> list[Human]:
-        """Draw people for a task."""
+    def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
+        """Draw people for a task, or without choices for any part of any task."""
         shares = np.asarray(self.shares) / sum(self.shares)
         drawn = rng.choice(len(self.parts), size=count, p=shares)
         return [person for part in drawn for person in self.parts[part].sample(choices, 1, rng)]
@@ -251,5 +262,5 @@ class HumanModel:
         cls, choices: Choices, human: Human, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
         """Model a person whose own perceived costs are known (`knowledge="own"`, as in the paper)."""
-        q = perceived_cost(choices, human.h)
+        q = perceived_cost(choices, human.expects(choices))
         return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)

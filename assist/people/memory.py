@@ -74,6 +74,7 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
         targets=np.where(plain.applicable[to], follows[to], own[:, None]), costs=plain.costs[to],
         optimal=plain.optimal[to], initial=int(row[np.searchsorted(begins, plain.initial)]),
         state=state, terms=tuple(terms), features=edges.features(to, came),
+        key=None if plain.key is None else plain.key[to],
     )  # fmt: skip
 
 

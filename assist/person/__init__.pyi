@@ -1,5 +1,6 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
+from .estimates import Estimates as Estimates
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .pomdp import Frontier as Frontier
 from .pomdp import Policy as Policy
@@ -10,3 +11,4 @@ from .qmdp import qmdp as qmdp
 from .region import Region as Region
 from .solver import Solution as Solution
 from .solver import solve as solve
+from .visited import Visited as Visited

@@ -49,11 +49,14 @@ class Frontier:
         What some policy gets at least, for each theta and whatever beta is.
     upper : float array, shape (m,)
         What no policy exceeds.
+    floor : float, optional
+        What every policy gets at least that says nothing any more.
     """
 
     states: NDArray[np.int64]
     lower: Floats
     upper: Floats
+    floor: float | None = None
 
     def __post_init__(self) -> None:
         for array in (self.states, self.lower, self.upper):

@@ -14,7 +14,10 @@ below 1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13
 
 from __future__ import annotations
 
+import math
 import os
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +38,9 @@ ROUNDING = 1e-12
 EACH = np.int64(-1)  # a number, not a literal, for which numba would compile once more
 
 DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
+
+SECONDS_BETWEEN = 0.2
+"""Seconds between two calls of `progress`, at least."""
 
 
 def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
@@ -96,7 +102,13 @@ class QMDP:
 
 
 def qmdp(
-    pomdp: AssistPOMDP, *, above: Floats | None = None, tolerance: float = 1e-6, max_sweeps: int = 100_000
+    pomdp: AssistPOMDP,
+    *,
+    above: Floats | None = None,
+    tolerance: float = 1e-6,
+    max_sweeps: int = 100_000,
+    deadline: float = math.inf,
+    progress: Callable[[float], None] | None = None,
 ) -> QMDP:
     """Compute the QMDP policy.
 
@@ -109,14 +121,34 @@ def qmdp(
         Largest error of any value, in cost units.
     max_sweeps : int
         Sweeps over all states at the most.
+    deadline : float
+        A time on `time.perf_counter()`'s clock after which no sweep begins. Every sweep leaves upper bounds, so that
+        those that there are by then hold.
+    progress : callable, optional
+        Called after some sweeps with the largest error that a value may still have, in cost units.
 
     Raises
     ------
     RuntimeError
         The values had not converged after `max_sweeps`.
     """
-    # Costs are positive, so that 0 is an upper bound, and remains one in every sweep; in a dead end each step to
-    # come costs at least what the cheapest choice in any of them does.
+    value = highest(pomdp)
+    if above is not None:
+        value = np.minimum(value, above)
+    converged = improve(
+        pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress
+    )  # fmt: skip
+    if not converged and time.perf_counter() < deadline:
+        raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
+    return ahead(pomdp, value)
+
+
+def highest(pomdp: AssistPOMDP) -> Floats:
+    """Give upper bounds from which values are worked out, shape (n, B, T): those of final states are their values.
+
+    Costs are positive, so that 0 is an upper bound, and remains one in every sweep; in a dead end each step to come
+    costs at least what the cheapest choice in any of them does.
+    """
     choices = pomdp.model.choices
     value = np.zeros((len(choices), *pomdp.grid.shape))
     dead = np.isinf(choices.h) & ~pomdp.final
@@ -126,15 +158,42 @@ def qmdp(
         beyond = np.isinf(choices.h[pomdp.frontier.states])
         value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
         value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
-    if above is not None:
-        value = np.minimum(value, above)
-    arrays, order = Arrays.of(pomdp), sweep_order(pomdp)
-    if not _converge(value, order, np.full(len(value), -1), arrays, tolerance, max_sweeps):
-        raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
+    return value
+
+
+def improve(
+    pomdp: AssistPOMDP,
+    value: Floats,
+    *,
+    tolerance: float,
+    max_sweeps: int = 100_000,
+    deadline: float = math.inf,
+    progress: Callable[[float], None] | None = None,
+) -> bool:
+    """Sweep over values, shape (n, B, T), in place, and tell whether they have converged; arguments as in `qmdp`.
+
+    Those of final states stay as they are.
+    """
+    return _converge(
+        value, sweep_order(pomdp), np.full(len(value), -1), Arrays.of(pomdp), tolerance, max_sweeps, deadline, progress
+    )  # fmt: skip
+
+
+def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
+    """Look one step ahead: give the policy that takes values, shape (n, B, T), for what follows.
+
+    Parameters
+    ----------
+    pomdp : AssistPOMDP
+    value : float array, shape (n, B, T)
+    states : int array, optional
+        Where it will be asked; everywhere unless given. Final states are left aside.
+    """
+    order = sweep_order(pomdp) if states is None else states[~pomdp.final[states]]
     betas, thetas = pomdp.grid.shape
     q = np.full((len(value), betas, pomdp.suggested.shape[1], thetas), -np.inf)
     q[pomdp.final, :, 0] = value[pomdp.final]
-    _q_values(q, value, read_only(order), arrays)
+    _q_values(q, value, read_only(order), Arrays.of(pomdp))
     q = np.ascontiguousarray(q.transpose(0, 2, 1, 3))
     return QMDP(pomdp, value, q)
 
@@ -207,20 +266,33 @@ def sweep_order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
 
 
 def _converge(
-    value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], arrays: Arrays, tolerance: float, sweeps: int
+    value: Floats,
+    order: NDArray[np.int64],
+    robot: NDArray[np.int64],
+    arrays: Arrays,
+    tolerance: float,
+    sweeps: int,
+    deadline: float = math.inf,
+    progress: Callable[[float], None] | None = None,
 ) -> bool:
     """Sweep until no value's error exceeds the tolerance, and tell whether that was reached.
 
     Each beta by itself, since some take much longer, and several at a time.
     """
     order, robot = read_only(order), read_only(robot)
+    errors = np.full(value.shape[1], math.inf)
+    last = time.perf_counter()
 
     def one(b: int) -> bool:
-        residual, left = np.inf, sweeps
-        while residual * arrays.gamma / (1 - arrays.gamma) > tolerance and left:
-            residual = _sweep(value, order, robot, b, arrays)
+        nonlocal last
+        left = sweeps
+        while errors[b] > tolerance and left and (now := time.perf_counter()) < deadline:
+            errors[b] = _sweep(value, order, robot, b, arrays) * arrays.gamma / (1 - arrays.gamma)
             left -= 1
-        return bool(residual * arrays.gamma / (1 - arrays.gamma) <= tolerance)
+            if progress is not None and now > last + SECONDS_BETWEEN:
+                last = now
+                progress(float(errors.max()))
+        return bool(errors[b] <= tolerance)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none

@@ -21,12 +21,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, Table, Transitions, optimal_choices
 
 from ..people.belief import Grid
-from ..people.choices import Choices
+from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
 from ..people.human import HumanModel, Mixture, Population
 from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
@@ -123,27 +123,23 @@ class Region:
         lower, upper = self._bounds(grid, model, gamma, c_suggest)
         return AssistPOMDP.of(
             model, grid=grid, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-            frontier=Frontier(self.frontier, lower, upper),
+            frontier=Frontier(self.frontier, lower, upper, self._floor(gamma)),
         )  # fmt: skip
+
+    def _floor(self, gamma: float) -> float:
+        """Give what everybody gets at least whose robot says nothing: no step costs more than the dearest."""
+        return -float(max(*self.known.task.costs, 1)) / (1 - gamma)
 
     def _bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> tuple[Floats, Floats]:
         """Bound the value on the frontier: shapes (m, T) and (m,).
 
-        Above: let every choice cost between `cheap` and `dear`, standing still among them, and
-        F(h) = K (1 - gamma^(h / dear)) with K = cheap / (1 - gamma). A choice of cost c leads to h' >= h - c, and
-
-            c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0
-
-        so that, F being 0 at goals, no less than F(h) is paid, whatever person and robot do; in dead ends no less than
-        K. Where actions are free, cheap is 0 and so is the bound: nothing keeps people from going round for nothing.
-
-        Below: `_advised` for states that have a way to the goal. In dead ends the robot can be silent for ever, and no
-        step costs more than `dear`.
+        Above: `never_erring`. Below: `_advised` for states that have a way to the goal. In dead ends the robot can be
+        silent for ever, and no step costs more than `dear`.
         """
         costs = np.unique(np.append(self.known.task.costs, 1))  # standing still costs 1
-        cheap, dear = float(costs[0]), float(costs[-1])
+        dear = float(costs[-1])
         h = self.choices.h[self.frontier]
-        upper = -cheap * -np.expm1(h / dear * np.log(gamma)) / (1 - gamma)
+        upper = never_erring(h, costs, gamma)
         floor = -(dear + c_suggest) / (1 - gamma)
         lower = np.full((len(h), len(grid.theta)), floor)
         survey = _Survey.of(self.known, self.choices)
@@ -153,6 +149,30 @@ class Region:
             lower[reached] = levels[h[reached].astype(np.int64)]
         lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot is silent
         return lower, upper
+
+
+def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
+    """Bound from above what anybody gets from states on, whatever person and robot do, shape (N,).
+
+    Let every choice cost between `cheap` and `dear`, standing still among them, and
+    F(h) = K (1 - gamma^(h / dear)) with K = cheap / (1 - gamma). A choice of cost c leads to h' >= h - c, and
+
+        c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0
+
+    so that, F being 0 at goals, no less than F(h) is paid; in dead ends no less than K. Nothing is said of the person:
+    it holds for anybody, known or not. Where actions are free, cheap is 0 and so is the bound: nothing keeps people
+    from going round for nothing.
+
+    Parameters
+    ----------
+    h : float array, shape (N,)
+        Exact cost-to-go.
+    costs : array
+        Of the task's actions.
+    gamma : float
+    """
+    prices = np.append(np.asarray(costs, dtype=np.float64), 1.0)  # standing still costs 1
+    return np.asarray(prices.min() * np.expm1(h / prices.max() * np.log(gamma)) / (1 - gamma))
 
 
 @dataclass(frozen=True)
@@ -313,5 +333,8 @@ class _Growth:
         rows = Transitions(offsets, actions, targets)
         optimal = optimal_choices(self.known, states, Transitions(offsets, actions, states[targets]))
         task = self.known.task
-        choices = Choices.arranged(h, goal, rows, optimal, names=task.actions, prices=task.costs, known=looked)
+        choices = Choices.arranged(
+            h, goal, rows, optimal, names=task.actions, prices=task.costs, known=looked,
+            key=keys_of(self.known, states),
+        )  # fmt: skip
         return Region(self.known, choices, states, np.flatnonzero(~looked & ~goal))

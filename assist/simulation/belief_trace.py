@@ -15,8 +15,8 @@ from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .episodes import Episode, Trace
+from .ground import World
 from .presence import Presence
-from .run import World
 from .simulate import simulate
 
 

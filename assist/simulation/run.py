@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +10,14 @@ from numpy.typing import NDArray
 from planner.storage import finite
 
 from ..people.decision import NOTHING, Floats
-from ..person.qmdp import Arrays, read_only
 from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
-from .dynamics import Minds, People, act
+from .dynamics import People, act
 from .episodes import Episodes, Trace
+from .ground import Ground, Group, View, Whole, Wide, World
 from .luck import Luck
 from .presence import Presence
-
-World = Literal["people", "model"]
 
 
 class Run:
@@ -50,9 +46,7 @@ class Run:
         # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
         self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
-        self.groups = {number: group_of(number) for number in np.unique(self.model).tolist()}
-        # Each person is of one group, and has row 0 in the others.
-        self.who = np.sum([group.row for group in self.groups.values()], axis=0)[self.people]
+        self.mind = np.zeros(shape, dtype=np.int64)
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
@@ -60,7 +54,9 @@ class Run:
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
-        self.x = np.array([pool.choices(number).initial for number in range(len(pool.people))])[self.people]
+        known = self.model, self.people, self.mind
+        self.ground: Ground = Wide(pool, world, *known) if pool.wide else Whole(pool, group_of, world, *known)
+        self.x = self.ground.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
         self.erred = np.zeros(shape, dtype=bool)
@@ -84,7 +80,7 @@ class Run:
             cell = np.searchsorted(np.cumsum(solved.pomdp.prior.ravel()), drawn[rows], side="right")
             last = int(np.flatnonzero(solved.pomdp.prior.ravel())[-1])
             b, t = np.divmod(np.minimum(cell, last), len(grid.theta))
-            self.who[rows], self.beta[rows], self.theta[rows] = b, grid.beta[b], grid.theta[t]
+            self.mind[rows], self.beta[rows], self.theta[rows] = b, grid.beta[b], grid.theta[t]
 
     def run(self) -> Episodes:
         """Step until all have finished or the limit is reached."""
@@ -108,9 +104,11 @@ class Run:
         )  # fmt: skip
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
-        robot, charged = self._robot(step, running, active)
         flat = np.flatnonzero(active)
-        before = self.x.copy() if self.trace is not None else self.x
+        view = self.ground.view(self.x, flat, deep=self.belief is not None)
+        robot, charged = self._robot(step, running, active, view)
+        view = self.ground.heard(view, robot)
+        before = view.x.copy() if self.trace is not None else view.x
         theta_before = self.theta.copy() if self.trace is not None else self.theta
         slot, spent = np.full(self.x.size, NOTHING), np.zeros(self.x.size)
         luck = np.empty((*self.x.shape, 2))
@@ -119,13 +117,15 @@ class Run:
         # Views: people are changed in place.
         belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
         people = People(
-            x=self.x.reshape(-1), robot=robot.reshape(-1), who=self.who.reshape(-1), theta=self.theta.reshape(-1),
+            x=view.x.reshape(-1), robot=robot.reshape(-1), who=view.who.reshape(-1), theta=self.theta.reshape(-1),
             luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent, erred=self.erred.reshape(-1),
         )  # fmt: skip
-        for number, rows in by_model(self.model.reshape(-1), flat, len(self.pool.policies)):
-            group = self.groups[number]
+        for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
+            group = view.groups[number]
             act(rows, people, group.minds, group.arrays)
-            self.finished.reshape(-1)[rows] = group.arrays.goal[self.x.reshape(-1)[rows]]
+            to = view.x.reshape(-1)[rows]
+            self.finished.reshape(-1)[rows] = group.arrays.goal[to]
+            self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
         cost = spent.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
@@ -133,10 +133,10 @@ class Run:
         self.costs += cost
         self.steps[running] += 1
         if self.trace is not None:
-            self._record(self.trace, step, flat, before, robot, slot, theta_before, reward)
+            self._record(self.trace, step, flat, view, before, robot, slot, theta_before, reward)
 
     def _robot(
-        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]
+        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: View
     ) -> tuple[NDArray[np.int64], Floats]:
         """Ask the policy, and give what the robot does to each person and what that costs, both of shape (N, K)."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
@@ -145,9 +145,9 @@ class Run:
             return robot, charged
         every = slice(None) if len(free) == len(self.x) else free
         team = TeamState(
-            step=step, x=self.x[every], active=active[every], erred=self.erred[every],
-            location=self.location[every], model=self.model[every],
-            belief=None if self.belief is None else _rows(self.belief, every), policies=self.pool.policies,
+            step=step, x=view.x[every], active=active[every], erred=self.erred[every],
+            location=self.location[every], model=view.model[every],
+            belief=None if self.belief is None else _rows(self.belief, every), policies=view.policies,
             travel=self.travel,
         )  # fmt: skip
         action = self.policy(team)
@@ -163,9 +163,9 @@ class Run:
         self.moves[teams] += origin != to
         self.location[teams] = to
         robot[teams, to] = does
-        for number, rows in by_model(self.model[teams, to], np.flatnonzero(does > 0), len(self.pool.policies)):
+        for number, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
-            charged[at] += self.groups[number].arrays.robot_costs[self.x[at], does[rows]]
+            charged[at] += view.groups[number].arrays.robot_costs[view.x[at], does[rows]]
         self.helped[teams, to] += does > 0
         return robot, charged
 
@@ -174,6 +174,7 @@ class Run:
         trace: Trace,
         step: int,
         flat: NDArray[np.int64],
+        view: View,
         before: NDArray[np.int64],
         robot: NDArray[np.int64],
         slot: NDArray[np.int64],
@@ -182,7 +183,7 @@ class Run:
     ) -> None:
         for i in flat:
             e, k = divmod(int(i), self.x.shape[1])
-            pomdp = self.pool.policies[self.model[e, k]].pomdp
+            pomdp = view.policies[view.model[e, k]].pomdp
             choices, x, r = pomdp.model.choices, int(before[e, k]), int(robot[e, k])
             suggested = int(pomdp.suggested[x, r])
             place = int(pomdp.afterstate[x, r])
@@ -199,47 +200,11 @@ class Run:
                 "robot_place": int(self.location[e]) if there else None,
                 "cost": float(choices.costs[place, slot[i]]) if slot[i] >= 0 else 0.0,
                 "cost_to_go": finite(choices.h[x]),
-                "cost_to_go_after": finite(choices.h[self.x[e, k]]),
+                "cost_to_go_after": finite(choices.h[view.x[e, k]]),
                 "theta": float(theta_before[e, k]),
                 "reward": float(reward[e, k]),
             }
             trace.append(row)
-
-
-@dataclass(frozen=True)
-class Group:
-    """The people of one model, as compiled code reads them.
-
-    Attributes
-    ----------
-    arrays : Arrays
-        Their problem.
-    minds : Minds
-        How they choose: of each of them, or in the model's world of each beta of the grid.
-    row : int array, shape (people,)
-        Where each of the pool's people is in `minds`; 0 for those of other models.
-    """
-
-    arrays: Arrays
-    minds: Minds
-    row: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, pool: Pool, number: int, world: World) -> Group:
-        """Work out how the people of a model choose."""
-        pomdp = pool.policies[number].pomdp
-        model, choices = pomdp.model, pomdp.model.choices
-        own = np.flatnonzero(pool.model == number)
-        row = np.zeros(len(pool.people), dtype=np.int64)
-        on_grid = world == "model"
-        if on_grid:  # trust moves as the problem says
-            p, value, lapse = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)), model.lapse
-        else:
-            p = np.array([pool.people[i].chances(choices) for i in own])
-            value, lapse = np.array([pool.people[i].value(choices) for i in own]), 0.0
-            row[own] = np.arange(len(own))
-        minds = Minds(p, value, read_only(choices.h), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
-        return cls(Arrays.of(pomdp), minds, row)
 
 
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:

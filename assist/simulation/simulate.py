@@ -22,9 +22,10 @@ from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .episodes import Episodes, Trace
+from .ground import Group, World
 from .luck import BLOCK
 from .presence import Presence
-from .run import Group, Run, World
+from .run import Run
 
 TOGETHER = 16_384
 """People who are simulated at a time: what is known of them should stay in the processor's cache."""
@@ -107,7 +108,11 @@ def simulate(
     together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace is in order
     luck = entropy(seed)
-    group_of = cache(lambda number: Group.of(pool, number, world))
+    if pool.wide:
+        jobs = 1  # what has been met grows under one hand
+    group_of = cache(
+        lambda number: Group.of(pool, pool.policies[number].pomdp, np.flatnonzero(pool.model == number), world)
+    )
 
     def run(start: int) -> Episodes:
         chunk = slice(start, start + together)

@@ -10,19 +10,24 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from planner import Instance
+import numpy as np
+
+from planner import CostToGo, Instance, Table
 
 from ..people.choices import Choices
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
+from ..person.pomdp import Frontier
+from ..person.problem import is_whole
 from ..person.qmdp import qmdp
+from ..person.visited import Visited
 from ..simulation.episodes import Episodes
 from ..simulation.simulate import simulate
 from ..team.policies import OwnPolicy
 from ..team.pool import Pool
 from ..team.state import PolicyError, TeamPolicy
 from .study import OWN, Cell, Study, StudyError
-from .tasks import table_of
+from .tasks import costs_of
 
 MOST_EPISODES = 100_000_000
 TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
@@ -37,9 +42,11 @@ def pool_of(study: Study, cell: Cell) -> Pool:
     cell : Cell
     """
     population, prior = _people(study, cell)
+    task = _task_of(study, cell)
+    whole = isinstance(task, Choices)
     return Pool.sample(
-        _choices_of(study, cell), study.pool, seed=study.luck(cell.repeat), setting=study.setting(cell),
-        population=population, solver=partial(qmdp, tolerance=TOLERANCE), prior=prior,
+        task, study.pool, seed=study.luck(cell.repeat), setting=study.setting(cell),
+        population=population, prior=prior, solver=partial(qmdp, tolerance=TOLERANCE) if whole else qmdp,
     )  # fmt: skip
 
 
@@ -88,7 +95,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
         now = time.perf_counter()
         seconds[what], start = seconds.get(what, 0.0) + now - start, now
 
-    _choices_of(study, cell)
+    _task_of(study, cell)
     lap("cost-to-go")
     pool = pool_of(study, cell)
     lap("people's POMDPs")
@@ -139,16 +146,26 @@ def _people(study: Study, cell: Cell) -> tuple[Population | Mixture, Population 
     return population, population if cell.prior == OWN else populations[cell.prior]
 
 
-def _choices_of(study: Study, cell: Cell) -> Choices:
-    """Give a cell's task with the terms that its people look at."""
+def _task_of(study: Study, cell: Cell) -> CostToGo | Choices:
+    """Give a cell's task, with the terms that its people look at."""
     names = dict.fromkeys(name for people in _people(study, cell) for name in people.weights)
-    return _choices(dict(study.instances)[cell.instance], tuple(names))
+    return _task(dict(study.instances)[cell.instance], tuple(names))
 
 
 @cache  # cells of one task follow one another in a process
-def _choices(instance: Instance, names: tuple[str, ...] = ()) -> Choices:
-    """Read and solve a task, once in each process for each set of terms."""
-    return choices_of(table_of(instance), names)
+def _task(instance: Instance, names: tuple[str, ...] = ()) -> CostToGo | Choices:
+    """Read and solve a task, once in each process for each set of terms; small ones are looked at whole."""
+    known = costs_of(instance)
+    return choices_of(known, names) if isinstance(known, Table) and (names or is_whole(known)) else known
+
+
+def _part(task: CostToGo | Choices) -> tuple[Choices, Frontier | None]:
+    """Give a part of a task to try a setting on."""
+    if isinstance(task, Choices):
+        return task, None
+    region = Visited(task).around(np.array([task.initial]))
+    bound = np.zeros(len(region.frontier))
+    return region.choices, Frontier(region.frontier, np.zeros((len(bound), 2)), bound)
 
 
 @cache
@@ -172,7 +189,7 @@ def check(study: Study) -> None:
     if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > MOST_EPISODES:
         raise StudyError(f"{study.file}: {episodes:.3g} episodes; at most {MOST_EPISODES:,} are carried out")
     for _, files in study.instances:
-        _choices(files)
+        _task(files)
     for _, (file, name) in study.own_policies:
         try:
             _own(file, name)
@@ -182,7 +199,8 @@ def check(study: Study) -> None:
         for label, setting in condition.settings:
             for name in condition.instances:
                 try:
-                    setting.problem(_choices(dict(study.instances)[name]), None, Population())
+                    choices, frontier = _part(_task(dict(study.instances)[name]))
+                    setting.problem(choices, None, Population(), frontier=frontier)
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
                     raise StudyError(f"{study.file}: {place}: {error}") from None

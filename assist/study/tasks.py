@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from planner import Instance, LimitError, Table, load, sweep
+from collections.abc import Callable
+from typing import TypeVar
+
+from planner import Cache, CostToGo, Instance, LimitError, Table, cost_to_go, load, sweep
 
 from ..people.choices import require_goal
-from ..team.pool import SIMULATED_STATES
 from .study import StudyError
+
+Known = TypeVar("Known", bound=CostToGo)
+
+
+LOOKED_AT_WHOLE = 200_000
+"""The largest task that is looked at whole where nothing else will do."""
 
 
 def table_of(instance: Instance) -> Table:
-    """Read and solve a task that people are to be simulated on.
+    """Read and solve a task that has to be looked at whole.
 
     Raises
     ------
@@ -19,13 +27,33 @@ def table_of(instance: Instance) -> Table:
     planner.PDDLError
     """
     try:
-        table = sweep(load(instance), max_states=SIMULATED_STATES)
+        table = sweep(load(instance), max_states=LOOKED_AT_WHOLE)
     except LimitError as error:
-        raise StudyError(
-            f"{instance}: {error}; people are simulated on tasks of up to {SIMULATED_STATES:,} states"
-        ) from None
+        raise StudyError(f"{instance}: {error}; expected a task of up to {LOOKED_AT_WHOLE:,} states") from None
+    return _solvable(instance, table)
+
+
+def costs_of(instance: Instance, *, progress: Callable[[str, int, int | None], None] | None = None) -> CostToGo:
+    """Read and solve a task that people are to be simulated on; one that cannot be swept is asked on demand.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Of the sweep.
+
+    Raises
+    ------
+    StudyError
+        Its goal cannot be reached.
+    planner.PDDLError
+    """
+    task = load(instance)
+    return _solvable(instance, cost_to_go(task, cache=Cache(task), progress=progress))
+
+
+def _solvable(instance: Instance, known: Known) -> Known:
     try:
-        require_goal(table[table.initial])
+        require_goal(float(known.lookup([known.initial])[0]))
     except ValueError as error:
         raise StudyError(f"{instance}: {error}") from None
-    return table
+    return known

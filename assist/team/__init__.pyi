@@ -15,3 +15,4 @@ from .state import TeamPolicy as TeamPolicy
 from .state import TeamState as TeamState
 from .subproblem import Visits as Visits
 from .travel import Travel as Travel
+from .wide import WidePolicy as WidePolicy

@@ -6,22 +6,29 @@ wrong in it is reported as a `PolicyError` with its file and line, since it is n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..people import own
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
-from .priority import Priority
+from .priority import Priority, WidePriority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
+from .wide import WidePolicy
 
 POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
 """The names that `named` knows."""
 
 
-def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
+def named(
+    name: str,
+    policies: Sequence[Policy],
+    travel: Travel,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> TeamPolicy:
     """Make a team policy by its name.
 
     Parameters
@@ -33,21 +40,36 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
         For the people by themselves.
     travel : Travel
         The way between them.
+    progress : callable, optional
+        Called with how many people's problems have been solved for it, and of how many, on tasks of any size: others
+        have been before.
 
     Raises
     ------
     ValueError
-        Another name.
+        Another name, or one that needs to look at the whole task.
     """
     if name == "none":
         return NoAssistance()
     if name == "reactive":
         return Reactive()
+    wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
     if name == "attention":
+        for done, policy in enumerate(wide):
+            if progress is not None:
+                progress(done, len(wide))
+            policy.alone()
         return AttentionSwitching()
     if name == "attention-never":
+        if wide:
+            raise ValueError(
+                f"policy {name!r}: expected a task that is looked at whole, and this one is too large: it has "
+                f"{len(wide[0].ground.known):,} states or more"
+            )
         return AttentionSwitching.against_never(policies)
     if name == "priority":
+        if wide:
+            return WidePriority.of(wide, travel, progress=progress)
         return Priority.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; expected one of {', '.join(POLICIES)}, or a function")
 

@@ -8,21 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, LimitError, Table
+from planner import CostToGo, LimitError
 
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import AssistPOMDP, Policy
+from ..person.problem import WHOLE, is_whole
 from ..person.qmdp import qmdp
 from .arguments import Seed, entropy, positive, whole
 from .policies import named
 from .settings import Setting
 from .state import TeamPolicy
 from .travel import Travel
+from .wide import Ground, WidePolicy
 
-SIMULATED_STATES = 200_000
-"""The largest task on which the command line simulates people."""
+LARGEST = 200_000
+"""The largest task that is looked at whole because something is asked for that needs it."""
 
 MEMORY_LIMIT_MB = 4000.0
 """What people's policies may take, unless more is allowed."""
@@ -62,9 +64,10 @@ class Pool:
             if policy.pomdp.gamma != self.setting.gamma:
                 raise ValueError(f"gamma {policy.pomdp.gamma:g}: expected that of the setting, {self.setting.gamma:g}")
         for number, human in enumerate(self.people):
-            if len(human.h) != len(self.choices(number)):
+            expected = human.expects(self.choices(number))
+            if len(expected) != len(self.choices(number)):
                 raise ValueError(
-                    f"person {number}: perceived costs-to-go of {len(human.h)} states, and the task has "
+                    f"person {number}: perceived costs-to-go of {len(expected)} states, and the task has "
                     f"{len(self.choices(number))}"
                 )
         self.model.flags.writeable = False
@@ -82,13 +85,18 @@ class Pool:
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
         memory_limit_mb: float = MEMORY_LIMIT_MB,
         progress: Callable[[int, int], None] | None = None,
+        states: int = WHOLE,
+        region: int | None = None,
     ) -> Pool:
         """Draw people from a population and solve the POMDP of each.
 
+        Of a task with many states, or one that is asked on demand, only those are looked at to which people come
+        (`WidePolicy`). Their problems are solved when a policy needs it (`Pool.policy`).
+
         Parameters
         ----------
-        table : Table or Choices
-            The cost-to-go of every state of their task.
+        table : CostToGo or Choices
+            The cost-to-go of their task, as a table or on demand; choices are looked at whole, however many.
         size : int
         seed : int or Generator
         setting : Setting, optional
@@ -105,11 +113,17 @@ class Pool:
             What QMDP's policies of all may take, in megabytes; it is known before anything is allocated.
         progress : callable, optional
             Called with how many POMDPs have been solved, and of how many, at the beginning and after each.
+        states : int
+            Tables of at most so many states are looked at whole; of at most `LARGEST` where people remember what they
+            did, actions are executed or a solver is given.
+        region : int, optional
+            States that policies are worked out on where the task is not; `assist.team.wide.REGION` unless given.
 
         Raises
         ------
         ValueError
-            What cannot be, such as a task whose goal cannot be reached.
+            What cannot be, such as a task whose goal cannot be reached, or one that would have to be looked at whole
+            and is too large.
         LimitError
             People's policies would take more memory than is allowed.
         """
@@ -118,11 +132,18 @@ class Pool:
         population = population or Population()
         prior = prior or population
         models = size if setting.knowledge == "own" else 1
-        if not isinstance(table, Table | Choices):
-            raise TypeError(
-                f"{type(table).__name__}: expected the cost-to-go of every state (a Table, or Choices), since people "
-                "may come to any of them"
-            )
+        rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
+        needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
+        if not isinstance(table, Choices) and not is_whole(table, LARGEST if any(needed.values()) else states):
+            for name, given in needed.items():
+                if given:
+                    raise ValueError(f"{name}: expected a task that is looked at whole, of at most {LARGEST:,} states")
+            require_goal(float(table.lookup([table.initial])[0]))
+            everybody = population.sample(None, size, rng)
+            ground = Ground(table, prior, region)
+            them = everybody if setting.knowledge == "own" else [None]
+            wide = tuple(WidePolicy(ground, setting, human) for human in them)
+            return cls(setting, tuple(everybody), wide, np.arange(size) if models > 1 else np.zeros(size, np.int64))
         _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
         choices = choices_of(table, (*population.weights, *prior.weights))
         require_goal(choices.h[choices.initial])
@@ -132,7 +153,6 @@ class Pool:
         _allow(one, len(choices), models, memory_limit_mb)
         tell = progress or (lambda *_: None)
         tell(0, models)
-        rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
         policies = []
@@ -155,11 +175,25 @@ class Pool:
             np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
         )
 
+    @property
+    def wide(self) -> bool:
+        """Whether the task is not looked at whole."""
+        kinds = {isinstance(policy, WidePolicy) for policy in self.policies}
+        if len(kinds) > 1:
+            raise ValueError("pools of tasks that are looked at whole and of others: expected one kind")
+        return kinds.pop()
+
     def choices(self, person: int) -> Choices:
         """Give the task of a person."""
         return self.policies[self.model[person]].pomdp.model.choices
 
-    def policy(self, name: str, travel: Travel | None = None) -> TeamPolicy:
+    def policy(
+        self,
+        name: str,
+        travel: Travel | None = None,
+        *,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> TeamPolicy:
         """Make a team policy by its name.
 
         Parameters
@@ -168,9 +202,11 @@ class Pool:
             One of `POLICIES`.
         travel : Travel, optional
             The way between people, if it is not that of the setting.
+        progress : callable, optional
+            As in `named`.
         """
         # As all places are equally far, two stand for any number.
-        return named(name, self.policies, travel or self.setting.travel(2))
+        return named(name, self.policies, travel or self.setting.travel(2), progress=progress)
 
 
 def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:

@@ -8,8 +8,8 @@ a worth of its own, and a way that takes time is looked at to its end.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,17 @@ from ..person.qmdp import qmdp
 from .state import NOBODY, TeamAction, TeamState
 from .subproblem import HERE, Visits
 from .travel import Travel
+from .wide import Around, WidePolicy
 
 PRICE = 0.15
 """What a step of the robot's attention will be worth to others: this share of the cheapest action's cost."""
+
+
+def coming(travel: Travel) -> tuple[float, int, int]:
+    """Give what coming costs on average, how many steps it takes, and how many from the farthest place."""
+    way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
+    entry = travel.c_move * float(travel.distance[:, :-1][way].mean())
+    return entry, round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
 
 
 @dataclass(frozen=True)
@@ -69,13 +77,9 @@ class Priority:
         if price is None:
             tasks = [policy.pomdp.model.choices for policy in policies]
             price = PRICE * min(float(task.costs[task.applicable].min()) for task in tasks)
-        way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
-        entry = travel.c_move * float(travel.distance[:, :-1][way].mean())
-        steps, longest = round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
+        entry, steps, longest = coming(travel)
         visits = [Visits.of(policy.pomdp, entry, steps, longest=longest) for policy in policies]
-        solved = [
-            qmdp(replace(each.pomdp, robot_costs=each.pomdp.robot_costs + price * each.attended())) for each in visits
-        ]
+        solved = [qmdp(each.at_price(price)) for each in visits]
         states = tuple(np.stack([each.states(0, position) for position in range(2 + longest)]) for each in visits)
         return cls(tuple(visits), tuple(solved), states, price)
 
@@ -114,3 +118,61 @@ class Priority:
             holding[e[with_them]] = gain[with_them, 1]
         shape = team.x.shape
         return robot.reshape(shape), going.reshape(shape) - team.to(), holding
+
+
+@dataclass(frozen=True)
+class WidePriority:
+    """The same on tasks of any size: what presence is worth is looked up in a region, and one step ahead of it.
+
+    Attributes
+    ----------
+    entry : float
+        What coming costs.
+    entry_steps, longest : int
+        How many steps it takes, and how many at most.
+    price : float
+        As in `Priority`.
+    """
+
+    entry: float
+    entry_steps: int
+    longest: int
+    price: float
+    uses_belief = True
+
+    @classmethod
+    def of(
+        cls,
+        policies: Sequence[WidePolicy],
+        travel: Travel,
+        price: float | None = None,
+        *,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> WidePriority:
+        """Work it out for people, each by themselves; arguments as in `Priority.of`.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with how many people's problems have been solved, and of how many.
+        """
+        if price is None:
+            price = PRICE * min(min(policy.ground.known.task.costs, default=1) for policy in policies)
+        made = cls(*coming(travel), price)
+        for done, policy in enumerate(policies):
+            if progress is not None:
+                progress(done, len(policies))
+            policy.visited(made.entry, made.entry_steps, made.longest, price)
+        return made
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Choose the person with whom to be, in every team."""
+        visits, policies, states = [], [], []
+        for around in team.policies:
+            if not isinstance(around, Around):
+                raise TypeError(f"{type(around).__name__}: this policy is for people on a task of any size (`Around`)")
+            one, policy = around.visits(self.entry, self.entry_steps, self.longest, self.price)
+            visits.append(one)
+            policies.append(policy)
+            states.append(np.stack([one.states(0, position) for position in range(one.layout.positions)]))
+        return Priority(tuple(visits), tuple(policies), tuple(states), self.price)(team)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from ..people.belief import Grid
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Mixture, Population
-from ..person.pomdp import AssistPOMDP, Suggestions
+from ..person.pomdp import AssistPOMDP, Frontier, Suggestions
 from .arguments import whole
 from .travel import Travel
 
@@ -73,10 +73,18 @@ class Setting:
         """Give the way between so many people; `distance` as in `Travel.of`."""
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
-    def problem(self, choices: Choices, human: Human | None, population: Population | Mixture) -> AssistPOMDP:
+    def problem(
+        self,
+        choices: Choices,
+        human: Human | None,
+        population: Population | Mixture,
+        *,
+        frontier: Frontier | None = None,
+    ) -> AssistPOMDP:
         """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task.
 
-        Of somebody whose perceived costs are known, the weights are, too, if people of that population have any.
+        With a frontier the choices are a part of a task's, and break off there. Of somebody whose perceived costs are
+        known, the weights are, too, if people of that population have any.
         """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
@@ -84,5 +92,5 @@ class Setting:
         return AssistPOMDP.of(
             model, chooses=chooses, grid=Grid.regular(population),
             population=population, gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions,
-            execute=self.execute, c_execute=self.c_execute,
+            execute=self.execute, c_execute=self.c_execute, frontier=frontier,
         )  # fmt: skip

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..person.pomdp import AssistPOMDP
+from ..person.pomdp import AssistPOMDP, Frontier
 
 AWAY, HERE = 0, 1
 """Positions of the robot. At HERE + s it is on its way, and here after s more steps."""
@@ -194,8 +194,6 @@ class Visits:
         longest : int, optional
             So many steps away there are states, though nothing leads to them if that is more than `entry_steps`.
         """
-        if alone.frontier is not None:
-            raise ValueError("visits: expected a problem of all states, and this one breaks off at a frontier")
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
         layout = Layout.of(alone, positions, len(price))
@@ -203,7 +201,7 @@ class Visits:
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
-        count = np.where(choices.goal, 1, moves.count(position, alone.robot_actions[x]))
+        count = np.where(alone.final[x], 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
         row, meant = x[:, None], moves.meant[position]
         afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
@@ -218,7 +216,8 @@ class Visits:
             unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
-            order=_order(choices, layout),
+            order=_order(choices, layout, alone.final[x]),
+            frontier=_frontier(alone, layout, price, entry),
         )
         free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
         return free.priced(price) if len(price) else free
@@ -227,7 +226,12 @@ class Visits:
         """Give the same problem with other prices, of the same steps."""
         more = np.append(price - self.price, 0.0)[self.layout.step]
         costs = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
-        return replace(self, pomdp=replace(self.pomdp, robot_costs=costs), price=price)
+        frontier = _frontier(self.alone, self.layout, price, self.entry)
+        return replace(self, pomdp=replace(self.pomdp, robot_costs=costs, frontier=frontier), price=price)
+
+    def at_price(self, price: float) -> AssistPOMDP:
+        """Give the problem with a price that is the same at all steps, on top of others."""
+        return replace(self.pomdp, robot_costs=self.pomdp.robot_costs + price * self.attended())
 
     def attended(self) -> NDArray[np.bool_]:
         """Tell which robot actions take its attention, shape (m, R)."""
@@ -251,6 +255,7 @@ def _choices(alone: Choices, layout: Layout) -> Choices:
         state=None,
         terms=None,
         features=None,
+        key=None if alone.key is None else alone.key[x],
         h=alone.h[x],
         goal=alone.goal[x],
         applicable=alone.applicable[x],
@@ -262,7 +267,31 @@ def _choices(alone: Choices, layout: Layout) -> Choices:
     )
 
 
-def _order(choices: Choices, layout: Layout) -> NDArray[np.int64]:
+def _order(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Order the states that are not final: what comes later is worked out first, then what is nearer to the goal."""
     order = np.lexsort((choices.h, -layout.step))
-    return order[~choices.goal[order]]
+    return order[~final[order]]
+
+
+def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -> Frontier | None:
+    """Give the frontier of a problem of visits where that of the person alone has one: at every step and position.
+
+    Above: no policy gets more than with a robot that is always there, whose presence costs nothing. Below: a robot that
+    is here can stay and do as the one that is always there does, at no more than what all prices to come add up to; one
+    that is away can come first, if that takes no time. Else it can leave when it is there, and stay away, and the worst
+    happens.
+    """
+    if alone.frontier is None:
+        return None
+    place = np.full(layout.states, -1)
+    place[alone.frontier.states] = np.arange(len(alone.frontier.states))
+    states = np.flatnonzero(place[layout.x] >= 0)
+    at = place[layout.x[states]]
+    paid = np.append(np.cumsum((price * alone.gamma ** np.arange(len(price)))[::-1])[::-1], 0.0)
+    paid = (paid / alone.gamma ** np.arange(len(paid)))[layout.step[states]]
+    position = layout.position[states]
+    lower = alone.frontier.lower[at] - (paid + entry * (position == AWAY))[:, None]
+    if layout.positions > 2:
+        floor = -np.inf if alone.frontier.floor is None else alone.frontier.floor
+        lower[position != HERE] = floor - paid[position != HERE, None]
+    return Frontier(states, np.minimum(lower, 0.0), alone.frontier.upper[at])

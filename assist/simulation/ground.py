@@ -1,0 +1,211 @@
+"""What simulated people stand on: their tasks as a whole, or in each step the little of it that the step needs.
+
+Of a task that is looked at whole everything is worked out once, and the rows of its arrays name its states. Of one that
+is not (`team.wide`) the problem around those states in which people are is made in every step, and forgotten: nothing
+but what has been looked up remains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..people.choice_model import chances, value
+from ..people.choices import Choices
+from ..people.decision import NOTHING, Floats, perceived_cost
+from ..people.human import Human
+from ..person.pomdp import AssistPOMDP, Policy
+from ..person.qmdp import Arrays, read_only
+from ..team.pool import Pool
+from ..team.state import by_model
+from ..team.wide import Around, WidePolicy
+from .dynamics import Minds
+
+World = Literal["people", "model"]
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Group:
+    """The people of one model, as compiled code reads them.
+
+    Attributes
+    ----------
+    arrays : Arrays
+        Their problem.
+    minds : Minds
+        How they choose: of each of them, or in the model's world of each beta of the grid.
+    people : int array
+        Who they are, in the order of `minds`.
+    row : int array, shape (people,)
+        Where each of the pool's people is in `minds`; 0 for those who are not.
+    states : int array, shape (n,), or None
+        The task's states of the problem's rows; None if they are the rows.
+    """
+
+    arrays: Arrays
+    minds: Minds
+    people: Ints
+    row: Ints
+    states: Ints | None = None
+
+    @classmethod
+    def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> Group:
+        """Work out how some people of a model choose.
+
+        Parameters
+        ----------
+        pool : Pool
+        pomdp : AssistPOMDP
+            The model's problem, on the task or a part of it.
+        own : int array
+            Who they are.
+        world : World
+        states : int array, shape (n,), optional
+        """
+        model, choices = pomdp.model, pomdp.model.choices
+        row = np.zeros(len(pool.people), dtype=np.int64)
+        on_grid = world == "model"
+        if on_grid:  # trust moves as the problem says
+            p, v, lapse = np.ascontiguousarray(np.moveaxis(pomdp.chosen, 2, 0)), np.empty((0, 0)), model.lapse
+        else:
+            minds = [_mind(pool.people[i], choices) for i in own.tolist()]
+            p, v, lapse = np.array([mind[0] for mind in minds]), np.array([mind[1] for mind in minds]), 0.0
+            row[own] = np.arange(len(own))
+        made = Minds(p, v, read_only(choices.h), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
+        return cls(Arrays.of(pomdp), made, own, row, states)
+
+
+def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats]:
+    """Give the chance of each choice of a person, shape (n, A), and what their trust looks at, shape (n,)."""
+    q = perceived_cost(choices, human.expects(choices))
+    return chances(human.chooses, choices, q, np.array([human.beta]))[0], value(human.chooses, choices, q)
+
+
+@dataclass(frozen=True)
+class View:
+    """Everybody in one step, as team policies and compiled code see them; arrays of shape (N, K).
+
+    Attributes
+    ----------
+    policies : sequence of Policy
+    groups : mapping of int to Group
+        By the numbers of policies.
+    x : int array
+        The row of each person in their policy's problem.
+    model : int array
+        Whose policy each person's is.
+    who : int array
+        The row of each person in their group's `Minds`.
+    """
+
+    policies: Sequence[Policy]
+    groups: Mapping[int, Group]
+    x: Ints
+    model: Ints
+    who: Ints
+
+
+class Ground(Protocol):
+    """Either of the two, for a number of episodes."""
+
+    @property
+    def initial(self) -> Ints:
+        """The state in which each person begins, shape (N, K)."""
+        ...
+
+    def view(self, x: Ints, active: Ints, *, deep: bool) -> View:
+        """Look at everybody.
+
+        Parameters
+        ----------
+        x : int array, shape (N, K)
+            The state of each person.
+        active : int array
+            Who acts: places in `x` if it were flat.
+        deep : bool
+            Whether it has to be known what every suggestion would do to trust.
+        """
+        ...
+
+    def heard(self, view: View, robot: Ints) -> View:
+        """Give the view in which it is known what suggestions do to trust, robot actions being of shape (N, K)."""
+        ...
+
+
+class Whole:
+    """Tasks that are looked at whole.
+
+    Parameters
+    ----------
+    pool : Pool
+    group_of : callable
+        Gives the group of a model.
+    world : World
+    model, people, mind : int arrays, shape (N, K)
+        Each person's model and number in the pool, and in the model's world their beta's.
+    """
+
+    def __init__(
+        self, pool: Pool, group_of: Callable[[int], Group], world: World, model: Ints, people: Ints, mind: Ints
+    ) -> None:
+        self.initial = np.array([pool.choices(number).initial for number in range(len(pool.people))])[people]
+        groups = {number: group_of(number) for number in np.unique(model).tolist()}
+        # Each person is of one group, and has row 0 in the others.
+        who = mind if world == "model" else np.sum([group.row for group in groups.values()], axis=0)[people]
+        self._view = View(pool.policies, groups, self.initial, model, who)
+
+    def view(self, x: Ints, active: Ints, *, deep: bool) -> View:  # noqa: ARG002
+        """Give what there is; states are rows."""
+        return replace(self._view, x=x)
+
+    def heard(self, view: View, robot: Ints) -> View:  # noqa: ARG002
+        """Give the same: all is known."""
+        return view
+
+
+class Wide:
+    """Tasks that are not; parameters as of `Whole`."""
+
+    def __init__(self, pool: Pool, world: World, model: Ints, people: Ints, mind: Ints) -> None:
+        self.pool, self.world = pool, world
+        self.policies = [policy for policy in pool.policies if isinstance(policy, WidePolicy)]
+        self.model, self.people, self.mind = model, people, mind
+        self.initial = np.array([policy.ground.known.initial for policy in self.policies])[model]
+
+    def view(self, x: Ints, active: Ints, *, deep: bool) -> View:
+        """Make the problem around everybody who acts."""
+        arounds: list[Around] = []
+        groups: dict[int, Group] = {}
+        rows, models, who = np.zeros((3, x.size), dtype=np.int64)
+        for number, flat in by_model(self.model.reshape(-1), active, len(self.policies)):
+            states, rows[flat] = np.unique(x.reshape(-1)[flat], return_inverse=True)
+            around = self.policies[number].around(states, deep=deep)
+            people = self.people.reshape(-1)[flat]
+            group = Group.of(self.pool, around.pomdp, np.unique(people), self.world, around.region.states)
+            models[flat] = len(arounds)
+            who[flat] = self.mind.reshape(-1)[flat] if self.world == "model" else group.row[people]
+            groups[len(arounds)] = group
+            arounds.append(around)
+        return View(arounds, groups, rows.reshape(x.shape), models.reshape(x.shape), who.reshape(x.shape))
+
+    def heard(self, view: View, robot: Ints) -> View:
+        """Look at the states to which people are advised to go."""
+        groups, policies = dict(view.groups), list(view.policies)
+        for number, flat in by_model(view.model.reshape(-1), np.flatnonzero(robot), len(policies)):
+            around = policies[number]
+            if not isinstance(around, Around) or around.deep:
+                continue
+            x, choices = view.x.reshape(-1)[flat], around.pomdp.model.choices
+            slot = around.pomdp.suggested[x, robot.reshape(-1)[flat]]
+            then = around.region.states[choices.targets[x, slot][slot != NOTHING]]
+            again = around.wide.around(around.region.states[: around.count], then=then)
+            own = groups[number].people
+            groups[number] = Group.of(self.pool, again.pomdp, own, self.world, again.region.states)
+            policies[number] = again
+        return replace(view, groups=groups, policies=policies)

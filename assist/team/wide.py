@@ -1,0 +1,189 @@
+"""One person's policy on a task of any size.
+
+A task of millions of states, or one that is only asked on demand, has no room for what a policy keeps of each of them.
+A `WidePolicy` is worked out on the states that are met most likely from the initial one on (a `Region`), and looks one
+step ahead from wherever somebody is: exactly, with the person's misconceptions there, on values that are those of the
+region inside it and estimates by the exact cost-to-go outside (`person.estimates`). So it suggests optimal actions
+where the person would err anywhere in the task, and forgets about states as soon as they are left.
+
+What the next step needs of the states in which people are is a problem of its own (`Around`), which breaks off at once:
+its arrays have a row for each of these states and for those that come next. Team policies see the people in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo
+
+from ..people.decision import Floats
+from ..people.human import Human, Mixture, Population
+from ..person.estimates import Estimates
+from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.qmdp import QMDP, ahead
+from ..person.region import Region, never_erring
+from ..person.visited import NONE, Visited
+from .settings import Setting
+from .subproblem import Visits
+
+REGION = {"sweep": 20_000, "on-demand": 200}
+"""States that a policy is worked out on, by how the task's cost-to-go is come by."""
+
+Tell = Callable[[float], None]
+
+
+class Ground:
+    """A task that people of one pool share: what has been met of it, and the region that most of them stay in.
+
+    Parameters
+    ----------
+    known : CostToGo
+    prior : Population or Mixture
+        From whom the robot takes people to be drawn.
+    size : int, optional
+        States of the region; `REGION` unless given.
+    """
+
+    def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
+        self.known, self.prior, self.size = known, prior, size or REGION[known.method]
+        self.visited = Visited(known)
+
+    @cached_property
+    def region(self) -> Region:
+        """The states that are met most likely from the initial one on."""
+        return Region.of(self.known, states=self.size, population=self.prior)
+
+
+@dataclass(frozen=True, eq=False)
+class WidePolicy:
+    """One person's policy on a task of any size; states are named as the task's cost-to-go names them.
+
+    Attributes
+    ----------
+    ground : Ground
+    setting : Setting
+    human : Human or None
+        The person, as far as the robot knows what they are mistaken about; None: it knows the task only.
+    """
+
+    ground: Ground
+    setting: Setting
+    human: Human | None = None
+    solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def pomdp(self) -> AssistPOMDP:
+        """The problem around the initial state: that is its state 0."""
+        return self.around(np.array([self.ground.known.initial])).pomdp
+
+    def problem(self, region: Region, frontier: Frontier | None = None) -> AssistPOMDP:
+        """Set up the problem on a part of the task; the frontier's values are bounds unless given."""
+        if frontier is None:
+            h = region.choices.h[region.frontier]
+            upper = never_erring(h, self.ground.known.task.costs, self.setting.gamma)
+            lower = np.full((len(h), 2), -np.inf)
+            frontier = Frontier(region.frontier, lower, upper)
+        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=frontier)
+
+    def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> Around:
+        """Give the problem of the next step of people in some states; arguments as in `Visited.around`."""
+        optimal = self.setting.suggestions == "optimal"
+        region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
+        return Around(self, self.problem(region), region, len(states), deep)
+
+    def alone(self, progress: Tell | None = None) -> Estimates:
+        """Give what the person's problem is worth with a robot that is always there; worked out once."""
+        if () not in self.solved:
+            region = self.ground.region
+            self.solved[()] = Estimates.of(self.problem(region), region, progress=progress)
+        return self.solved[()]
+
+    def visited(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:
+        """Give what it is worth with a robot that comes and goes, for each position; worked out once.
+
+        Parameters
+        ----------
+        entry, entry_steps, longest
+            As in `Visits.of`.
+        price : float
+            What each step of attention costs.
+        """
+        key = (entry, entry_steps, longest, price)
+        if key not in self.solved:
+            region = self.ground.region
+            visits = Visits.of(self.problem(region), entry, entry_steps, longest=longest)
+            rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
+            self.solved[key] = Estimates.of(visits.at_price(price), region, rows)
+        return self.solved[key]
+
+    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each robot action, shape (N, R); minus infinity in padding."""
+        return self.around(x, deep=True).q_values(np.arange(len(x)), belief)
+
+    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each person's problem, shape (N,)."""
+        return np.asarray(self.q_values(x, belief).max(axis=1))
+
+    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
+        """Give the best robot action for each person, shape (N,)."""
+        return np.asarray(self.q_values(x, belief).argmax(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """The problem of the next step of people in some states, and the policy there; itself a `Policy`.
+
+    Attributes
+    ----------
+    wide : WidePolicy
+        Where it is from.
+    pomdp : AssistPOMDP
+        Its first `count` states are those in which people are, and what it says of others is for their sake.
+    region : Region
+        The task's states.
+    count : int
+    deep : bool
+        Whether it is known what every suggestion in them would do to trust.
+    """
+
+    wide: WidePolicy
+    pomdp: AssistPOMDP
+    region: Region
+    count: int
+    deep: bool
+
+    @cached_property
+    def _policy(self) -> QMDP:
+        estimates = self.wide.alone()
+        value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
+        return self._ahead(self.pomdp, value, np.arange(self.count))
+
+    def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[Visits, QMDP]:
+        """Give the problem with a robot that comes and goes, and the policy there; arguments as in `WidePolicy`."""
+        estimates = self.wide.visited(entry, entry_steps, longest, price)
+        visits = Visits.of(self.pomdp, entry, entry_steps, longest=longest)
+        layout = visits.layout
+        value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
+        here = np.flatnonzero(layout.x < self.count)
+        return visits, self._ahead(visits.at_price(price), value, here)
+
+    def _ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
+        value[pomdp.model.choices.goal] = 0.0
+        return ahead(pomdp, value, states)
+
+    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each robot action, shape (N, R), for people in rows `x`."""
+        return self._policy.q_values(x, belief)
+
+    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each person's problem, shape (N,)."""
+        return np.asarray(self.q_values(x, belief).max(axis=1))
+
+    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
+        """Give the best robot action for each person, shape (N,)."""
+        return self._policy.choose(x, belief)

@@ -1,0 +1,91 @@
+"""Tasks of any size: what is looked up step by step gives what is worked out at once, where both can be done."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import KITTING, table_of
+
+from assist.people.human import Population
+from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.state import TeamAction, TeamState
+from planner import CostToGo, Instance, OnDemand, Table
+
+EVERYTHING = 10**6  # states of a region
+
+
+def episodes(known: CostToGo, policy: Any, *, states: int, world: Any = "people", **options: Any) -> Episodes:
+    sample = {name: options.pop(name) for name in ("setting", "population", "region") if name in options}
+    pool = Pool.sample(known, 3, seed=1, states=states, **sample)
+    return simulate(pool, policy, humans=2, episodes=8, seed=2, world=world, **options)
+
+
+def assert_same(one: Episodes, other: Episodes) -> None:
+    for name in ("people", "actions", "costs", "helped", "moves", "steps", "discounted_return"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), name)
+    assert one.actions.sum() > 8 * 2  # people did something
+
+
+def weakest(team: TeamState) -> TeamAction:
+    """Be with who is farthest from the goal, as one's own policy may."""
+    return team.act(np.where(team.active, team.cost_to_go(), -1).argmax(axis=1), team.first_optimal())
+
+
+@pytest.mark.parametrize(
+    ("policy", "options"),
+    [
+        ("none", {}),
+        ("reactive", {}),
+        ("attention", {}),
+        ("priority", {}),
+        (weakest, {}),
+        ("attention", {"setting": Setting(knowledge="exact", c_suggest=0.2)}),
+        ("priority", {"setting": Setting(c_suggest=0.2, travel_time=2)}),
+        ("attention", {"setting": Setting(c_suggest=0.2, suggestions="all"), "population": Population(noise="action")}),
+        ("reactive", {"world": "model"}),
+        ("priority", {"world": "model"}),
+    ],
+)
+@pytest.mark.parametrize("task", ["sealed", "costs/ways"])
+def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dict[str, Any]) -> None:
+    """The same people with the same luck do the same, in tasks with dead ends and with actions that cost nothing."""
+    table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+    whole = episodes(table, policy, states=len(table), **options)
+    assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
+
+
+def test_a_trace_names_the_same_actions(tiny: Table) -> None:
+    traces: list[Trace] = [[], []]
+    for trace, states in zip(traces, (len(tiny), 1), strict=True):
+        episodes(tiny, "attention", states=states, trace=trace, setting=Setting(c_suggest=0.2), region=EVERYTHING)
+    assert traces[0] == traces[1]
+    assert {row["suggestion"] is None for row in traces[0]} == {True, False}
+
+
+def test_a_task_that_is_asked_on_demand(tiny: Table) -> None:
+    asked = OnDemand(tiny.task)
+    assert_same(episodes(tiny, "reactive", states=len(tiny)), episodes(asked, "reactive", states=0))
+
+
+def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> None:
+    """Worked out on a twentieth of the states it is hardly worse, and better than to do without."""
+    setting = Setting(c_suggest=0.2)
+    whole = Pool.sample(fixed, 2, seed=3, setting=setting)
+    part = Pool.sample(fixed, 2, seed=3, setting=setting, states=0, region=40)
+    returns = {
+        (name, policy): simulate(pool, policy, humans=2, episodes=200, seed=4).discounted_return
+        for name, pool in (("whole", whole), ("part", part))
+        for policy in ("none", "attention", "priority")
+    }
+    np.testing.assert_array_equal(returns["whole", "none"], returns["part", "none"])
+    for policy in ("attention", "priority"):
+        gained = (returns["whole", policy] - returns["whole", "none"]).mean()
+        assert (returns["part", policy] - returns["whole", "none"]).mean() > 0.8 * gained > 0
+    (ground,) = {policy.ground for policy in part.policies}  # type: ignore[attr-defined]
+    assert len(ground.region.frontier) > 0
+    assert len(ground.visited) < len(fixed)
