@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
+from assist.certify.bound import TeamBound, upper_bound
 from assist.people.human import Population
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.simulate import simulate
@@ -87,5 +88,26 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
         gained = (returns["whole", policy] - returns["whole", "none"]).mean()
         assert (returns["part", policy] - returns["whole", "none"]).mean() > 0.8 * gained > 0
     (ground,) = {policy.ground for policy in part.policies}  # type: ignore[attr-defined]
-    assert len(ground.region.frontier) > 0
+    assert all(len(policy.region.frontier) > 0 for policy in part.policies)  # type: ignore[attr-defined]
     assert len(ground.visited) < len(fixed)
+
+
+@pytest.mark.parametrize("knowledge", ["own", "exact"])
+def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table, knowledge: Any) -> None:
+    """With a region of one state, some, and all; what is known of the whole task is never above it."""
+    setting = Setting(knowledge=knowledge, c_suggest=0.2)
+
+    def bound(**part: int) -> TeamBound:
+        pool = Pool.sample(tiny, 2, seed=3, setting=setting, **part)
+        return upper_bound(pool, window=3, gap=1e-4, seed=1)
+
+    whole = bound()
+    parts = [bound(states=0, region=region) for region in (1, 6, EVERYTHING)]
+    assert parts[2].upper == pytest.approx(whole.upper, rel=1e-3)
+    assert parts[0].upper > parts[1].upper > whole.upper - whole.slack
+    assert parts[0].upper - whole.upper > 0.3  # as if nobody erred
+    certificate = parts[1].certify("priority", episodes=500)
+    assert certificate.value == pytest.approx(whole.certify("priority", episodes=500).value, rel=0.05)
+    assert certificate.value < parts[1].upper
+    with pytest.raises(ValueError, match="relaxed: expected a task that is looked at whole"):
+        parts[1].relaxed()

@@ -97,6 +97,8 @@ class TeamBound:
         The best policies there get no less and the bound no more than `upper`: what of a certificate's gap is below
         this mean is not the solver's but the relaxation's and the policy's.
         """
+        if self.pool.wide:
+            raise ValueError("relaxed: expected a task that is looked at whole")
         episodes, luck = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
         total, variance = float(self.price @ gamma ** np.arange(len(self.price))), 0.0

@@ -17,6 +17,7 @@ import numpy as np
 from planner import LimitError
 
 from ..people.decision import Floats
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
@@ -26,6 +27,7 @@ from ..team.pool import Pool, policy_bytes
 from ..team.state import TeamAction, TeamState
 from ..team.subproblem import HERE, Layout, Visits
 from ..team.travel import Travel
+from ..team.wide import WidePolicy
 
 ROUNDS = 40
 """Times that prices are changed. The last half's mean is taken."""
@@ -126,7 +128,7 @@ def kinds_of(
     kinds = []
     for done, ((model, entry, entry_steps), count) in enumerate(members.items()):
         tell("setting people's problems up", done, len(members))
-        alone = pool.policies[model].pomdp
+        alone = _alone(pool, model)
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
         visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
@@ -134,11 +136,20 @@ def kinds_of(
     return kinds
 
 
+def _alone(pool: Pool, model: int) -> AssistPOMDP:
+    """Give the problem of a model with a robot that is always there: on its region, if the task is not looked at whole.
+
+    Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
+    """
+    policy = pool.policies[model]
+    return policy.problem(policy.region) if isinstance(policy, WidePolicy) else policy.pomdp
+
+
 def _allow(pool: Pool, kinds: list[tuple[int, float, int]], window: int, limit_mb: float) -> None:
     """Refuse problems that would not fit the memory."""
     needed, states = 0.0, 0
     for model, _, entry_steps in kinds:
-        alone = pool.policies[model].pomdp
+        alone = _alone(pool, model)
         states = len(Layout.of(alone, 2 + entry_steps, window))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)

@@ -28,7 +28,7 @@ from planner import CostToGo, Table, Transitions, optimal_choices
 from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
-from ..people.human import HumanModel, Mixture, Population
+from ..people.human import Human, HumanModel, Mixture, Population
 from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
@@ -68,6 +68,7 @@ class Region:
         start: int | None = None,
         states: int = 20_000,
         population: Population | Mixture | None = None,
+        human: Human | None = None,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> Region:
@@ -82,13 +83,15 @@ class Region:
             How many to look beyond at the most; the frontier comes on top.
         population : Population or Mixture, optional
             Of whom the person is one.
+        human : Human, optional
+            The person, where it is known what they are mistaken about: the region is where that leads them.
         time_limit : float, optional
             Stop collecting after so many seconds.
         progress : callable, optional
             Called with how many states have been looked at since the last call.
         """
         start = known.initial if start is None else start
-        growth = _Growth(known, Grid.regular(population or Population()).beta, start)
+        growth = _Growth(known, Grid.regular(population or Population()).beta, start, human)
         begun = time.monotonic()
         while growth.expanded < states and (time_limit is None or time.monotonic() - begun < time_limit):
             done = growth.step(min(BATCH[known.method], states - growth.expanded))
@@ -120,18 +123,23 @@ class Region:
         check_costs(gamma, c_suggest=c_suggest)
         grid = grid or Grid.regular(population or Population())
         model = HumanModel.exact(self.choices, eta=eta, lapse=lapse, utility_scale=utility_scale)
-        lower, upper = self._bounds(grid, model, gamma, c_suggest)
         return AssistPOMDP.of(
             model, grid=grid, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-            frontier=Frontier(self.frontier, lower, upper, self._floor(gamma)),
+            frontier=self.bounds(grid, model, gamma, c_suggest),
         )  # fmt: skip
 
-    def _floor(self, gamma: float) -> float:
-        """Give what everybody gets at least whose robot says nothing: no step costs more than the dearest."""
-        return -float(max(*self.known.task.costs, 1)) / (1 - gamma)
+    def bounds_of_anybody(self, gamma: float, thetas: int) -> Frontier:
+        """Bound the value on the frontier, for so many values of theta, whatever the person is mistaken about.
 
-    def _bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> tuple[Floats, Floats]:
-        """Bound the value on the frontier: shapes (m, T) and (m,).
+        Above: `never_erring`. Below: the robot says nothing, and no step costs more than the dearest.
+        """
+        costs = np.append(self.known.task.costs, 1)  # standing still costs 1
+        upper = never_erring(self.choices.h[self.frontier], costs, gamma)
+        floor = -float(costs.max()) / (1 - gamma)
+        return Frontier(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
+
+    def bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> Frontier:
+        """Bound the value on the frontier of somebody who is not mistaken, or of whom that is not known.
 
         Above: `never_erring`. Below: `_advised` for states that have a way to the goal. In dead ends the robot can be
         silent for ever, and no step costs more than `dear`.
@@ -139,7 +147,7 @@ class Region:
         costs = np.unique(np.append(self.known.task.costs, 1))  # standing still costs 1
         dear = float(costs[-1])
         h = self.choices.h[self.frontier]
-        upper = never_erring(h, costs, gamma)
+        anybody = self.bounds_of_anybody(gamma, len(grid.theta))
         floor = -(dear + c_suggest) / (1 - gamma)
         lower = np.full((len(h), len(grid.theta)), floor)
         survey = _Survey.of(self.known, self.choices)
@@ -148,7 +156,7 @@ class Region:
             reached = np.isfinite(h)
             lower[reached] = levels[h[reached].astype(np.int64)]
         lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot is silent
-        return lower, upper
+        return Frontier(self.frontier, lower, anybody.upper, anybody.floor)
 
 
 def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
@@ -262,8 +270,8 @@ def _advised(
 class _Growth:
     """A region while it grows: the state that is met most likely comes next."""
 
-    def __init__(self, known: CostToGo, betas: Floats, start: int) -> None:
-        self.known, self.betas = known, betas
+    def __init__(self, known: CostToGo, betas: Floats, start: int, human: Human | None) -> None:
+        self.known, self.betas, self.human = known, betas, human
         self.cost = np.array(known.task.costs, dtype=float)
         self.number: dict[int, int] = {}
         self.states: list[int] = []
@@ -311,14 +319,27 @@ class _Growth:
         applicable = np.zeros(q.shape, dtype=bool)
         q[source, slot] = self.cost[actions] + after
         applicable[source, slot] = True
-        alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
         best = q == q.min(axis=1, keepdims=True)
+        if self.human is not None:
+            q[source, slot] = self.cost[actions] + self._expected(targets, after)
+        alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
         weight = np.array(list(batch.values()))[source] * np.where(best, ADVISED, alone)[source, slot]
         local = self._meet(targets, weight)
         for at, begin, end in zip(batch, offsets[:-1], offsets[1:], strict=True):
             self.rows[at] = actions[begin:end], local[begin:end]
         self.expanded += len(batch)
         return len(batch)
+
+    def _expected(self, targets: NDArray[np.int64], after: Floats) -> Floats:
+        """Give what the person takes for the cost-to-go of states, shape (N,), that it is of, shape (N,)."""
+        ends = np.zeros((len(targets), 1), dtype=np.int64)
+        nowhere = Choices(
+            after, self.known.is_goal(targets), ends > 0, ends, ends, np.zeros(ends.shape), ends > 0, (),
+            key=keys_of(self.known, targets),
+        )  # fmt: skip
+        assert self.human is not None
+        expected = self.human.expects(nowhere)
+        return expected if expected.ndim == 1 else after  # about single actions nobody is mistaken in the same way
 
     def region(self) -> Region:
         """Arrange what has been collected."""

@@ -54,6 +54,11 @@ class Group:
     row: Ints
     states: Ints | None = None
 
+    @property
+    def ends(self) -> NDArray[np.bool_]:
+        """Where episodes end, shape (n,): nothing is known of what follows where a whole problem breaks off."""
+        return self.arrays.final if self.states is None else self.arrays.goal
+
     @classmethod
     def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> Group:
         """Work out how some people of a model choose.

@@ -124,7 +124,7 @@ class Run:
             group = view.groups[number]
             act(rows, people, group.minds, group.arrays)
             to = view.x.reshape(-1)[rows]
-            self.finished.reshape(-1)[rows] = group.arrays.goal[to]
+            self.finished.reshape(-1)[rows] = group.ends[to]
             self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
         cost = spent.reshape(self.x.shape)
         reward = -charged - cost

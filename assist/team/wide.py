@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.estimates import Estimates
 from ..person.pomdp import AssistPOMDP, Frontier
 from ..person.qmdp import QMDP, ahead
-from ..person.region import Region, never_erring
+from ..person.region import Region
 from ..person.visited import NONE, Visited
 from .settings import Setting
 from .subproblem import Visits
@@ -38,7 +39,7 @@ Tell = Callable[[float], None]
 
 
 class Ground:
-    """A task that people of one pool share: what has been met of it, and the region that most of them stay in.
+    """A task that people of one pool share, and what has been met of it.
 
     Parameters
     ----------
@@ -46,17 +47,12 @@ class Ground:
     prior : Population or Mixture
         From whom the robot takes people to be drawn.
     size : int, optional
-        States of the region; `REGION` unless given.
+        States of each person's region; `REGION` unless given.
     """
 
     def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
         self.known, self.prior, self.size = known, prior, size or REGION[known.method]
         self.visited = Visited(known)
-
-    @cached_property
-    def region(self) -> Region:
-        """The states that are met most likely from the initial one on."""
-        return Region.of(self.known, states=self.size, population=self.prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +77,23 @@ class WidePolicy:
         """The problem around the initial state: that is its state 0."""
         return self.around(np.array([self.ground.known.initial])).pomdp
 
-    def problem(self, region: Region, frontier: Frontier | None = None) -> AssistPOMDP:
-        """Set up the problem on a part of the task; the frontier's values are bounds unless given."""
-        if frontier is None:
-            h = region.choices.h[region.frontier]
-            upper = never_erring(h, self.ground.known.task.costs, self.setting.gamma)
-            lower = np.full((len(h), 2), -np.inf)
-            frontier = Frontier(region.frontier, lower, upper)
-        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=frontier)
+    @cached_property
+    def region(self) -> Region:
+        """The states that the person most likely meets from the initial one on."""
+        ground = self.ground
+        return Region.of(ground.known, states=ground.size, population=ground.prior, human=self.human)
+
+    def problem(self, region: Region) -> AssistPOMDP:
+        """Set up the problem on a part of the task, with bounds that hold for the whole where it breaks off."""
+        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=self._bounds(region))
+
+    def _bounds(self, region: Region) -> Frontier:
+        return region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The values of beta and theta that the robot distinguishes."""
+        return Grid.regular(self.ground.prior)
 
     def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> Around:
         """Give the problem of the next step of people in some states; arguments as in `Visited.around`."""
@@ -99,7 +104,7 @@ class WidePolicy:
     def alone(self, progress: Tell | None = None) -> Estimates:
         """Give what the person's problem is worth with a robot that is always there; worked out once."""
         if () not in self.solved:
-            region = self.ground.region
+            region = self.region
             self.solved[()] = Estimates.of(self.problem(region), region, progress=progress)
         return self.solved[()]
 
@@ -115,7 +120,7 @@ class WidePolicy:
         """
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
-            region = self.ground.region
+            region = self.region
             visits = Visits.of(self.problem(region), entry, entry_steps, longest=longest)
             rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
             self.solved[key] = Estimates.of(visits.at_price(price), region, rows)
