@@ -22,8 +22,8 @@ from planner.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Mixture, Population
+from ..simulation.ground import World
 from ..simulation.luck import Luck
-from ..simulation.run import World
 from ..team.pool import Pool
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState

@@ -10,8 +10,8 @@ import numpy as np
 from planner.errors import MissingExtraError
 
 from ..people.human import Mixture, Population
+from ..simulation.ground import World
 from ..simulation.luck import Luck
-from ..simulation.run import World
 from ..team.pool import Pool
 from ..team.settings import Setting
 from .teams import Sight, Teams, pool_of

@@ -19,8 +19,8 @@ from planner import load, sweep
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population
 from ..simulation.dynamics import People, act
-from ..simulation.run import Group, World
-from ..team.pool import SIMULATED_STATES, Pool
+from ..simulation.ground import Group, World
+from ..team.pool import LARGEST, Pool
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
@@ -36,8 +36,8 @@ def pool_of(
     """Draw the people of environments: of a task by its file or name; a pool that is there already stays as it is."""
     if isinstance(instance, Pool):
         return instance
-    table = sweep(load(instance), max_states=SIMULATED_STATES)
-    return Pool.sample(table, size, seed=seed, setting=setting, population=population)
+    table = sweep(load(instance), max_states=LARGEST)
+    return Pool.sample(table, size, seed=seed, setting=setting, population=population, states=LARGEST)
 
 
 class Teams:
@@ -63,9 +63,11 @@ class Teams:
         world: World = "people",
         filters: bool = True,
     ) -> None:
+        if pool.wide:
+            raise ValueError("pool: expected people on a task that is looked at whole (Pool.sample, `states`)")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
-        self.groups = {number: Group.of(pool, number, world) for number in range(len(pool.policies))}
+        self.groups = {number: Group.of_model(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
         self._initial = np.array([one.initial for one in choices])

@@ -60,6 +60,11 @@ class Group:
         return self.arrays.final if self.states is None else self.arrays.goal
 
     @classmethod
+    def of_model(cls, pool: Pool, number: int, world: World) -> Group:
+        """Work out how all people of a model choose in a task that is looked at whole."""
+        return cls.of(pool, pool.policies[number].pomdp, np.flatnonzero(pool.model == number), world)
+
+    @classmethod
     def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> Group:
         """Work out how some people of a model choose.
 

@@ -110,9 +110,7 @@ def simulate(
     luck = entropy(seed)
     if pool.wide:
         jobs = 1  # what has been met grows under one hand
-    group_of = cache(
-        lambda number: Group.of(pool, pool.policies[number].pomdp, np.flatnonzero(pool.model == number), world)
-    )
+    group_of = cache(lambda number: Group.of_model(pool, number, world))
 
     def run(start: int) -> Episodes:
         chunk = slice(start, start + together)
