@@ -92,10 +92,9 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     assert len(ground.visited) < len(fixed)
 
 
-@pytest.mark.parametrize("knowledge", ["own", "exact"])
-def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table, knowledge: Any) -> None:
+def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table) -> None:
     """With a region of one state, some, and all; what is known of the whole task is never above it."""
-    setting = Setting(knowledge=knowledge, c_suggest=0.2)
+    setting = Setting(c_suggest=0.2)
 
     def bound(**part: int) -> TeamBound:
         pool = Pool.sample(tiny, 2, seed=3, setting=setting, **part)
