@@ -20,6 +20,7 @@ BENCH = Path(__file__).resolve().parent
 # For each script and its commands: how it runs by default, and its smallest case.
 CASES = {
     "cost_to_go": ("", "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist"),
+    "environments": ("", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),
     "fit misconceptions": ("--people 2", "--people 1 --instance kitting/tiny --episodes 2"),

@@ -6,9 +6,11 @@ import json
 import tomllib
 from pathlib import Path
 
+import click
 import pytest
 from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
+from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, instance, load
 from planner.shipped import listed
 
@@ -60,3 +62,16 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     cited = (ROOT / "CITATION.cff").read_text().splitlines()
     assert f"version: {project['version']}" in cited
     assert f"license: {project['license']}" in cited
+
+
+def test_the_container_serves_without_rights_with_options_that_there_are() -> None:
+    lines = (ROOT / "Containerfile").read_text().splitlines()
+    user, command = (next(line for line in reversed(lines) if line.startswith(word)) for word in ("USER ", "CMD "))
+    assert int(user.split()[1]) >= 1000
+    name, serve, *arguments = json.loads(command.removeprefix("CMD "))
+    found = main.get_command(click.Context(main), serve)
+    assert (name, serve) == ("kitassist", "serve")
+    assert found is not None
+    with found.make_context(serve, arguments) as context:
+        assert context.params["host"] == "0.0.0.0"
+        assert find_instances(context.params["instances"])[0].problem == KITTING / "paper.pddl"
