@@ -1,6 +1,6 @@
 """How many person-steps per second environments give a learner, observations, masks and rewards included.
 
-    python bench/environments.py [--teams 1024] [--steps 100] [--repeat 5] [--instance kitting/paper-fixed] [--record FILE]
+    python bench/environments.py [--teams 1024] [--steps 100] [--repeat 5] [--instance NAME] [--record FILE]
 
 Actions are drawn beforehand. Seconds are those of one processor, the median of several rounds after one that counts
 for nothing; who has ended begins again meanwhile, and their steps are not counted.

@@ -3,9 +3,9 @@
     pip install sb3-contrib
     python bench/peers/training.py [--seeds 3] [--steps 20480] [--record bench/records/training.json] [--figure FILE]
 
-Each seed trains one network on `kitassist/Team-v0`. After every tenth of its steps it plays the same episodes, with the
-same luck, as attention, priority and nobody do; shown is the discounted return with a 95 % interval over episodes for the
-shipped policies, and over seeds for the network.
+Each seed trains one network on `kitassist/Team-v0`. After every tenth of its steps it plays the same episodes, with
+the same luck, as attention, priority and nobody do; shown is the discounted return with a 95 % interval over episodes
+for the shipped policies, and over seeds for the network.
 """
 
 from __future__ import annotations
