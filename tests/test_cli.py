@@ -231,7 +231,11 @@ def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
         ((KITTING / "tiny.pddl", "--humans", 2, "--figure", "x.doc"), 2, ".png"),
         ((KITTING, "--humans", 2), 2, "expected one"),
         ((KITTING / "unsolvable.pddl", "--humans", 2), 1, "cannot be reached"),
-        ((KITTING / "ladder-4x7.pddl", "--humans", 2), 1, "ladder-4x7.pddl: more than 200000 states"),
+        (
+            (KITTING / "tiny.pddl", "--humans", 2, "--policy", "attention-never", "--region-states", 5),
+            1,
+            "tiny.pddl: policy 'attention-never': expected a task that is looked at whole",
+        ),
         ((KITTING / "tiny.pddl", "--humans", 2, "--out", "/dev/null/x"), 1, "/dev/null"),
     ],
 )

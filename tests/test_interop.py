@@ -23,8 +23,8 @@ from assist.person.pomdp import AssistPOMDP, Frontier
 from assist.person.qmdp import evaluate, qmdp
 from planner.errors import MissingExtraError
 
-# SARSOP's own output for `make(tiny_choices)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
-# tiny.pomdpx` (APPL 0.9) ended with the bounds below.
+# SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
+# tiny.pomdpx` (APPL 0.9) ended with the bounds below. That person's misconceptions were drawn state by state.
 POLICY = Path(__file__).parent / "data" / "tiny.policy"
 LOWER, UPPER = -7.24383, -7.2274
 
@@ -247,7 +247,8 @@ def test_what_cannot_be_written_is_refused(tiny_choices: Choices, tmp_path: Path
 
 
 def test_sarsops_policy_is_read(tiny_choices: Choices) -> None:
-    pomdp = make(tiny_choices)
+    h = tiny_choices.h + 0.9 * np.random.default_rng(11).standard_normal(len(tiny_choices))
+    pomdp = make(tiny_choices, np.where(tiny_choices.goal, 0.0, h))
     policy = read_policy(POLICY, pomdp)
     at, prior = np.array([tiny_choices.initial]), pomdp.prior[None]
     assert policy.value(at, prior)[0] == pytest.approx(LOWER, abs=1e-5)

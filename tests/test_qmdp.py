@@ -25,8 +25,8 @@ from planner import Table, sweep
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))
 
 
-def make(choices: Choices, **options: object) -> AssistPOMDP:
-    h = perceived_cost_to_go(choices, 0.9, np.random.default_rng(11))
+def make(choices: Choices, h: np.ndarray | None = None, **options: object) -> AssistPOMDP:
+    h = perceived_cost_to_go(choices, 0.9, np.random.default_rng(11)) if h is None else h
     model = HumanModel.own(choices, Human(1.0, 0.6, 0.9, h))
     return AssistPOMDP.of(model, grid=GRID, **{"gamma": 0.95, "c_suggest": 0.3, **options})  # type: ignore[arg-type]
 

@@ -63,7 +63,7 @@ def test_repeats_can_be_added_and_another_study_is_refused(
     with pytest.raises(StudyError, match="expected --repeats 3 or more"):
         run_study(read(study.file, repeats=2), out, resume=True)
     with pytest.raises(StudyError, match="these are results of another study"):
-        run_study(read(write(tmp_path, TINY.replace("seed = 3", "seed = 4"))), out, resume=True)
+        run_study(read(write(tmp_path, TINY.replace("seed = 5", "seed = 4"))), out, resume=True)
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     assert set(profile(out)) >= {"people's POMDPs", "simulating none", "simulating attention"}
 

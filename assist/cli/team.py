@@ -74,7 +74,12 @@ class Team(NamedTuple):
         if not isinstance(policy, str):
             return policy
         with stages() as show:
-            return self.pool.policy(policy, self.travel, progress=partial(show, f"solving people's POMDPs, {policy}"))
+            try:
+                return self.pool.policy(
+                    policy, self.travel, progress=partial(show, f"solving people's POMDPs, {policy}")
+                )
+            except ValueError as error:  # it needs to look at the whole of the task
+                fail(f"{self.instance}: {error} (--region-states)", EXIT_FAILED)
 
 
 def team_of(

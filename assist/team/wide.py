@@ -65,6 +65,8 @@ class WidePolicy:
     setting : Setting
     human : Human or None
         The person, as far as the robot knows what they are mistaken about; None: it knows the task only.
+    solved : dict
+        What has been estimated so far, by what it depends on: the prices of attention, if there are any.
     """
 
     ground: Ground
