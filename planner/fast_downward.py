@@ -40,6 +40,8 @@ EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
 EXIT_INPUT_ERROR = {30, 31}
+EXIT_NOT_LOADED = 127  # the system's loader did not bring the program to its beginning
+NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # what it says then
 
 
 class FastDownwardError(RuntimeError):
@@ -116,7 +118,7 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
         problem.write_text(source.problem_text, encoding="utf-8")
         command = [sys.executable, "-m", "fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas)]
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
-        _check_limits("translation", code, limits)
+        _check_limits("translation", code, output, limits)
         if code in EXIT_INPUT_ERROR:
             raise _refused(source, output)
         if code != 0 or not sas.is_file():
@@ -171,7 +173,7 @@ def optimal_plan(
             return [f"({line[1:-1].strip()})" for line in lines if line.startswith("(")]
     if code in EXIT_UNSOLVABLE:
         return None
-    _check_limits("A*", code, limits)
+    _check_limits("A*", code, output, limits)
     raise FastDownwardError(f"Fast Downward's search failed (exit {code}): {_last_line(output)}")
 
 
@@ -246,11 +248,12 @@ def _output(process: subprocess.Popen[str], text: str | None, limits: Limits) ->
                 raise LimitError(f"Fast Downward ran out of time ({limits.seconds:g} s)") from None
 
 
-def _check_limits(what: str, code: int, limits: Limits) -> None:
+def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
     """Raise if a program ended because of a limit; one that a signal ended under a memory limit did as well."""
     if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
         raise LimitError(f"{what} ran out of time")
-    if code in EXIT_OUT_OF_MEMORY or (code < 0 and limits.memory_mb is not None):
+    unloaded = code == EXIT_NOT_LOADED and any(word in output for word in NO_ROOM_TO_LOAD)
+    if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded)):
         raise MemoryLimitError(f"{what} ran out of memory")
 
 

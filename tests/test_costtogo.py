@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import graph_task
 
-from planner import LimitError, Limits, MismatchError, Table, astar, sweep, verify
+from planner import LimitError, Limits, MismatchError, Table, astar, fast_downward, sweep, verify
 from planner.costtogo import (
     UNREACHED,
     backward,
@@ -153,6 +153,14 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
     assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+
+
+def test_a_program_that_finds_no_room_to_begin_is_out_of_memory() -> None:
+    said = "downward: error while loading shared libraries: libm.so.6: failed to map segment from shared object"
+    with pytest.raises(LimitError, match="ran out of memory"):
+        fast_downward._check_limits("A*", 127, said, Limits(memory_mb=1))
+    fast_downward._check_limits("A*", 127, said, Limits())  # nobody has limited it
+    fast_downward._check_limits("A*", 127, "libm.so.6: cannot open shared object file", Limits(memory_mb=1))
 
 
 @pytest.mark.parametrize("wrong", [1, 5])
