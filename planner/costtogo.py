@@ -369,8 +369,7 @@ def verify(
     MismatchError
         A state whose values differ.
     """
-    space = table.space
-    states = [space.initial, *random_states(space, max(0, count - 1), rng)]
+    space, states = table.space, _sample(table.space, count, rng)
     start, over = time.monotonic(), threading.Event()
 
     def asked(number: int) -> float | None:
@@ -388,10 +387,7 @@ def verify(
                 if expected is None:
                     break
                 if expected != table[state]:
-                    raise MismatchError(
-                        f"cost-to-go of state {state} is {table[state]:g}, but Fast Downward's A* says {expected:g} "
-                        f"({', '.join(space.facts(state))})"
-                    )
+                    raise _mismatch(table, state, "Fast Downward's A* says", expected)
                 done += 1
                 if progress is not None:
                     progress(done)
@@ -426,8 +422,7 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
     MismatchError
         A state whose values differ, or that leads to something that is no state of the table.
     """
-    space, task = table.space, table.task
-    states = [space.initial, *random_states(space, max(0, count - 1), rng)]
+    space, task, states = table.space, table.task, _sample(table.space, count, rng)
     start = time.monotonic()
     for done, state in enumerate(states):
         if seconds is not None and done and time.monotonic() - start > seconds:
@@ -444,11 +439,20 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
                 raise MismatchError(f"state {state} leads to {error}, which is no state of the table") from error
             expected = float(least.min(initial=np.inf))
         if table[state] != expected:
-            raise MismatchError(
-                f"cost-to-go of state {state} is {table[state]:g}, but its successors say {expected:g} "
-                f"({', '.join(space.facts(state))})"
-            )
+            raise _mismatch(table, state, "its successors say", expected)
     return len(states)
+
+
+def _sample(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:
+    """Draw states to compare, the initial one first."""
+    return [space.initial, *random_states(space, max(0, count - 1), rng)]
+
+
+def _mismatch(table: Table, state: int, who_says: str, expected: float) -> MismatchError:
+    return MismatchError(
+        f"cost-to-go of state {state} is {table[state]:g}, but {who_says} {expected:g} "
+        f"({', '.join(table.space.facts(state))})"
+    )
 
 
 def random_states(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:
