@@ -93,7 +93,8 @@ def test_no_command_takes_long_to_end(again: bool, patience: float) -> None:
             assert process.stdout.readline() == "stuck\n"
             process.send_signal(signal.SIGTERM)
         out, words = process.communicate(timeout=60)
-        assert (out.removeprefix("stuck\n"), words) == ("", "interrupted\n")
+        assert words == "interrupted\n"
+        assert out == "" if again else "stuck\n".startswith(out)  # without patience it ends anywhere in that line
     assert process.returncode == 143
 
 
