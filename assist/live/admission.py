@@ -1,4 +1,8 @@
-"""Whom a request is let through to: what is theirs for a person, everything for the operator."""
+"""Whom a request is let through to: what is theirs for a person, everything for the operator.
+
+What decides that is quick, and runs in the event loop, to which the service belongs: FastAPI would give each function
+that is not `async` a thread.
+"""
 
 from __future__ import annotations
 
@@ -28,14 +32,14 @@ READ, WRITE = refusals(403, 404), refusals(403, 404, 409, 422, 503, 507)
 bearer = HTTPBearer(auto_error=False, description="The last part of a join link, or of the operator's.")
 
 
-def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) -> None:
+async def operator(request: Request, _: Annotated[Any, Depends(bearer)] = None) -> None:
     """Let only the operator in."""
     if request.state.caller.person is not None:
         raise HTTPException(403, "this is for the operator")
     request.app.state.service.visited.set()
 
 
-def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
+async def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) -> str:
     """Let in whoever the person is, and the operator."""
     caller: Caller = request.state.caller
     if caller.person not in (None, name):
@@ -46,7 +50,7 @@ def own(request: Request, name: str, _: Annotated[Any, Depends(bearer)] = None) 
     return name
 
 
-def service_of(request: Request) -> Service:
+async def service_of(request: Request) -> Service:
     """Give the service of this application."""
     service: Service = request.app.state.service
     return service

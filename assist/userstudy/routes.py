@@ -49,7 +49,7 @@ class Seat(BaseModel):
     study: dict[str, Any]
 
 
-def study_of(request: Request) -> StudyService:
+async def study_of(request: Request) -> StudyService:
     """Give the study's service."""
     service: StudyService = request.app.state.service
     return service
