@@ -2,18 +2,39 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent.parent))
+from jupyter_client.manager import KernelManager
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+# Notebooks run on this machine; over TCP each would warn that nothing is encrypted.
+KernelManager.transport.default_value = "ipc"
+
+
+def _sources() -> str:
+    """Give a fingerprint of what notebooks use beside their own text: they run again when any of it has changed."""
+    found = hashlib.sha256()
+    for folder in ("planner", "assist", "domains", "docs/examples"):
+        for file in sorted(file for file in (ROOT / folder).rglob("*") if file.suffix in (".py", ".pddl", ".toml")):
+            found.update(str(file.relative_to(ROOT)).encode() + file.read_bytes())
+    return found.hexdigest()[:16]
+
 
 project = "kitassist"
 html_title = "kitassist"
 html_theme = "furo"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.viewcode"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.viewcode"]
 exclude_patterns = ["examples"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(ROOT / "site" / ".notebooks" / _sources())
+nb_execution_raise_on_error = True
+nb_execution_timeout = 300  # seconds for a cell
+nb_merge_streams = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say it
 numpydoc_show_class_members = False

@@ -19,6 +19,8 @@ from assist.cli import main
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+# Cells of notebooks are run where the documentation is built.
+KINDS = {"console", "pycon", "sh", "pddl", "toml", "text", "json", "{toctree}", "{eval-rst}", "{code-cell}"}
 BLOCK = re.compile(r"^```([\w{}-]*)\n(.*?)^```", re.M | re.S)
 
 
@@ -97,9 +99,7 @@ def test_python_blocks(page: Path, place: Path) -> None:
 def test_every_block_is_of_a_kind_that_is_run_or_is_no_code() -> None:
     for page in PAGES:
         for language, text in BLOCK.findall(page.read_text()):
-            assert language in {"console", "pycon", "sh", "pddl", "toml", "text", "json", "{toctree}", "{eval-rst}"}, (
-                f"{name(page)}: ```{language}\n{text}"
-            )
+            assert language in KINDS, f"{name(page)}: ```{language}\n{text}"
 
 
 @pytest.mark.parametrize("page", [page for page in pages_with("toml") if page.stem != "userstudy"], ids=name)
@@ -124,6 +124,15 @@ def test_make_commands_exist(page: Path) -> None:
             subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
         else:
             assert command.startswith(("git clone", "cd ", ". .venv/")) or not command
+
+
+def test_what_notebooks_write_is_what_the_examples_have() -> None:
+    """Cells run where the documentation is built; each of the notebooks can be the first that somebody opens."""
+    written = {"domain": ("domain.pddl", "bookshelf.pddl"), "draw": ("drawing.toml",)}
+    for notebook, files in written.items():
+        text = (ROOT / "docs" / "tutorials" / f"{notebook}.md").read_text()
+        for file in files:
+            assert (ROOT / "docs" / "examples" / "shelf" / file).read_text() in text
 
 
 def test_links_lead_somewhere() -> None:

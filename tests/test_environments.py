@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 import warnings
 from pathlib import Path
 
@@ -86,6 +88,15 @@ def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*not able to test alternative render modes.*")
         check_env(unseen, skip_render_check=True)
+
+
+def test_it_is_found_by_its_module_with_nothing_imported_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(gymnasium.registry, ID)
+    monkeypatch.delitem(sys.modules, "assist.interop.gymnasium")
+    monkeypatch.setattr("assist.interop.gymnasium", None)  # is put back afterwards
+    env = gymnasium.make(f"assist.interop.gymnasium:{ID}", instance="kitting/tiny", humans=1, people=1)
+    assert env.spec is not None
+    assert env.spec.id == ID
 
 
 def test_many_are_made_natively() -> None:
@@ -177,9 +188,6 @@ def test_a_station_is_a_team_of_one_whose_robot_is_there(tiny_choices: Choices) 
 
 
 def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import importlib
-    import sys
-
     from planner.errors import MissingExtraError
 
     monkeypatch.setitem(sys.modules, "gymnasium", None)

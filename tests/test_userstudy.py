@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from conftest import ROOT
+from conftest import KITTING, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from userstudies import PLAN, SCORES, Part, written
@@ -23,7 +23,7 @@ from assist.study.study import StudyError
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
 from assist.userstudy.plan import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
-from planner import Table
+from planner import Instance, Table
 from planner.errors import DamagedFileError, ResultsExistError
 
 Open = Callable[..., StudySession]
@@ -67,6 +67,11 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         assert "\n" not in str(refused.value)
     with pytest.raises(StudyError, match=r"study.toml:1: consent: is missing; expected a text"):
         read(written(tmp_path / "study.toml", PLAN.replace("consent =", "thanks =", 1)))
+
+
+def test_a_task_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path) -> None:
+    study = read(written(tmp_path / "study.toml", PLAN.replace(f"{KITTING}/tiny.pddl", "kitting/tiny")))
+    assert study.tasks == (("tiny", Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")),)
 
 
 KINDS = ["visited"] * 2 + ["onward"] * 12 + ["withdrew", "left", "left", "returned"]

@@ -1,11 +1,10 @@
 """The team as an environment of Gymnasium: one agent decides to whom the robot goes, and what it says there.
 
-Importing this module registers `kitassist/Team-v0`:
+Importing this module registers `kitassist/Team-v0`, and Gymnasium imports it when it is named before the id:
 
     import gymnasium
-    import assist.interop.gymnasium
 
-    env = gymnasium.make("kitassist/Team-v0", instance="kitting/tiny", humans=2)
+    env = gymnasium.make("assist.interop.gymnasium:kitassist/Team-v0", instance="kitting/tiny", humans=2)
     many = gymnasium.make_vec("kitassist/Team-v0", num_envs=1024, instance="kitting/tiny", humans=2)
 """
 
