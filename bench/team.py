@@ -448,7 +448,7 @@ def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: 
 
     All people have one model, and all places are equally far from each other.
     """
-    pomdp = pool.policies[0].pomdp
+    solved, pomdp = priority.presence(pool.policies[0]), pool.policies[0].pomdp
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
     arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
     minds = Minds(
@@ -468,7 +468,7 @@ def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: 
         active = np.flatnonzero(~choices.goal[people.x])
         if not len(active):
             break
-        q = priority.policies[0].q_values(priority.states[0][HERE][people.x[active]], people.belief[active])
+        q = solved.policy.q_values(solved.states[HERE][people.x[active]], people.belief[active])
         gain = q - q[:, :1] + priority.price
         speak, hold = gain[:, 2:].max(axis=1), np.where(here[active], gain[:, 1], -np.inf)
         worth = np.full(size, -np.inf)

@@ -14,7 +14,7 @@ from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from assist.team.state import BASE, NOBODY, TeamAction, TeamState
+from assist.team.state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
 from assist.team.travel import Travel
 from planner import Table
 
@@ -62,11 +62,10 @@ def test_attention_follows_algorithm_1(pool: Pool) -> None:
 def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
     """Where help is worth nothing the best is to say nothing, however much better than never helping again it is."""
     x = [pool.choices(0).initial] * 2
-    far_below = tuple(np.full_like(policy.value_mdp, -1e6) for policy in pool.policies)
     dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
                                         for p in pool.policies))  # fmt: skip
     team = state(dear, x, travel=Travel.of(2, c_move=0.0))
-    switching = AttentionSwitching(far_below)
+    switching = AttentionSwitching(ByPolicy(dear.policies, lambda policy: np.full_like(policy.value_mdp, -1e6)))
     robot, score = switching.scores(team)
     assert robot.tolist() == [[0, 0]]
     assert np.isneginf(score).all()

@@ -33,9 +33,9 @@ from ..person.pomdp import Policy
 from ..simulation.dynamics import update
 from ..team.policies import POLICIES, named
 from ..team.settings import Setting
-from ..team.state import BASE, NOBODY, TeamPolicy, TeamState
+from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
-from .problem import InapplicableError, Part, Problem, digest, population_of
+from .problem import InapplicableError, Problem, digest, population_of
 from .roster import Record, Roster, Step
 
 FORMAT = "kitassist team 1"
@@ -44,13 +44,13 @@ FORMAT = "kitassist team 1"
 
 @dataclass(frozen=True)
 class _LiveTeam(TeamState):
-    """A team of whom one at a time acts: what everything is worth to the others is known already."""
+    """A team of whom one at a time acts: what is asked about the others is known already."""
 
-    worth: Floats
+    roster: Roster
 
-    def q_values(self) -> Floats:
-        """As `TeamState.q_values`."""
-        return np.where(self.active[:, :, None], self.worth[None], -np.inf)
+    def of_each(self, ask: Ask) -> Floats:
+        """As `TeamState.of_each`."""
+        return np.where(self.active[:, :, None], self.roster.of_each(ask, self.active[0])[None], -np.inf)
 
 
 class Assistant:
@@ -99,7 +99,6 @@ class Assistant:
         self.policy = policy
         self._task = task
         self._distance = None if distance is None else np.array(distance, dtype=float)
-        self._parts: list[Part] = []
         self._problems: dict[tuple[int, Population | Mixture], Problem] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         if isinstance(policy, str) and policy not in POLICIES:
@@ -110,7 +109,7 @@ class Assistant:
         names = list(people)
         places = len(names) if self._distance is None else len(self._distance) - 1
         self._travel = self.setting.travel(max(1, places), self._distance)
-        self._team = Roster(self._parts, len(self._travel))
+        self._team = Roster(len(self._travel))
         for name in names:
             self.join(name, people[name] if isinstance(people, Mapping) else None)
         if names:
@@ -186,16 +185,13 @@ class Assistant:
         problem = record.problem
         if task is not None or population is not None:
             problem = self._problem(task or record.problem.task, population or record.problem.prior)
-        number, row = problem.at(problem.initial)
-        here, there = (
-            self._parts[self._team.model[record.place]].policy.pomdp.grid,
-            self._parts[number].policy.pomdp.grid,
-        )
+        part, row = problem.at(problem.initial)
+        here, there = self._team.part(record)[0].policy.pomdp.grid, part.policy.pomdp.grid
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
         record.past.append((record.problem, record.steps))
         record.problem, record.before, record.steps = problem, self._team.belief[record.place].copy(), []
-        self._team.put(record, number, row)
+        self._team.put(record, part, row)
         self._advice = None
 
     def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> Problem:
@@ -204,14 +200,10 @@ class Assistant:
             raise ValueError("there is no task; expected one for the team, or for each person")
         key = (id(task), population)
         if key not in self._problems:
-            self._problems[key] = Problem(task, self.setting, population, self._parts)
-            self._forget_policy()
+            self._problems[key] = Problem(task, self.setting, population)
+            if isinstance(self.policy, str):  # it is made anew
+                self._made = None
         return self._problems[key]
-
-    def _forget_policy(self) -> None:
-        """Have a policy that goes by its name made anew, since there are further parts of tasks."""
-        if isinstance(self.policy, str):
-            self._made = None
 
     # Observations come in.
 
@@ -237,18 +229,17 @@ class Assistant:
         """
         record = self._team.known(person)
         k, problem = record.place, record.problem
-        number, row = int(self._team.model[k]), int(self._team.x[k])
+        part, row = self._team.part(record)
         if self._team.ended[k]:
             raise InapplicableError(f"{person} has reached the goal; expected `begin` before another action")
-        slot = problem.slot(number, row, action)
-        count = len(self._parts)
-        to = problem.after(number, row, slot)
-        if len(self._parts) > count:
-            self._forget_policy()
-        step = Step(number, row, int(self._team.robot[k]) if heard else 0, slot)
-        self._believe(self._team.belief[k], step)
+        slot = problem.slot(part, row, action)
+        to = problem.after(part, row, slot)
+        robot = int(self._team.robot[k]) if heard else 0
+        named = part.choices.name(row, slot), part.policy.pomdp.suggestion(row, robot)
+        step = Step(problem.place(part, row), robot, slot, *named)
+        erred = self._believe(record, step)
         record.steps.append(step)
-        self._team.put(record, *to, erred=self._was_no_progress(step))
+        self._team.put(record, *to, erred=erred)
         self._advice = None
 
     def undo(self, person: str) -> str:
@@ -270,21 +261,20 @@ class Assistant:
         if not record.steps:
             raise InapplicableError(f"{person} has done nothing yet that could be taken back")
         last = record.steps.pop()
-        belief = self._team.belief[record.place]
-        belief[:] = record.before
+        self._team.belief[record.place] = record.before
+        erred = False
         for step in record.steps:
-            self._believe(belief, step)
-        erred = bool(record.steps) and self._was_no_progress(record.steps[-1])
-        self._team.put(record, last.part, last.row, erred=erred, robot=last.robot)
+            erred = self._believe(record, step)
+        self._team.put(record, *record.problem.at(last.place), erred=erred, robot=last.robot)
         self._advice = None
-        return self._parts[last.part].choices.name(last.row, last.slot)
+        return last.action
 
-    def _believe(self, belief: Floats, step: Step) -> None:
-        update(belief, np.empty_like(belief), step.row, step.robot, step.slot, self._parts[step.part].arrays)
-
-    def _was_no_progress(self, step: Step) -> bool:
-        choices = self._parts[step.part].choices
-        return not choices.h[choices.targets[step.row, step.slot]] < choices.h[step.row]
+    def _believe(self, record: Record, step: Step) -> bool:
+        """Take note of what a step tells of somebody, and tell whether it was no progress."""
+        part, row = record.problem.at(step.place)
+        belief, choices = self._team.belief[record.place], part.choices
+        update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
+        return not choices.h[choices.targets[row, step.slot]] < choices.h[row]
 
     # Advice goes out.
 
@@ -333,15 +323,14 @@ class Assistant:
         moving = self._travel.c_move * float(self._travel.distance[self._location, k])
         self._under_way = bool(self._travel.steps[self._location, k] > 0)
         self._location, self._team.robot[k] = k, robot
-        return Advice(
-            self._team.records[k].name, self._suggestion(k), self._reason(k, robot, moving), arrived=not self._under_way
-        )
+        reason, record = self._reason(k, robot, moving), self._team.records[k]
+        return Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way)
 
     def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
-        t, policies = self._team, [part.policy for part in self._parts]
+        t = self._team
         return _LiveTeam(
             self._step, t.x[None], active[None], t.erred[None], np.array([self._location]), t.model[None],
-            t.belief[None], policies, self._travel, t.worth(active),
+            t.belief[None], [part.policy for part in t.parts], self._travel, t,
         )  # fmt: skip
 
     def _policy(self) -> TeamPolicy:
@@ -349,14 +338,15 @@ class Assistant:
             assert isinstance(self.policy, str)
             # As all places are equally far unless distances are given, two stand for any number.
             travel = self._travel if self._distance is not None else self.setting.travel(2)
-            self._made = named(self.policy, [part.policy for part in self._parts], travel)
+            self._made = named(self.policy, [problem.policy for problem in self._problems.values()], travel)
         return self._made
 
-    def _suggestion(self, k: int) -> str | None:
-        return self._parts[self._team.model[k]].policy.pomdp.suggestion(int(self._team.x[k]), int(self._team.robot[k]))
+    def _suggestion(self, record: Record) -> str | None:
+        part, row = self._team.part(record)
+        return part.policy.pomdp.suggestion(row, int(self._team.robot[record.place]))
 
     def _reason(self, k: int, robot: int, moving: float) -> Reason:
-        policy, belief = self._parts[self._team.model[k]].policy, self._team.belief[k]
+        policy, belief = self._team.parts[self._team.model[k]].policy, self._team.belief[k]
         q = policy.q_values(self._team.x[k : k + 1], belief[None])[0]
         saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
         grid = policy.pomdp.grid
@@ -370,14 +360,15 @@ class Assistant:
     def person(self, person: str) -> PersonState:
         """Give what is known of somebody, there or not."""
         record = self._team.by_name.get(person) or self._team.known(person)
-        k, part = record.place, self._parts[self._team.model[record.place]]
-        row, choices = int(self._team.x[k]), part.choices
+        k, (part, row) = record.place, self._team.part(record)
+        choices = part.choices
         names = () if self._team.ended[k] else tuple(
             choices.name(row, slot) for slot in range(int(choices.applicable[row].sum()))
         )  # fmt: skip
         return PersonState(
-            person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names, self._suggestion(k),
-            float(choices.h[row]), len(record.steps), part.policy.pomdp.grid, self._team.belief[k].copy(),
+            person, bool(self._team.present[k]), bool(self._team.ended[k]), part.state(row), names,
+            self._suggestion(record), float(choices.h[row]), len(record.steps), part.policy.pomdp.grid,
+            self._team.belief[k].copy(),
         )  # fmt: skip
 
     @property
@@ -396,15 +387,8 @@ class Assistant:
         for record in self._team.records:
             for number, (_, steps) in enumerate(record.episodes(), start=1):
                 for count, step in enumerate(steps):
-                    rows.append({"person": record.name, "episode": str(number), "step": count, **self._named(step)})
+                    rows.append({"person": record.name, "episode": str(number), "step": count, **step.named()})
         return rows
-
-    def _named(self, step: Step) -> dict[str, str | None]:
-        pomdp = self._parts[step.part].policy.pomdp
-        return {
-            "action": pomdp.model.choices.name(step.row, step.slot),
-            "suggestion": pomdp.suggestion(step.row, step.robot),
-        }
 
     # Saved and restored.
 
@@ -418,10 +402,10 @@ class Assistant:
                 "person": record.name,
                 "present": bool(self._team.present[record.place]),
                 "episodes": [
-                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": [self._named(s) for s in steps]}
+                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": [s.named() for s in steps]}
                     for p, steps in record.episodes()
                 ],
-                "suggestion": self._suggestion(record.place),
+                "suggestion": self._suggestion(record),
             }
             for record in self._team.records
         ]
@@ -494,5 +478,4 @@ class Assistant:
             self._advice = Advice.of(advice)
 
     def _suggest(self, record: Record, suggestion: str | None) -> None:
-        k = record.place
-        self._team.robot[k] = record.problem.robot(int(self._team.model[k]), int(self._team.x[k]), suggestion)
+        self._team.robot[record.place] = record.problem.robot(*self._team.part(record), suggestion)

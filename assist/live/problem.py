@@ -1,8 +1,8 @@
 """A task as people live through it, and what the robot has worked out about it.
 
 Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand
-(`assist.person.problem` decides which), the `Region` is that people most likely get to; whoever leaves it has another
-one begun where they are. What is believed of a person does not depend on where regions end.
+(`assist.person.problem` decides which), there is what the next step needs of the states in which people are
+(`assist.team.wide`), and it is forgotten when they have left. What is believed of a person does not depend on that.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from typing import Any, TypeGuard, cast
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,12 @@ from planner import CostToGo
 from ..learning.actions import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
 from ..people.human import Mixture, Population
+from ..people.memory import choices_of
 from ..person.pomdp import Policy
-from ..person.problem import PersonProblem
+from ..person.problem import WHOLE, is_whole
 from ..person.qmdp import Arrays, qmdp
 from ..team.settings import Setting
+from ..team.wide import Ground, WidePolicy
 
 
 class UnknownError(ValueError):
@@ -33,7 +36,7 @@ class InapplicableError(ValueError):
     """Something that cannot be done now; the message says what can."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Part:
     """States of a task, with the policy for one person there.
 
@@ -44,39 +47,16 @@ class Part:
         Its problem, as compiled code reads it.
     states : int array, shape (n,), or None
         The number of each state in the task; None if the same.
-    rows : dict of int, or None
-        The other way round, of states that are not on the region's frontier.
     """
 
     policy: Policy
     arrays: Arrays
     states: NDArray[np.int64] | None = None
-    rows: dict[int, int] | None = None
-
-    @classmethod
-    def whole(cls, policy: Policy) -> Part:
-        """All states of a task."""
-        return cls(policy, Arrays.of(policy.pomdp))
-
-    @classmethod
-    def of(cls, problem: PersonProblem) -> Part:
-        """Those that a problem covers."""
-        pomdp, states = problem.pomdp, problem.states
-        if pomdp.frontier is None:
-            return cls.whole(qmdp(pomdp))
-        kept = np.ones(len(states), dtype=bool)
-        kept[pomdp.frontier.states] = False
-        rows = {int(states[row]): int(row) for row in np.flatnonzero(kept)}
-        return cls(qmdp(pomdp), Arrays.of(pomdp), states, rows)
 
     @property
     def choices(self) -> Choices:
         """What can be done in each state."""
         return self.policy.pomdp.model.choices
-
-    def row(self, state: int) -> int | None:
-        """Give the row of a task's state as if nothing had come before it; None if it is not in this part."""
-        return self.choices.row(state) if self.rows is None else self.rows.get(state)
 
     def state(self, row: int) -> int:
         """Give the task's state of a row."""
@@ -91,6 +71,9 @@ class Part:
 class Problem:
     """One task with one prior, for any number of people.
 
+    A place is where somebody is in it, by which it is found again: a row of a task that is looked at whole, which may
+    say what they did before, or else a state of the task.
+
     Parameters
     ----------
     task : CostToGo or Policy
@@ -98,54 +81,49 @@ class Problem:
     setting : Setting
     prior : Population or Mixture
         Of whom people are taken to be.
-    parts : list of Part
-        To which those of this task are added; a part is known by its place there.
+
+    Attributes
+    ----------
+    policy : Policy
+        For one person.
+    initial : int
+        The place in which people begin.
     """
 
-    def __init__(
-        self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture, parts: list[Part]
-    ) -> None:
-        self.task, self.setting, self.prior, self.parts = task, setting, prior, parts
-        self.own: list[int] = []
-        if is_policy(task):
-            choices = task.pomdp.model.choices
-            self.initial = choices.task_state(choices.initial)
-            self._add(Part.whole(task))
+    def __init__(self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture) -> None:
+        self.task, self.prior = task, prior
+        self.policy = task if is_policy(task) else _policy_for(cast(CostToGo, task), setting, prior)
+        if isinstance(self.policy, WidePolicy):
+            self.initial, self._whole = self.policy.ground.known.initial, None
         else:
-            self.initial = cast(CostToGo, task).initial
-        number, row = self.at(self.initial)
-        require_goal(parts[number].choices.h[row])
-        self.matcher = Matcher(parts[number].choices.names)
+            self.initial = self.policy.pomdp.model.choices.initial
+            self._whole = Part(self.policy, Arrays.of(self.policy.pomdp))
+        # Of what is not looked at whole, only where somebody is.
+        self._around: WeakValueDictionary[int, Part] = WeakValueDictionary()
+        part, row = self.at(self.initial)
+        require_goal(part.choices.h[row])
+        self.matcher = Matcher(part.choices.names)
 
-    def _add(self, part: Part) -> int:
-        self.parts.append(part)
-        self.own.append(len(self.parts) - 1)
-        return self.own[-1]
+    def at(self, place: int) -> tuple[Part, int]:
+        """Give the part in which a place is, and its row there."""
+        if self._whole is not None:
+            return self._whole, place
+        part = self._around.get(place)
+        if part is None:
+            assert isinstance(self.policy, WidePolicy)
+            around = self.policy.around(np.array([place]), deep=True)
+            self._around[place] = part = Part(around, Arrays.of(around.pomdp), around.region.states)
+        return part, 0
 
-    def at(self, state: int) -> tuple[int, int]:
-        """Find the part in which a state is, and its row there; one is worked out if there is none."""
-        for number in self.own:
-            row = self.parts[number].row(state)
-            if row is not None:
-                return number, row
-        s = self.setting
-        part = Part.of(
-            PersonProblem.of(
-                cast(CostToGo, self.task), start=state, population=self.prior, eta=s.eta, lapse=s.lapse,
-                utility_scale=s.utility_scale, gamma=s.gamma, c_suggest=s.c_suggest, suggestions=s.suggestions,
-            )
-        )  # fmt: skip
-        row = part.row(state)
-        assert row is not None, "a region holds the state in which it begins"
-        return self._add(part), row
+    def place(self, part: Part, row: int) -> int:
+        """Give the place of a row."""
+        return row if part.states is None else part.state(row)
 
-    def after(self, number: int, row: int, slot: int) -> tuple[int, int]:
+    def after(self, part: Part, row: int, slot: int) -> tuple[Part, int]:
         """Find where a choice leads: the part, and the row there."""
-        part = self.parts[number]
-        to = int(part.choices.targets[row, slot])
-        return (number, to) if part.rows is None else self.at(part.state(to))
+        return self.at(self.place(part, int(part.choices.targets[row, slot])))
 
-    def slot(self, number: int, row: int, action: str) -> int:
+    def slot(self, part: Part, row: int, action: str) -> int:
         """Find the slot of an action.
 
         Raises
@@ -157,30 +135,41 @@ class Problem:
         """
         words = words_of(action)
         try:
-            return self.matcher.slot(words, self.parts[number].options(row))
+            return self.matcher.slot(words, part.options(row))
         except UnmatchedError as error:
             kind = InapplicableError if self.matcher.unknown(words) is None else UnknownError
             raise kind(str(error)) from None
 
-    def robot(self, number: int, row: int, suggestion: str | None) -> int:
+    def robot(self, part: Part, row: int, suggestion: str | None) -> int:
         """Find the robot action that suggests an action; 0 for None."""
         if suggestion is None:
             return 0
-        slot = self.slot(number, row, suggestion)
-        found = np.flatnonzero(self.parts[number].policy.pomdp.suggested[row] == slot)
+        slot = self.slot(part, row, suggestion)
+        found = np.flatnonzero(part.policy.pomdp.suggested[row] == slot)
         if not len(found):
             raise InapplicableError(f"{suggestion}: not one of the suggestions that there are")
         return int(found[0])
 
 
+def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) -> Policy:
+    """Work out a policy for one person of whom only the task is known, at once where the task is looked at whole."""
+    if is_whole(known):
+        return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
+    if prior.weights:
+        raise ValueError(f"people who remember what they did: expected a task of at most {WHOLE:,} states")
+    return WidePolicy(Ground(known, prior), setting)
+
+
 def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
     """Tell a policy for one person from a task's cost-to-go."""
-    return hasattr(task, "pomdp")
+    return isinstance(task, WidePolicy) or hasattr(task, "pomdp")
 
 
 def digest(task: CostToGo | Policy) -> str:
     """Give what tells a task from others, wherever it was loaded; a policy also by all that beliefs depend on."""
     content = hashlib.sha256()
+    if isinstance(task, WidePolicy):
+        task = task.ground.known
     if is_policy(task):
         pomdp, choices = task.pomdp, task.pomdp.model.choices
         content.update("\n".join(choices.names).encode())

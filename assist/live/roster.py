@@ -9,19 +9,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..team.state import by_model
+from ..team.state import Ask, by_model
 from .problem import Part, Problem, UnknownError
 
 NAMED = 10  # people, in a message
 
+ANSWERS = 8
+"""Questions of which the answers are kept; policies ask one or two."""
+
 
 class Step(NamedTuple):
-    """An action of a person: where, after what of the robot's, and which."""
+    """An action of a person: at which place of their task, after what of the robot's, and which; both also in PDDL."""
 
-    part: int
-    row: int
+    place: int
     robot: int
     slot: int
+    action: str
+    suggestion: str | None
+
+    def named(self) -> dict[str, str | None]:
+        """Give it in PDDL."""
+        return {"action": self.action, "suggestion": self.suggestion}
 
 
 @dataclass
@@ -40,17 +48,25 @@ class Record:
         return [*self.past, (self.problem, self.steps)]
 
 
+@dataclass
+class _Answers:
+    """What somebody asked about everybody, shape (P, W), and to what change of each person it belongs."""
+
+    values: Floats
+    change: NDArray[np.int64]
+
+
 class Roster:
     """The people of a team, at places 0 to P - 1; whoever leaves keeps theirs.
 
     Attributes
     ----------
     parts : list of Part
-        Of all tasks.
+        Of everybody's tasks, numbered; a number is used again when nobody is there any more.
     records : list of Record
         By place.
     x, model : int arrays, shape (P,)
-        The row of everybody's state, and in which part.
+        The row of everybody's state, and the number of its part.
     robot : int array, shape (P,)
         What was suggested to them since their last action; 0 for nothing.
     erred, present, ended : bool arrays, shape (P,)
@@ -58,15 +74,17 @@ class Roster:
     belief : float array, shape (P, B, T)
     """
 
-    def __init__(self, parts: list[Part], places: int) -> None:
-        self.parts = parts
+    def __init__(self, places: int) -> None:
+        self.parts: list[Part] = []
+        self._people: list[int] = []  # in each part
+        self._number: dict[Part, int] = {}
         self.records: list[Record] = []
         self.by_name: dict[str, Record] = {}
         self.x, self.model, self.robot = (np.zeros(places, dtype=np.int64) for _ in range(3))
         self.erred, self.present, self.ended = (np.zeros(places, dtype=bool) for _ in range(3))
         self.belief = np.zeros((places, 0, 0))
-        self._worth = np.full((places, 1), -np.inf)
-        self._stale = np.ones(places, dtype=bool)
+        self._change = np.zeros(places, dtype=np.int64)
+        self._answers: dict[Ask, _Answers] = {}
 
     def __len__(self) -> int:
         return len(self.x)
@@ -93,8 +111,8 @@ class Roster:
 
     def add(self, name: str, problem: Problem) -> None:
         """Take somebody new in, at the next place, which there has to be."""
-        number, row = problem.at(problem.initial)
-        prior = self.parts[number].policy.pomdp.prior
+        part, row = problem.at(problem.initial)
+        prior = part.policy.pomdp.prior
         if not self.records:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
@@ -104,7 +122,11 @@ class Roster:
         self.by_name[name] = record
         self.present[record.place] = True
         self.belief[record.place] = prior
-        self.put(record, number, row)
+        self.put(record, part, row)
+
+    def part(self, record: Record) -> tuple[Part, int]:
+        """Give the part in which somebody is, and their row there."""
+        return self.parts[self.model[record.place]], int(self.x[record.place])
 
     def grow(self, places: int) -> None:
         """Make room for so many people."""
@@ -115,28 +137,46 @@ class Roster:
 
         for name in ("x", "model", "robot", "erred", "present", "ended", "belief"):
             setattr(self, name, longer(getattr(self, name)))
-        self._worth, self._stale = longer(self._worth, -np.inf), longer(self._stale, True)
+        self._change, self._answers = longer(self._change), {}
 
-    def put(self, record: Record, number: int, row: int, *, erred: bool = False, robot: int = 0) -> None:
+    def put(self, record: Record, part: Part, row: int, *, erred: bool = False, robot: int = 0) -> None:
         """Put somebody into a state."""
         k = record.place
-        self.model[k], self.x[k], self.erred[k], self.robot[k] = number, row, erred, robot
-        self.ended[k] = self.parts[number].choices.goal[row]
-        self._stale[k] = True
+        if self._change[k]:
+            self._people[self.model[k]] -= 1
+        self.model[k], self.x[k], self.erred[k], self.robot[k] = self._numbered(part), row, erred, robot
+        self._people[self.model[k]] += 1
+        self.ended[k] = part.choices.goal[row]
+        self._change[k] += 1
 
-    def worth(self, active: NDArray[np.bool_]) -> Floats:
-        """Give what each robot action is worth for each person, shape (P, R), up to date for those who are active.
+    def _numbered(self, part: Part) -> int:
+        """Give the number of a part, which may be that of one in which nobody is any more."""
+        if part not in self._number:
+            free = self._people.index(0) if 0 in self._people else len(self.parts)
+            if free < len(self.parts):
+                del self._number[self.parts[free]]
+                self.parts[free] = part
+            else:
+                self.parts.append(part)
+                self._people.append(0)
+            self._number[part] = free
+        return self._number[part]
 
-        Only for those of whom something has changed it is worked out anew.
+    def of_each(self, ask: Ask, active: NDArray[np.bool_]) -> Floats:
+        """Give the answers about everybody, shape (P, W), up to date for those who are active.
+
+        Only about those of whom something has changed it is asked anew.
         """
-        policies = [part.policy for part in self.parts]
-        widest = max(policy.pomdp.suggested.shape[1] for policy in policies)
-        if widest > self._worth.shape[1]:
-            self._worth = np.pad(self._worth, ((0, 0), (0, widest - self._worth.shape[1])), constant_values=-np.inf)
-        rows = np.flatnonzero(self._stale & active)
-        for number, mine in by_model(self.model, rows, len(policies)):
-            values = policies[number].q_values(self.x[mine], self.belief[mine])
-            self._worth[mine] = -np.inf
-            self._worth[mine, : values.shape[1]] = values
-        self._stale[rows] = False
-        return self._worth
+        if ask not in self._answers and len(self._answers) >= ANSWERS:
+            self._answers.clear()
+        kept = self._answers.setdefault(ask, _Answers(np.full((len(self), 1), -np.inf), np.full(len(self), -1)))
+        rows = np.flatnonzero((kept.change != self._change) & active)
+        for number, mine in by_model(self.model, rows, len(self.parts)):
+            values = ask(self.parts[number].policy, self.x[mine], self.belief[mine])
+            wider = values.shape[1] - kept.values.shape[1]
+            if wider > 0:
+                kept.values = np.pad(kept.values, ((0, 0), (0, wider)), constant_values=-np.inf)
+            kept.values[mine] = -np.inf
+            kept.values[mine, : values.shape[1]] = values
+        kept.change[rows] = self._change[rows]
+        return kept.values

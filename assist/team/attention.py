@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import evaluate
-from .state import NOBODY, TeamAction, TeamState
+from .state import NOBODY, ByPolicy, TeamAction, TeamState
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,21 @@ class AttentionSwitching:
 
     Attributes
     ----------
-    never : tuple of float arrays, shape (n, B, T), or None
-        For each model, the value of never helping; None to refer to doing nothing once.
+    never : ByPolicy of float arrays, shape (n, B, T), or None
+        The value of never helping; None to refer to doing nothing once.
     """
 
-    never: tuple[Floats, ...] | None = None
+    never: ByPolicy[Floats] | None = None
     uses_belief = True
 
     @classmethod
     def against_never(cls, policies: Sequence[Policy]) -> AttentionSwitching:
         """Refer to never helping again."""
-        return cls(tuple(evaluate(p.pomdp, np.zeros(len(p.pomdp.robot_actions), dtype=np.int64)) for p in policies))
+
+        def never(policy: Policy) -> Floats:
+            return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
+
+        return cls(ByPolicy(policies, never))
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Choose the person with the largest positive score, in every team that has one."""
@@ -87,16 +91,14 @@ class AttentionSwitching:
         """Give each person's robot action and its score, both of shape (N, K)."""
         q = team.q_values()
         robot = q.argmax(axis=2)
-        if self.never is None:
-            reference = q[:, :, 0]
-        else:
-            reference = np.zeros(team.x.shape)
-            for group, rows in team.groups():
-                x, belief = team.known_of(rows)
-                reference.reshape(-1)[rows] = np.einsum("nbt,nbt->n", self.never[group][x], belief)
+        reference = q[:, :, 0] if self.never is None else team.of_each(self._if_never)[:, :, 0]
         worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # a maximum over so few takes numpy longer
         # Nothing is worth infinitely little to those who are not there.
         score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
         # Doing nothing is no reason to go anywhere, however much better than never helping again it is.
         score[robot == 0] = -np.inf
         return robot, score - team.to()
+
+    def _if_never(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+        assert self.never is not None
+        return np.einsum("nbt,nbt->n", self.never[policy][x], belief)[:, None]

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..people import own
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
-from .priority import Priority, WidePriority
+from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
 from .wide import WidePolicy
@@ -68,9 +68,7 @@ def named(
             )
         return AttentionSwitching.against_never(policies)
     if name == "priority":
-        if wide:
-            return WidePriority.of(wide, travel, progress=progress)
-        return Priority.of(policies, travel)
+        return Priority.of(policies, travel, progress=progress)
     raise ValueError(f"unknown policy {name!r}; expected one of {', '.join(POLICIES)}, or a function")
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.pomdp import Policy
-from ..person.qmdp import qmdp
-from .state import NOBODY, TeamAction, TeamState
+from ..person.qmdp import QMDP, qmdp
+from .state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
 from .subproblem import HERE, Visits
 from .travel import Travel
 from .wide import Around, WidePolicy
@@ -33,35 +33,68 @@ def coming(travel: Travel) -> tuple[float, int, int]:
     return entry, round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Presence:
+    """One person's problem with a robot that comes and goes, solved.
+
+    Attributes
+    ----------
+    visits : Visits
+    policy : QMDP
+        Its policy.
+    states : int array, shape (P, n)
+        Its states, by the robot's position and the state of the person's own problem.
+    """
+
+    visits: Visits
+    policy: QMDP
+    states: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, visits: Visits, policy: QMDP) -> Presence:
+        """Number the states."""
+        positions = range(visits.layout.positions)
+        return cls(visits, policy, np.stack([visits.states(0, position) for position in positions]))
+
+
+@dataclass(frozen=True, eq=False)
 class Priority:
     """Go where the robot's presence is worth most.
 
     For each person, what they get with the robot there, less what they get without it in this step, is what its
     presence is worth: saying something where it is, holding its place silently, or arriving after the way and going on
-    from there; less what the way costs. The largest worth is acted on.
+    from there; less what the way costs. The largest worth is acted on. On tasks that are not looked at whole
+    (`team.wide`) what follows is looked up in a region, one step ahead of it.
 
     Attributes
     ----------
-    visits : tuple of Visits
-        For each model, the problem with a robot that comes and goes.
-    policies : tuple of Policy
-        Their policies.
-    states : tuple of int arrays, shape (P, n)
-        Their states, by the robot's position and the task's state.
+    entry : float
+        What coming costs.
+    entry_steps, longest : int
+        How many steps it takes, and how many at most.
     price : float
         What a step of the robot's attention will be worth to others. It counts from the next step on, since what
         others need in this one is seen.
+    known : ByPolicy of Presence
+        For people on tasks that are looked at whole.
     """
 
-    visits: tuple[Visits, ...]
-    policies: tuple[Policy, ...]
-    states: tuple[NDArray[np.int64], ...]
+    entry: float
+    entry_steps: int
+    longest: int
     price: float
+    known: ByPolicy[Presence]
     uses_belief = True
 
     @classmethod
-    def of(cls, policies: Sequence[Policy], travel: Travel, price: float | None = None) -> Priority:
+    def of(
+        cls,
+        policies: Sequence[Policy],
+        travel: Travel,
+        price: float | None = None,
+        *,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> Priority:
         """Work the policy out for people, each by themselves, and the way between them.
 
         Where places are not equally far, coming back counts as far as it is on average.
@@ -73,15 +106,28 @@ class Priority:
         price : float, optional
             What a step of the robot's attention will be worth to others, in cost units. Values from 0.1 to 0.2 of the
             cheapest action's cost were about equally good for teams of 2 to 100.
+        progress : callable, optional
+            Called with how many problems of people on tasks that are not looked at whole have been solved, and of how
+            many.
         """
+        wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
+        whole = [policy for policy in policies if not isinstance(policy, WidePolicy)]
         if price is None:
-            tasks = [policy.pomdp.model.choices for policy in policies]
-            price = PRICE * min(float(task.costs[task.applicable].min()) for task in tasks)
+            tasks = [policy.pomdp.model.choices for policy in whole]
+            cheapest = [float(task.costs[task.applicable].min()) for task in tasks]
+            price = PRICE * min(cheapest + [min(policy.ground.known.task.costs, default=1) for policy in wide])
         entry, steps, longest = coming(travel)
-        visits = [Visits.of(policy.pomdp, entry, steps, longest=longest) for policy in policies]
-        solved = [qmdp(each.at_price(price)) for each in visits]
-        states = tuple(np.stack([each.states(0, position) for position in range(2 + longest)]) for each in visits)
-        return cls(tuple(visits), tuple(solved), states, price)
+
+        def presence(policy: Policy) -> Presence:
+            visits = Visits.of(policy.pomdp, entry, steps, longest=longest)
+            return Presence.of(visits, qmdp(visits.at_price(price)))
+
+        made = cls(entry, steps, longest, price, ByPolicy(whole, presence))
+        for done, policy in enumerate(wide):
+            if progress is not None:
+                progress(done, len(wide))
+            policy.visited(entry, steps, longest, price)
+        return made
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Choose the person with whom to be, in every team."""
@@ -92,87 +138,41 @@ class Priority:
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
         """Give each person's robot action, what going to them is worth, both (N, K), and what holding on is, (N,)."""
-        robot, holding = np.zeros(team.x.size, dtype=np.int64), np.zeros(len(team.x))
-        going = np.full(team.x.size, -np.inf)
-        steps = team.travel.steps[team.location][:, :-1].ravel()
-        if HERE + steps.max(initial=0) >= len(self.states[0]):
+        robot, going, holding = np.zeros_like(team.x), np.full(team.x.shape, -np.inf), np.zeros(len(team.x))
+        steps = team.travel.steps[team.location][:, :-1]
+        if steps.max(initial=0) > self.longest:
             raise ValueError(
-                f"a way of {steps.max()} steps: this policy was made for at most {len(self.states[0]) - 1 - HERE}; "
+                f"a way of {steps.max()} steps: this policy was made for at most {self.longest}; "
                 "expected the team's travel in Priority.of"
             )
-        for group, rows in team.groups():
-            x, belief = team.known_of(rows)
-            states, policy = self.states[group], self.policies[group]
-            q = policy.q_values(states[HERE][x], belief)
-            q[:, 1:] += self.price
-            gain = q - q[:, :1]
-            robot[rows] = gain[:, 2:].argmax(axis=1) + 1 if gain.shape[1] > 2 else 0
-            worth = gain[:, 2:].max(axis=1, initial=-np.inf)
-            far = np.flatnonzero(steps[rows] > 0)
-            if len(far):
-                at = states[HERE + steps[rows[far]], x[far]]
-                worth[far] = policy.q_values(at, belief[far])[:, 0] + self.price - q[far, 0]
-            going[rows] = worth
-            e, k = np.divmod(rows, team.x.shape[1])
-            with_them = np.flatnonzero(team.location[e] == k)
-            holding[e[with_them]] = gain[with_them, 1]
-        shape = team.x.shape
-        return robot.reshape(shape), going.reshape(shape) - team.to(), holding
+        if not team.active.any():
+            return robot, going, holding
+        values = team.of_each(self._values)
+        arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
+        # Nothing is worth infinitely little to those who are not there.
+        gain = np.full(q.shape, -np.inf)
+        np.subtract(q[:, :, 1:] + self.price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
+        if q.shape[2] > 2:
+            robot = np.where(team.active, gain[:, :, 2:].argmax(axis=2) + 1, 0)
+            going = gain[:, :, 2:].max(axis=2)
+        e, k = np.nonzero(team.active & (steps > 0))
+        going[e, k] = arriving[e, k, steps[e, k] - 1] + self.price - q[e, k, 0]
+        with_them = np.flatnonzero(team.location != BASE)
+        with_them = with_them[team.active[with_them, team.location[with_them]]]
+        holding[with_them] = gain[with_them, team.location[with_them], 1]
+        return robot, going - team.to(), holding
 
+    def presence(self, policy: Policy) -> Presence:
+        """Give the problem of the people of a policy with a robot that comes and goes."""
+        if isinstance(policy, Around):
+            return Presence.of(*policy.visits(self.entry, self.entry_steps, self.longest, self.price))
+        return self.known[policy]
 
-@dataclass(frozen=True)
-class WidePriority:
-    """The same on tasks of any size: what presence is worth is looked up in a region, and one step ahead of it.
-
-    Attributes
-    ----------
-    entry : float
-        What coming costs.
-    entry_steps, longest : int
-        How many steps it takes, and how many at most.
-    price : float
-        As in `Priority`.
-    """
-
-    entry: float
-    entry_steps: int
-    longest: int
-    price: float
-    uses_belief = True
-
-    @classmethod
-    def of(
-        cls,
-        policies: Sequence[WidePolicy],
-        travel: Travel,
-        price: float | None = None,
-        *,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> WidePriority:
-        """Work it out for people, each by themselves; arguments as in `Priority.of`.
-
-        Parameters
-        ----------
-        progress : callable, optional
-            Called with how many people's problems have been solved, and of how many.
-        """
-        if price is None:
-            price = PRICE * min(min(policy.ground.known.task.costs, default=1) for policy in policies)
-        made = cls(*coming(travel), price)
-        for done, policy in enumerate(policies):
-            if progress is not None:
-                progress(done, len(policies))
-            policy.visited(made.entry, made.entry_steps, made.longest, price)
-        return made
-
-    def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose the person with whom to be, in every team."""
-        visits, policies, states = [], [], []
-        for around in team.policies:
-            if not isinstance(around, Around):
-                raise TypeError(f"{type(around).__name__}: this policy is for people on a task of any size (`Around`)")
-            one, policy = around.visits(self.entry, self.entry_steps, self.longest, self.price)
-            visits.append(one)
-            policies.append(policy)
-            states.append(np.stack([one.states(0, position) for position in range(one.layout.positions)]))
-        return Priority(tuple(visits), tuple(policies), tuple(states), self.price)(team)
+    def _values(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give what it is worth that the robot is on its way, by how long, then what each of its actions is there."""
+        solved = self.presence(policy)
+        arriving = [
+            solved.policy.q_values(solved.states[HERE + steps][x], belief)[:, :1]
+            for steps in range(1, 1 + self.longest)
+        ]
+        return np.concatenate([*arriving, solved.policy.q_values(solved.states[HERE][x], belief)], axis=1)

@@ -7,9 +7,9 @@ the same form will do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +18,39 @@ from ..people.decision import Floats
 from ..person.pomdp import Policy
 from .travel import Travel
 
+T = TypeVar("T")
+
 BASE = -1
 """The robot's place before it has gone to anybody; also the last row of a distance matrix."""
 
 NOBODY = -1
 
 
+Ask = Callable[[Policy, NDArray[np.int64], Floats], Floats]
+"""Gives numbers, shape (m, W), for people of one policy, by their states, shape (m,), and beliefs, shape (m, B, T)."""
+
+
 class PolicyError(ValueError):
     """A team policy that fails, or chooses what cannot be."""
+
+
+class ByPolicy(Generic[T]):
+    """What has been worked out for each of some policies for one person.
+
+    Parameters
+    ----------
+    policies : iterable of Policy
+    work_out : callable
+    """
+
+    def __init__(self, policies: Iterable[Policy], work_out: Callable[[Policy], T]) -> None:
+        # By identity: policies are told apart as objects, whatever they hold. Each is kept as long as its number.
+        self._known = {id(policy): (policy, work_out(policy)) for policy in policies}
+
+    def __getitem__(self, policy: Policy) -> T:
+        if id(policy) not in self._known:
+            raise ValueError("a policy for people whom this team policy was not made for; expected one of those given")
+        return self._known[id(policy)][1]
 
 
 @dataclass(frozen=True)
@@ -43,6 +68,11 @@ class TeamAction:
 
     person: NDArray[np.int64]
     robot: NDArray[np.int64]
+
+
+def worth_of_actions(policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+    """Give what each robot action is worth, shape (m, R): an `Ask`."""
+    return policy.q_values(x, belief)
 
 
 def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
@@ -117,17 +147,29 @@ class TeamState:
             raise ValueError("the policy has said that it uses no beliefs")
         return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
 
+    def of_each(self, ask: Ask) -> Floats:
+        """Ask something about everybody who is active, shape (N, K, W).
+
+        Minus infinity in padding, and for those who are not active. In a live team only those are asked about of whom
+        something has changed since, so that the answer should depend on nothing else.
+
+        Parameters
+        ----------
+        ask : Ask
+            A function that stays the same from step to step.
+        """
+        found = [(rows, ask(self.policies[group], *self.known_of(rows))) for group, rows in self.groups()]
+        values = np.full((self.x.size, max((each.shape[1] for _, each in found), default=1)), -np.inf)
+        for rows, each in found:
+            values[rows, : each.shape[1]] = each
+        return values.reshape(*self.x.shape, -1)
+
     def q_values(self) -> Floats:
         """Give what each robot action is worth for each person, were they alone, shape (N, K, R).
 
         Minus infinity in padding, and for those who are not active.
         """
-        actions = max(policy.pomdp.suggested.shape[1] for policy in self.policies)
-        q = np.full((self.x.size, actions), -np.inf)
-        for group, rows in self.groups():
-            values = self.policies[group].q_values(*self.known_of(rows))
-            q[rows, : values.shape[1]] = values
-        return q.reshape(*self.x.shape, actions)
+        return self.of_each(worth_of_actions)
 
     def first_optimal(self) -> NDArray[np.int64]:
         """Give each person's first robot action that suggests an optimal action, shape (N, K); 0: there is none."""

@@ -51,7 +51,7 @@ class StudySession(Session):
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path) -> None:
         self.study = study
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
-        # Worked out once, for all teams; of a task too large for that each team has a part of its own.
+        # Worked out once, for all teams.
         self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self._plan = folder, folder / PLAN
@@ -60,10 +60,8 @@ class StudySession(Session):
             with atomic(self._plan) as path:
                 shutil.copyfile(study.file, path)
 
-    def _once(self, task: CostToGo) -> CostToGo | Policy:
-        problem = Problem(task, self.study.setting, self.study.population, [])
-        part = problem.parts[0]
-        return part.policy if part.states is None else task
+    def _once(self, task: CostToGo) -> Policy:
+        return Problem(task, self.study.setting, self.study.population).policy
 
     def _header(self) -> dict[str, Any]:
         return {
