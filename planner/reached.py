@@ -173,7 +173,8 @@ def list_members(states, start, out):
     filled = 0
     if len(states.bits) == 0:
         filled = min(len(out), len(states.members) - start)
-        out[:filled] = states.members[start : start + filled]
+        for i in range(filled):  # an assignment to a slice takes two seconds to compile
+            out[i] = states.members[start + i]
         return start + filled, filled
     for word in range(start, len(states.bits)):
         rest = states.bits[word]

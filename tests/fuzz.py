@@ -11,6 +11,7 @@ drawn.
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import pickle
 import resource
@@ -36,7 +37,7 @@ from click.testing import CliRunner
 
 from assist.cli import main
 
-CPU_SECONDS, SECONDS = 30, 900.0  # of one input; the second for a machine that does other things as well
+CPU_SECONDS, SECONDS = 30, 400.0  # of one input; the second for a machine that does other things as well
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
 
 
@@ -128,11 +129,12 @@ def load(file: str) -> None:
 
 def attempt(made: Input, folder: Path) -> dict[str, Any]:
     """Try an input in a forked process; how it ended."""
-    answer = folder.with_suffix(".answer")
+    answer, stuck = folder.with_suffix(".answer"), folder.with_suffix(".stuck")
     child = os.fork()
     if child == 0:
         with suppress(BaseException):
             os.chdir(folder)
+            faulthandler.dump_traceback_later(SECONDS - 10, file=stuck.open("w"))  # where it waits, and for what
             _limit(resource.RLIMIT_CPU, CPU_SECONDS)
             mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
             _limit(resource.RLIMIT_AS, mapped + MEMORY)
@@ -159,8 +161,10 @@ def attempt(made: Input, folder: Path) -> dict[str, Any]:
             os.waitpid(child, 0)
             break
         time.sleep(0.005)
+    where = stuck.read_text(errors="replace") if stuck.exists() else ""
+    stuck.unlink(missing_ok=True)
     if not answer.exists():
-        return {"code": "hang or crash", "stdout": "", "stderr": "", "trace": ""}
+        return {"code": "hang or crash", "stdout": "", "stderr": where, "trace": ""}
     done = pickle.loads(answer.read_bytes())
     answer.unlink()
     return done

@@ -296,6 +296,15 @@ def test_limits_stop_the_search() -> None:
         solve(pomdp, memory_limit_mb=1)
 
 
+def test_bounds_hold_where_there_is_no_time_for_the_first_ones(tiny_choices: Choices) -> None:
+    pomdp = make(tiny_choices)
+    hasty, whole = solve(pomdp, time_limit=0), solve(pomdp, gap=1e-3)
+    assert hasty.stopped == "time"
+    assert hasty.value_qmdp == 0 > whole.value_qmdp  # not a sweep was begun
+    assert hasty.lower <= whole.lower <= whole.upper < hasty.upper
+    assert hasty.value_never == pytest.approx(whole.value_never)
+
+
 @pytest.mark.parametrize("name", ["gap", "time_limit", "memory_limit_mb"])
 def test_limits_are_numbers(tiny_choices: Choices, name: str) -> None:
     pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices))

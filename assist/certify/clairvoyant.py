@@ -230,6 +230,13 @@ def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None
 
 
 @numba.njit(cache=True)
+def _copy(to: Floats, row: Floats) -> None:
+    """Copy a row; an assignment of arrays takes seconds to compile."""
+    for c in range(len(to)):
+        to[c] = row[c]
+
+
+@numba.njit(cache=True)
 def _search(
     graphs: Any, of: Any, mean: Any, rows: Any, guide: Any, ahead: Floats, price: Floats, alpha: float, scale: Scale,
     steps: int, most: int,
@@ -269,7 +276,7 @@ def _search(
             return estimate
         finished = True
         for k in range(people):
-            here[k] = rows[k][of[k][state[k]] if state[k] != END else 0]
+            _copy(here[k], rows[k][of[k][state[k]] if state[k] != END else 0])
             finished = finished and state[k] == END
         loss = alpha * lost(t, here, scale)
         if finished or t == steps:  # nothing, or nothing more, is left out: from here on V is what is known
@@ -305,11 +312,12 @@ def _search(
                 then, estimate = state.copy(), ahead[t + 1]
                 for i in range(people):
                     if state[i] == END:
-                        next_[i] = rows[i][0]
+                        _copy(next_[i], rows[i][0])
                         continue
                     does = e if i == k else idle[i]
                     total += graphs[i].cost[does]
-                    then[i], next_[i] = graphs[i].to[does], mean[i][does]
+                    then[i] = graphs[i].to[does]
+                    _copy(next_[i], mean[i][does])
                     if then[i] != END:
                         estimate += guide[i][then[i]]
                 total += alpha * lost(t + 1, next_, scale)

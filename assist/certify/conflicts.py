@@ -186,7 +186,10 @@ def _row(
         if not work_out(n, nodes, known, m, order):
             return False
         e, robots = nodes.first[n], m.robot_actions[x]
-        best = e + nodes.regret[e : e + robots].argmin()
+        best = e
+        for r in range(e + 1, e + robots):
+            if nodes.regret[r] < nodes.regret[best]:
+                best = r
         ready = True
         for k in range(nodes.begin[best], nodes.begin[best + 1]):
             if nodes.to[k] != END and rows.of[nodes.to[k]] < 0:

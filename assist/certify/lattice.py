@@ -260,8 +260,9 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
         return False
     belief, after = np.zeros(size), np.empty(size)
     if node < points:
-        belief[:] = known.point[node]
-        belief /= belief.sum()
+        mass = known.point[node].sum()
+        for h in range(size):  # arrays as wholes take seconds to compile
+            belief[h] = known.point[node, h] / mass
     else:
         belief[(node - points) % size] = 1.0
     part, piece = np.empty(size + PIECES), np.empty(size + PIECES, np.int64)

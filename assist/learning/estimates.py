@@ -295,7 +295,8 @@ def _climb(data: Data, at: Floats, step: Floats, low: Floats, high: Floats, smal
                     continue
                 k = (direction - 1) // 2 * (1.0 if direction % 2 else -1.0)
                 for sign in (-1.0, 1.0):
-                    before[:] = at
+                    for c in range(3):
+                        before[c] = at[c]
                     at[axis] += sign * step[axis]
                     if direction > 2:
                         at[1] -= sign * step[2] * k * unit
@@ -309,6 +310,8 @@ def _climb(data: Data, at: Floats, step: Floats, low: Floats, high: Floats, smal
                         best = value
                         improved = True
                         break
-                    at[:] = before
-        step /= 2
+                    for c in range(3):
+                        at[c] = before[c]
+        for c in range(3):
+            step[c] /= 2
     return best

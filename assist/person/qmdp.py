@@ -143,6 +143,14 @@ def qmdp(
     return ahead(pomdp, value)
 
 
+def load_compiled(pomdp: AssistPOMDP) -> None:
+    """Have the code that `qmdp` needs loaded, or compiled, which takes seconds once after an installation."""
+    arrays, nothing = Arrays.of(pomdp), read_only(np.zeros(0, dtype=np.int64))
+    value = np.zeros((0, 0, 0))
+    _sweep(value, nothing, nothing, 0, arrays)
+    _q_values(value[None], value, nothing, arrays)
+
+
 def highest(pomdp: AssistPOMDP) -> Floats:
     """Give upper bounds from which values are worked out, shape (n, B, T): those of final states are their values.
 

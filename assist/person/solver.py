@@ -22,6 +22,7 @@ the problem on its grid of beta and theta, and to someone who acts in steps as `
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP
-from .qmdp import QMDP, ROUNDING, Arrays, evaluate, qmdp, read_only, sweep_order
+from .qmdp import QMDP, ROUNDING, Arrays, evaluate, load_compiled, qmdp, read_only, sweep_order
 
 BACKUPS = 1000  # between two looks at the clock
 MEMORY_LIMIT_MB = 4000.0  # unless another is given
@@ -191,8 +192,8 @@ def solve(
     gap : float
         Stop when (upper - lower) / abs(lower) at the initial state and the prior is at most this.
     time_limit : float, optional
-        Stop the search after so many seconds. The first bounds are worked out in any case. Compiling, which takes
-        place once after an installation, does not count.
+        Stop the search after so many seconds. Policies from which it begins are valued in any case; the first upper
+        bound is what it has come to by then. Compiling, which takes place once after an installation, does not count.
     memory_limit_mb : float
         Stop before vectors and beliefs take more.
     best : QMDP, optional
@@ -215,10 +216,11 @@ def solve(
             f"and up to {pomdp.suggested.shape[1]} robot actions take about {needed:,.0f} MB of memory, and "
             f"{memory_limit_mb:,.0f} MB are allowed; expected a smaller region of states, a coarser grid or more memory"
         )
+    load_compiled(pomdp)
     start = time.perf_counter()
     x0 = pomdp.model.choices.initial
     prior = pomdp.prior.reshape(-1)
-    best = best or qmdp(pomdp)
+    best = best or qmdp(pomdp, deadline=math.inf if time_limit is None else start + time_limit)
     work = _Search(pomdp, best)
     never = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
     value_never = work.begin(never)
@@ -283,7 +285,7 @@ class _Search:
         self.hull = hsvi.empty_hull(corner, 2 * hsvi.DEPTH)
         self.plans = hsvi.no_plans(states, size, 4 * states + 2 * hsvi.DEPTH)
         self.path = hsvi.new_path(size, pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1])
-        self.order = sweep_order(pomdp)
+        self.order = read_only(sweep_order(pomdp))
         self.renewed = len(self.order)  # how far in this order the present renewal has come
         self.tried = 0  # backups of trials since it began
         self.fineness = np.array([0.001, 0.01])  # as `hsvi.trials` has it; refined where nothing more is found
