@@ -9,7 +9,8 @@ from pathlib import Path
 
 import live_load
 import pytest
-from serving import TINY, served
+from serving import TINY, Served, served
+from userstudies import written
 
 
 @pytest.mark.long
@@ -20,22 +21,44 @@ def test_nothing_acknowledged_is_lost_when_the_service_is_killed(tmp_path: Path)
     assert any(seen.acknowledged.values())
 
 
+def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: str) -> None:
+    """Make requests from the description, valid and not, in which somebody who is there has each path's `name`."""
+    (folder / "schemathesis.toml").write_text(
+        "".join(
+            f'[[operations]]\ninclude-name = "{request}"\nparameters = {{ name = "{name}" }}\n'
+            for request, name in parameters.items()
+        )
+    )
+    # Which people, tasks and actions there are is not in the description: not all that it allows is accepted.
+    command = [
+        str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(folder / "schemathesis.toml"),
+        "run", f"{service.url}/openapi.json", "--checks", "all", "--exclude-checks", "positive_data_acceptance",
+        "--max-examples", "5", "--phases", "examples,coverage,fuzzing", "--no-color", "--seed", "1",
+        "--header", f"Authorization: Bearer {service.token()}", *only,
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=folder)
+    assert done.returncode == 0, done.stdout
+    assert service.ask("GET", "/api/health").json()["status"] == "ok"
+
+
 @pytest.mark.long
 def test_the_interface_is_what_its_description_says(tmp_path: Path) -> None:
-    """Requests made from the description, valid and not, against a service that runs."""
-    people = "".join(
-        f'[[operations]]\ninclude-name = "POST /api/people/{{name}}/{what}"\nparameters = {{ name = "person-1" }}\n'
-        for what in ("actions", "undo", "begin")
-    )
-    (tmp_path / "schemathesis.toml").write_text(people)
     with served("--humans", 2, "--c-suggest", 0.02) as service:
-        # Which people, tasks and actions there are is not in the description: not all that it allows is accepted.
-        command = [
-            str(Path(sys.executable).with_name("schemathesis")), "--config-file", str(tmp_path / "schemathesis.toml"),
-            "run", f"{service.url}/openapi.json", "--checks", "all", "--exclude-checks", "positive_data_acceptance",
-            "--max-examples", "5", "--phases", "examples,coverage,fuzzing", "--no-color", "--seed", "1",
-            "--header", f"Authorization: Bearer {service.token()}",
-        ]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=tmp_path)
-        assert done.returncode == 0, done.stdout
-        assert service.ask("GET", "/api/health").json()["status"] == "ok"
+        conforms(
+            service, tmp_path,
+            {f"POST /api/people/{{name}}/{what}": "person-1" for what in ("actions", "undo", "begin")},
+        )  # fmt: skip
+
+
+@pytest.mark.long
+def test_the_interface_of_a_user_study_is_what_its_description_says(tmp_path: Path) -> None:
+    file = written(tmp_path / "study.toml")
+    with served("--study", file, "--data", tmp_path / "data", instance=None) as study:
+        described = study.ask("GET", "/openapi.json").json()["paths"]
+        seat = study.ask("POST", "/api/study/seats", json={"id": "a visitor"}).json()
+        named = [
+            f"{method.upper()} {path}" for path, methods in described.items() if "{name}" in path for method in methods
+        ]
+        # What is answered otherwise than to a team.
+        only = r"^/api/(study.*|team|people/\{name\}(/drawing|/actions)?)$"
+        conforms(study, tmp_path, dict.fromkeys(named, seat["person"]), "--include-path-regex", only)

@@ -182,14 +182,15 @@ class Typing(Seat):
         self.page.keyboard.press("Enter")
 
 
-def violations(page: Any) -> list[Any]:
+def violations(page: Any, *, dark: bool = True) -> list[Any]:
     """What axe-core finds: in light all that it looks for, in dark whether everything can be told from its ground."""
     from axe_playwright_python.sync_playwright import Axe
 
     found = Axe().run(page).response["violations"]
-    page.emulate_media(color_scheme="dark")
-    found += Axe().run(page, options={"runOnly": ["color-contrast"]}).response["violations"]
-    page.emulate_media(color_scheme=None)
+    if dark:
+        page.emulate_media(color_scheme="dark")
+        found += Axe().run(page, options={"runOnly": ["color-contrast"]}).response["violations"]
+        page.emulate_media(color_scheme=None)
     return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
 
 

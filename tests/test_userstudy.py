@@ -149,7 +149,9 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
 
     def look() -> None:
         views = {name: session.person(name) for name in session.people}
-        seen.append(((tmp_path / "data" / JOURNAL).read_bytes(), {**views, "log": session.log()}))
+        seen.append(
+            ((tmp_path / "data" / JOURNAL).read_bytes(), {**views, "log": session.log(), "beliefs": session.beliefs()})
+        )
 
     stages = [stage.name for stage in session.study.stages]
     reached = []
@@ -166,13 +168,16 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
     look()
     assert reached == stages[:-1] * 2
     assert session.log()
+    assert set(session.beliefs()) == {"ann", "ann-1", "ann-2", "bob", "bob-1", "bob-2"}
+    assert session.recommend().person is None
     session.close()
     for number, (journal, views) in enumerate(seen):
         folder = tmp_path / f"after-{number}"
         folder.mkdir()
         (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # of which nobody was told
         again = opened(folder=folder)
-        assert {**{name: again.person(name) for name in again.people}, "log": again.log()} == views
+        found = {name: again.person(name) for name in again.people}
+        assert {**found, "log": again.log(), "beliefs": again.beliefs()} == views
         if (mine := views.get("ann")) and mine["study"]["kind"] == "task" and mine["steps"] == 1:
             Part(again, "ann").finish()  # and simulated people go on as they would have
             assert done_together(folder / JOURNAL) == done_together(tmp_path / "data" / JOURNAL)

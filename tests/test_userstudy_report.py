@@ -7,6 +7,7 @@ import io
 import json
 import math
 import statistics
+import time
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from scipy import stats
 from userstudies import PLAN, written
 
 from assist.cli import main
-from assist.userstudy import report
+from assist.userstudy import rehearsal, report
 from assist.userstudy.effects import cronbach_alpha, detectable, difference, hedges_g
 
 
@@ -32,7 +33,17 @@ def read(folder: Path, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO((folder / name).read_text())))
 
 
-def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path) -> None:
+def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # All come at once, and whoever leaves takes their time: there is one place too few for a while.
+    monkeypatch.setattr(rehearsal, "AT_ONCE", 9)
+    step = rehearsal.SimulatedParticipant._step
+
+    def slowly(self: Any, seen: dict[str, Any]) -> dict[str, Any]:
+        if self._leaves is not None:
+            time.sleep(0.5)
+        return step(self, seen)
+
+    monkeypatch.setattr(rehearsal.SimulatedParticipant, "_step", slowly)
     file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
     data, unpacked = tmp_path / "data", tmp_path / "export"
     said = run("serve", "--study", file, "--rehearse", 8, "--data", data, "--port", 0)

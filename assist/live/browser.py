@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from fastapi import APIRouter, HTTPException, Request, Response
@@ -9,49 +10,65 @@ from fastapi.responses import FileResponse, HTMLResponse
 
 from ..drawing import svg
 from . import description
+from .access import Access
 
 PAGES = Path(__file__).parent / "pages"
 
 router = APIRouter(include_in_schema=False)
 
 
-def _page(name: str) -> Response:
-    file = PAGES / name
-    if not file.is_file():
+def document(content: str, status: int = 200) -> Response:
+    """Give a page: the head that all of them have, and what follows, from its title on."""
+    return HTMLResponse(_read(PAGES / "head.html") + content, status)
+
+
+def page(file: Path, status: int = 200) -> Response:
+    """Give the page whose title and what follows are in a file."""
+    return document(_read(file), status)
+
+
+@cache
+def _read(file: Path) -> str:
+    return file.read_text(encoding="utf-8")
+
+
+def piece(folder: Path, name: str) -> Response:
+    """Give what pages load: a script, or a style."""
+    if name not in {file.name for kind in ("*.js", "*.css") for file in folder.glob(kind)}:
         raise HTTPException(404, "there is no such page")
-    return FileResponse(file)
+    return FileResponse(folder / name)
 
 
-def _of(request: Request, token: str, person: str | None, page: str) -> Response:
-    """Give somebody's page, or the one that says that a link is not right."""
-    caller = request.app.state.service.access.whose(token)
+def page_of(access: Access, token: str, person: str | None, file: Path) -> Response:
+    """Give the page of whoever has this token, or the one that says that a link is not right."""
+    caller = access.whose(token)
     if caller is None or caller.person != person:
-        return FileResponse(PAGES / "nowhere.html", 403)
-    return _page(page)
+        return page(PAGES / "nowhere.html", 403)
+    return page(file)
 
 
 @router.get("/")
 async def nowhere() -> Response:
     """Say that a link is needed."""
-    return FileResponse(PAGES / "nowhere.html", 404)
+    return page(PAGES / "nowhere.html", 404)
 
 
 @router.get("/docs")
 async def docs(request: Request) -> Response:
     """Describe the interface."""
-    return HTMLResponse(description.page(request.app.openapi()))
+    return document(description.page(request.app.openapi()))
 
 
 @router.get("/join/{name}/{token}")
 async def worker(request: Request, name: str, token: str) -> Response:
     """Give the page of whoever works."""
-    return _of(request, token, name, "worker.html")
+    return page_of(request.app.state.service.access, token, name, PAGES / "worker.html")
 
 
 @router.get("/operator/{token}")
 async def operators(request: Request, token: str) -> Response:
     """Give the page of whoever looks after the team."""
-    return _of(request, token, None, "operator.html")
+    return page_of(request.app.state.service.access, token, None, PAGES / "operator.html")
 
 
 @router.get("/pages/{name}")
@@ -59,6 +76,4 @@ async def part(name: str) -> Response:
     """Give what pages load."""
     if name == "drawing.css":
         return Response(svg.style(), media_type="text/css")
-    if name not in {file.name for file in PAGES.glob("*")}:
-        raise HTTPException(404, "there is no such page")
-    return _page(name)
+    return piece(PAGES, name)

@@ -382,6 +382,10 @@ class Course:
             "belief": known.belief.tolist(),
         }
 
+    def beliefs(self) -> dict[str, bytes]:
+        """Give what is believed of everybody who is there, to the bit."""
+        return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
+
     def robot(self) -> dict[str, Any]:
         """Give where the robot is to be and what it says there, as JSON has it.
 

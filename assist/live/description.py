@@ -11,7 +11,7 @@ Plain = Mapping[str, Any]
 
 
 def page(described: Plain) -> str:
-    """Give the page.
+    """Give the page, from its title on.
 
     Parameters
     ----------
@@ -26,9 +26,7 @@ def page(described: Plain) -> str:
     ]
     title = escape(described["info"]["title"])
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}: the interface</title>'
-        '<meta name="viewport" content="width=device-width"><link rel="stylesheet" href="/pages/live.css"></head>'
-        "<body><main>"
+        f"<title>{title}: the interface</title></head><body><main>"
         f"<h1>{title}</h1><p>{escape(described['info'].get('summary', ''))}</p>"
         '<p>A token goes into the header <code>Authorization: Bearer TOKEN</code>: the last part of a link. For '
         f'programs: <a href="/openapi.json">openapi.json</a>.</p>{"".join(parts)}</main></body></html>'

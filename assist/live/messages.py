@@ -134,13 +134,16 @@ class Robot(BaseModel):
 
 
 class Member(Person):
-    """What the operator sees of somebody: low end, mean and high end of beta and theta, and all of the belief."""
+    """What the operator sees of somebody: low end, mean and high end of beta and theta, and all of the belief.
 
-    history: list[tuple[float, float | None]]
-    beta: tuple[float, float, float]
-    theta: tuple[float, float, float]
-    grid: dict[str, list[float]]
-    belief: list[list[float]]
+    Of participants of a user study, who are in teams of their own, these are not shown.
+    """
+
+    history: list[tuple[float, float | None]] = Field(default_factory=list)
+    beta: tuple[float, float, float] | None = None
+    theta: tuple[float, float, float] | None = None
+    grid: dict[str, list[float]] | None = None
+    belief: list[list[float]] | None = None
     connected: bool
     simulated: bool
     join: str

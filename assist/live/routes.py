@@ -40,7 +40,7 @@ async def person(name: Own, service: Desk) -> Response:
     return plain(service.views[name])
 
 
-@router.get("/api/people/{name}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(422))
+@router.get("/api/people/{name}/drawing", tags=["people"], response_model=Drawn, responses=READ | refusals(409, 422))
 async def drawing(
     name: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
 ) -> Response:

@@ -21,6 +21,8 @@ from typing import Any
 
 from .access import Access
 from .course import AbsentError, Event
+from .journal import JournalError
+from .problem import InapplicableError
 from .session import Outcome, Outlook, Session
 
 ROOM = 64
@@ -182,6 +184,15 @@ class Service:
         answer: dict[str, Any] = await future
         return answer
 
+    async def pass_on(self, event: Event) -> None:
+        """Let something happen that time brings, and that nobody waits for: what is in its way now may not be later."""
+        try:
+            await self.report(event)
+        except (InapplicableError, BusyError, JournalError):
+            pass  # something has changed meanwhile, too much waits, or the disk is full, which is said to those who act
+        except Exception:
+            logging.getLogger(__name__).exception("%s: time cannot bring this", event.kind)
+
     async def _tick(self) -> None:
         """Report that time has elapsed whenever nothing has happened for a while."""
         self._last = self._loop.time()
@@ -189,8 +200,7 @@ class Service:
             await asyncio.sleep(max(0.01, self._last + self.tick - self._loop.time()))
             if self._loop.time() >= self._last + self.tick:
                 self._last = self._loop.time()
-                with suppress(Exception):  # a full disk is said to those who report something
-                    await self.report(Event("elapsed"))
+                await self.pass_on(Event("elapsed"))
 
     # Those who watch.
 

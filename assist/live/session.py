@@ -373,8 +373,7 @@ class Session:
     def beliefs(self) -> dict[str, bytes]:
         """Give what is believed of everybody who is there, to the bit."""
         with self.lock:
-            desk = self._course.desk
-            return {person: desk.person(person).belief.tobytes() for person in desk.people}
+            return self._course.beliefs()
 
 
 def _chances(task: CostToGo, population: Population | Mixture) -> str:

@@ -19,7 +19,8 @@ import numpy as np
 
 from planner import CostToGo
 
-from ..live.course import AbsentError, Course, Event
+from ..live.advice import Advice
+from ..live.course import NOTHING, AbsentError, Course, Event
 from ..live.problem import InapplicableError, UnknownError
 from ..live.simulated import SimulatedPerson
 from .assignment import assign
@@ -378,6 +379,16 @@ class Cohort:
         """Give what the operator sees of somebody."""
         who = self.known(person)
         return self.person(person) | {"condition": who.condition, "status": who.status, "simulated": who.simulated}
+
+    def beliefs(self) -> dict[str, bytes]:
+        """Give what is believed of everybody in a team that has begun a task, simulated people included, to the bit."""
+        groups = (who.groups["task"] for who in self.participants.values() if "task" in who.groups)
+        return {person: belief for group in groups for person, belief in group.course.beliefs().items()}
+
+    @property
+    def advice(self) -> Advice:
+        """Every team has a robot: there is nothing that one of them is to do for all."""
+        return NOTHING
 
     def robot(self) -> dict[str, Any]:
         """Every team has one: there is nothing to be said of all of them."""

@@ -141,8 +141,17 @@ def rehearse(service: StudyService, tasks: Mapping[str, CostToGo], participants:
     for number, stage in enumerate(leaving):
         order.insert(number * LEAVING + LEAVING // 2, stage)
 
+    places = threading.Semaphore(service.study.participants or len(order))
+
     def part(number: int) -> None:
-        SimulatedParticipant(service, tasks, number, order[number], lock).take_part()
+        # Who stays waits for the place of somebody who leaves, if all are taken; who would leave is turned away.
+        stays = order[number] is None
+        if places.acquire(blocking=stays):
+            try:
+                SimulatedParticipant(service, tasks, number, order[number], lock).take_part()
+            finally:
+                if not stays:
+                    places.release()
 
     with ThreadPoolExecutor(AT_ONCE) as threads:
         list(threads.map(part, range(len(order))))

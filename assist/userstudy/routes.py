@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
-from fastapi.responses import FileResponse
 from pydantic import BaseModel, Field
 
-from ..live.admission import READ, WRITE, Operator, Own, refusals
+from ..live.access import Caller
+from ..live.admission import WRITE, Operator, Own, refusals
+from ..live.browser import page_of, piece
 from ..live.messages import Once, Person
 from ..live.routes import plain
 from .cohort import StudyEvent
@@ -41,12 +42,29 @@ class Onward(Once):
     answers: dict[str, int | str] | None = Field(None, description="To the questionnaire, if this is one.")
 
 
+class Progress(BaseModel):
+    """How far a participant has come; `over`: whether the task there is."""
+
+    kind: str
+    stage: str
+    number: int
+    of: int
+    over: bool
+    completion: str | None
+
+
+class Participant(Person):
+    """What a participant sees: their task, where there is one, and how far they have come."""
+
+    study: Progress
+
+
 class Seat(BaseModel):
     """The place of who has come, and the address of their page."""
 
     person: str
     part: str
-    study: dict[str, Any]
+    study: Progress
 
 
 async def study_of(request: Request) -> StudyService:
@@ -98,20 +116,20 @@ async def form(request: Request, study: Study) -> Response:
     return plain(request.app.state.form)
 
 
-@router.post("/api/study/participants/{name}/onward", tags=["study"], response_model=Person, responses=WRITE)
+@router.post("/api/study/participants/{name}/onward", tags=["study"], response_model=Participant, responses=WRITE)
 async def onward(name: Own, going: Onward, study: Study) -> Response:
     """Go on to the next stage; 409 from another one than where they are."""
     event = StudyEvent("onward", name, id=going.id, stage=going.stage, answers=going.answers)
     return plain(await study.report(event))
 
 
-@router.post("/api/study/participants/{name}/withdraw", tags=["study"], response_model=Person, responses=WRITE)
+@router.post("/api/study/participants/{name}/withdraw", tags=["study"], response_model=Participant, responses=WRITE)
 async def withdraw(name: Own, study: Study, once: Once | None = None) -> Response:
     """Leave the study for good; at its beginning: do not consent."""
     return plain(await study.report(StudyEvent("withdrew", name, id=once.id if once else None)))
 
 
-@router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Person, responses=WRITE)
+@router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Participant, responses=WRITE)
 async def come_back(name: Own, study: Study, once: Once | None = None) -> Response:
     """Come back after having been gone, if there is a place."""
     return plain(await study.report(StudyEvent("returned", name, id=once.id if once else None)))
@@ -123,7 +141,12 @@ async def overview(_: Operator, study: Study) -> Response:
     return plain(await study.overview())
 
 
-@router.get("/api/study/export", tags=["study"], responses=READ)
+@router.get(
+    "/api/study/export", tags=["study"], response_class=Response,
+    responses={
+        **refusals(403), 200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}},
+    },
+)  # fmt: skip
 async def export(_: Operator, study: Study) -> Response:
     """Everything that was recorded: tables as CSV, what they mean, and logs that `fit` reads, as one ZIP file."""
     return await _archive(study)
@@ -135,47 +158,33 @@ async def _archive(study: StudyService) -> Response:
     return Response(content, media_type="application/zip", headers=dict(headers))
 
 
-def _page(name: str) -> Response:
-    return FileResponse(PAGES / name)
-
-
-def _known(study: StudyService, token: str, person: str | None) -> None:
-    caller = study.access.whose(token)
-    if caller is None or caller.person != person:
-        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
-
-
 @router.get("/study/operator/{token}", include_in_schema=False)
 async def conduct(token: str, study: Study) -> Response:
     """Give the page of whoever conducts the study."""
-    _known(study, token, None)
-    return _page("conduct.html")
+    return page_of(study.access, token, None, PAGES / "conduct.html")
 
 
 @router.get("/study/export/{token}", include_in_schema=False)
 async def export_file(token: str, study: Study) -> Response:
     """Give the export to whoever has the operator's token."""
-    _known(study, token, None)
+    if study.access.whose(token) != Caller(None):
+        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
     return await _archive(study)
 
 
 @router.get("/study/{token}", include_in_schema=False)
 async def visitors(token: str, study: Study) -> Response:
     """Give the page at which everybody gets a place."""
-    _known(study, token, VISITOR)
-    return _page("visit.html")
+    return page_of(study.access, token, VISITOR, PAGES / "visit.html")
 
 
 @router.get("/part/{name}/{token}", include_in_schema=False)
 async def part(name: str, token: str, study: Study) -> Response:
     """Give a participant's page, but for tasks, which have their own."""
-    _known(study, token, name)
-    return _page("part.html")
+    return page_of(study.access, token, name, PAGES / "part.html")
 
 
 @router.get("/study/pages/{name}", include_in_schema=False)
-async def piece(name: str) -> Response:
+async def own_piece(name: str) -> Response:
     """Give what pages load."""
-    if name not in {file.name for file in PAGES.glob("*")}:
-        raise HTTPException(404, "there is no such page")
-    return _page(name)
+    return piece(PAGES, name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
-from contextlib import suppress
 from typing import Any
 
 from ..live.access import Access
@@ -98,8 +97,7 @@ class StudyService(Service):
         while True:
             await asyncio.sleep(LOOK)
             for event in await asyncio.to_thread(self._held.see, self._due):
-                with suppress(Exception):  # it has changed meanwhile, or the disk is full: then again
-                    await self.report(event)
+                await self.pass_on(event)
 
     def _due(self, cohort: Cohort) -> list[Event]:
         now, session_now, study = self._loop.time(), self.session.now(), self.study
