@@ -63,3 +63,13 @@ def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
         return context.get_dummy_value()
 
     return types.void(array, types.int64), code
+
+
+@intrinsic
+def lowest_bit(typing: Any, word: Any) -> Any:  # noqa: ARG001
+    """Give the place of the lowest bit that is set in a word that is not 0."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.uint64), code

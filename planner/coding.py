@@ -39,6 +39,9 @@ MANY = 1 << 33
 FIELDS = 3
 """Fields of a cluster's value or of a sum in a word."""
 
+Sum = tuple[int, dict[Fact, int]]
+"""A constant and coefficients: the number of facts that hold among some, each counted so many times."""
+
 
 @dataclass(frozen=True)
 class Change:
@@ -74,6 +77,8 @@ class Coding:
     field : dict of int to (int, int)
         The word and the shift of the value of each cluster whose changes are looked up.
     decoder : Decoder
+    implied : dict of Fact to Sum
+        Facts of the variables left out, where each follows from facts of the digits by a sum.
     """
 
     packing: Packing
@@ -83,6 +88,7 @@ class Coding:
     size: int
     field: dict[int, tuple[int, int]]
     decoder: Decoder
+    implied: dict[Fact, Sum]
 
     @classmethod
     def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[Move]) -> Coding | None:
@@ -99,7 +105,7 @@ class Coding:
         own = tuple(Cluster((v,), np.arange(n)[:, None]) for v, n in enumerate(sizes))
         constant, parts = _parts(packing, sizes, sums)
         decoder = _decoder([parts[v] for v in digits], constant, [], [])
-        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder)
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder, sums)
 
     @classmethod
     def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> Coding | None:
@@ -127,7 +133,7 @@ class Coding:
         }
         digits = list(range(len(merged)))
         decoder = _dense_decoder(packing, sizes, own, digits, left_out, field)
-        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder)
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
 
     def change(self, move: Move) -> Change | None:
         """Say what a move adds to the index; None if it can never be applied."""
@@ -270,10 +276,6 @@ def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
     return stride
 
 
-Sum = tuple[int, dict[Fact, int]]
-"""A constant and coefficients: the number of facts that hold among some, each counted so many times."""
-
-
 def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]]) -> dict[Fact, Sum]:
     """Choose variables to leave out, and express each of their facts by those of the remaining variables.
 
@@ -373,7 +375,7 @@ def _dense_decoder(
             assert len(np.unique(same)) == 1
             parts[number][:, word] -= same << np.uint64(shift)
             constant[word] += same[0] << np.uint64(shift)
-    told = np.zeros((len(left_out), PRIME), dtype=np.int64)
+    told = np.zeros((len(left_out), PRIME), dtype=np.int32)
     for step, own in enumerate(left_out):
         cluster = clusters[len(digits) + step]
         told[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
@@ -419,5 +421,5 @@ def _decoder(
         np.array(first, np.int64),
         np.concatenate(tables),
         fields,
-        np.asarray(told, dtype=np.int64).reshape(len(steps), PRIME),
+        np.asarray(told, dtype=np.int32).reshape(len(steps), PRIME),
     )

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .atomics import exchange_free, fetch_min, fetch_or, prefetch
+from .atomics import exchange_free, fetch_min, fetch_or, lowest_bit, prefetch
 from .compiled import njit
 from .reached import ask_for, close_one, find_slot, first_slot, is_closed, number_of
 from .successors import Ints, Words
@@ -38,7 +38,7 @@ class Decoder(NamedTuple):
         The words of `successors.Packing` come first.
     steps : int64 array, shape (steps, 3)
         The word and the shift of each step's field, and the row of its value 0.
-    told : int64 array, shape (steps, prime)
+    told : int32 array, shape (steps, prime)
         The value that each sum tells; 0 where no value has that sum, which is so in no reachable state.
     """
 
@@ -46,14 +46,36 @@ class Decoder(NamedTuple):
     first: Ints
     rows: Words
     steps: Ints
-    told: Ints
+    told: NDArray[np.int32]
 
 
-class Tests(NamedTuple):
-    """The moves of a task as a trie of tests, in depth-first order.
+class Candidates(NamedTuple):
+    """The sets of moves that rows leave, and what is to be tested of them.
 
     Attributes
     ----------
+    sets : uint64 array, shape (rows, words)
+        Bit `m & 63` of word `m >> 6` tells whether the values that a row stands for allow the move `m`.
+    begin : int64 array, shape (moves + 1,)
+        Tests `begin[m]:begin[m + 1]` are those of move `m`.
+    word : int64 array, shape (tests,)
+    mask, value : uint64 arrays, shape (tests,)
+        A test holds in a packed state `s` where `s[word] & mask == value`.
+    """
+
+    sets: Words
+    begin: Ints
+    word: Ints
+    mask: Words
+    value: Words
+
+
+class Tests(NamedTuple):
+    """The moves of a task: the candidates of each row, or a trie of tests in depth-first order; the other is empty.
+
+    Attributes
+    ----------
+    candidates : Candidates
     word : int64 array, shape (tests,)
     mask, value : uint64 arrays, shape (tests,)
         A test holds in a packed state `s` where `s[word] & mask == value`.
@@ -79,6 +101,7 @@ class Tests(NamedTuple):
         No more moves than this can be applied in one state.
     """
 
+    candidates: Candidates
     word: Ints
     mask: Words
     value: Words
@@ -102,9 +125,6 @@ NOWHERE = -(1 << 31)
 CLUSTER = (1 << 21) - 1
 """Fields of a packed state that hold a cluster's value, or a sum that tells one, have 21 bits."""
 
-FIRST = np.int64(0)
-"""The first test: a number, not a literal, since numba compiles what is called with a literal once more for it."""
-
 PRIME = 8191
 """Sums that tell the value of a variable are taken modulo this prime."""
 
@@ -127,21 +147,100 @@ def decode(decoder, index, words):
             words[w] += decoder.rows[row, w]
 
 
+class Cursor(NamedTuple):
+    """The state of the index at hand, and what it shares with others whose upper digits are the same.
+
+    Attributes
+    ----------
+    words, sets : uint64 arrays
+        The packed state, and the moves that are left.
+    upper_words, upper_sets : uint64 arrays
+        What the upper digits contribute to them.
+    upper : uint64 array, shape (1,)
+        The upper digits.
+    """
+
+    words: Words
+    sets: Words
+    upper_words: Words
+    upper_sets: Words
+    upper: Words
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def holding(tests, words, t):
-    """Give the first test from `t` on that holds and has moves, or the number of tests."""
+def start_cursor(tests, decoder):
+    """Give a cursor, at no index."""
+    width, sets = decoder.rows.shape[1], tests.candidates.sets.shape[1]
+    cursor = Cursor(
+        np.empty(width, dtype=np.uint64),
+        np.empty(sets, dtype=np.uint64),
+        np.empty(width, dtype=np.uint64),
+        np.empty(sets, dtype=np.uint64),
+        np.empty(1, dtype=np.uint64),
+    )
+    cursor.upper[0] = ~np.uint64(0)
+    return cursor
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def applicable(tests, decoder, index, cursor, moves):
+    """List the moves that can be applied in the state of an index, and leave that state in `cursor.words`."""
+    words, sets = cursor.words, cursor.sets
+    above = np.uint64(index) // decoder.radix[0]
+    if above != cursor.upper[0]:  # blocks come in ascending order: the upper digits change seldom
+        cursor.upper[0] = above
+        for w in range(len(words)):
+            cursor.upper_words[w] = 0
+        for w in range(len(sets)):
+            cursor.upper_sets[w] = ~np.uint64(0)
+        rest = above
+        for chunk in range(1, len(decoder.radix)):
+            higher = rest // decoder.radix[chunk]
+            row = decoder.first[chunk] + np.int64(rest - higher * decoder.radix[chunk])
+            for w in range(len(words)):
+                cursor.upper_words[w] += decoder.rows[row, w]
+            for w in range(len(sets)):
+                cursor.upper_sets[w] &= tests.candidates.sets[row, w]
+            rest = higher
+    row = decoder.first[0] + np.int64(np.uint64(index) - above * decoder.radix[0])
+    for w in range(len(words)):
+        words[w] = cursor.upper_words[w] + decoder.rows[row, w]
+    for w in range(len(sets)):
+        sets[w] = cursor.upper_sets[w] & tests.candidates.sets[row, w]
+    for step in range(len(decoder.steps)):
+        total = words[decoder.steps[step, 0]] >> np.uint64(decoder.steps[step, 1]) & np.uint64(CLUSTER)
+        row = decoder.steps[step, 2] + decoder.told[step, total % np.uint64(PRIME)]
+        for w in range(len(words)):
+            words[w] += decoder.rows[row, w]
+        for w in range(len(sets)):
+            sets[w] &= tests.candidates.sets[row, w]
+    count = 0
+    for w in range(len(sets)):
+        left = sets[w]
+        while left:
+            move = np.int64(w << 6) + lowest_bit(left)
+            left &= left - np.uint64(1)
+            holds = True
+            for test in range(tests.candidates.begin[move], tests.candidates.begin[move + 1]):
+                mask, value = tests.candidates.mask[test], tests.candidates.value[test]
+                holds &= words[tests.candidates.word[test]] & mask == value
+            if holds:
+                moves[count] = move
+                count += 1
+    t = np.int64(0)
     while t < len(tests.word):
         word = words[tests.word[t]]
         if word & tests.mask[t] == tests.value[t]:
-            if tests.first[t] < tests.first[t + 1]:
-                return t
+            for move in range(tests.first[t], tests.first[t + 1]):
+                moves[count] = move
+                count += 1
             t += 1
             continue
-        after = tests.skip[t]
-        if after < 0:
-            after = tests.jump[np.int64(word >> tests.shift[t] & tests.field[t]) - after - 1]
-        t = after
-    return t
+        target = tests.skip[t]
+        if target < 0:
+            target = tests.jump[np.int64(word >> tests.shift[t] & tests.field[t]) - target - 1]
+        t = target
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -179,25 +278,22 @@ def spread(tests, decoder, closed, block, start, out, filled):
         `out[:filled]` is in use.
     transitions : int
     """
-    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.most, dtype=np.int64)
     transitions = 0
     i = start
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
             index = block[i]
-            decode(decoder, index, words)
-            t = holding(tests, words, FIRST)
-            while t < len(tests.word):
-                for move in range(tests.first[t], tests.first[t + 1]):
-                    transitions += 1
-                    target = after(tests, words, move, index)
-                    if target >= 0:
-                        prefetch(closed, target >> 6)
-                        pending[waiting] = target
-                        waiting += 1
-                t = holding(tests, words, t + 1)
+            for place in range(applicable(tests, decoder, index, cursor, moves)):
+                move = moves[place]
+                transitions += 1
+                target = after(tests, cursor.words, move, index)
+                if target >= 0:
+                    prefetch(closed, target >> 6)
+                    pending[waiting] = target
+                    waiting += 1
             i += 1
         if i == begun:
             break
@@ -215,26 +311,23 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
 
     Returns as `spread` does. Several threads may work on one table.
     """
-    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.most, dtype=np.int64)
     transitions = 0
     most = min(len(out), filled + room)
     i = start
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting + tests.most <= min(len(pending), most - filled):
+        while i < len(block) and waiting <= min(PENDING, most - filled - tests.most):
             index = block[i]
-            decode(decoder, index, words)
-            t = holding(tests, words, FIRST)
-            while t < len(tests.word):
-                for move in range(tests.first[t], tests.first[t + 1]):
-                    transitions += 1
-                    target = after(tests, words, move, index)
-                    if target >= 0:
-                        prefetch(keys, first_slot(keys, target))
-                        pending[waiting] = target
-                        waiting += 1
-                t = holding(tests, words, t + 1)
+            for place in range(applicable(tests, decoder, index, cursor, moves)):
+                move = moves[place]
+                transitions += 1
+                target = after(tests, cursor.words, move, index)
+                if target >= 0:
+                    prefetch(keys, first_slot(keys, target))
+                    pending[waiting] = target
+                    waiting += 1
             i += 1
         if i == begun:
             break
@@ -257,26 +350,23 @@ def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
     Returns as `spread` does. Several threads may work on one array of distances. For sets of states without a bitmap,
     and where the memory is short of one for `spread`.
     """
-    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.most, dtype=np.int64)
     numbers = np.empty(len(pending), dtype=np.int64)
     transitions = 0
     i = start
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
             index = block[i]
-            decode(decoder, index, words)
-            t = holding(tests, words, FIRST)
-            while t < len(tests.word):
-                for move in range(tests.first[t], tests.first[t + 1]):
-                    transitions += 1
-                    target = after(tests, words, move, index)
-                    if target >= 0:
-                        ask_for(states, target)
-                        pending[waiting] = target
-                        waiting += 1
-                t = holding(tests, words, t + 1)
+            for place in range(applicable(tests, decoder, index, cursor, moves)):
+                move = moves[place]
+                transitions += 1
+                target = after(tests, cursor.words, move, index)
+                if target >= 0:
+                    ask_for(states, target)
+                    pending[waiting] = target
+                    waiting += 1
             i += 1
         if i == begun:
             break
@@ -316,38 +406,35 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
         `block[start:stop]` is done.
     filled : int
     """
-    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
-    pending = np.empty(max(PENDING, tests.most), dtype=np.int64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.most, dtype=np.int64)
     values = np.empty(len(pending), dtype=np.int64)
     numbers = np.empty(len(pending), dtype=np.int64)
     i = start
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting + tests.most <= min(len(pending), len(out) - filled):
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
             index = block[i]
             i += 1
             if distance[number_of(states, index)] != d:
                 continue  # it has been reached on a cheaper way since it was pushed
             close_one(closed, index)
-            decode(decoder, index, words)
-            t = holding(tests, words, FIRST)
-            while t < len(tests.word):
-                for move in range(tests.first[t], tests.first[t + 1]):
-                    target = after(tests, words, move, index)
-                    if target >= 0:
-                        if len(closed):
-                            prefetch(closed, target >> 6)
-                        pending[waiting], values[waiting] = target, d + tests.cost[move]
-                        waiting += 1
-                t = holding(tests, words, t + 1)
+            for place in range(applicable(tests, decoder, index, cursor, moves)):
+                move = moves[place]
+                target = after(tests, cursor.words, move, index)
+                if target >= 0:
+                    if len(closed):
+                        prefetch(closed, target >> 6)
+                    pending[waiting], values[waiting] = target, d + tests.cost[move]
+                    waiting += 1
         if i == begun:
             break
         asked = 0
-        for j in range(waiting):
-            if not is_closed(closed, pending[j]):
-                ask_for(states, pending[j])
-                pending[asked], values[asked] = pending[j], values[j]
-                asked += 1
+        for j in range(waiting):  # without a branch, which nobody could predict
+            open_, pending[asked], values[asked] = not is_closed(closed, pending[j]), pending[j], values[j]
+            asked += open_
+        for j in range(asked):
+            ask_for(states, pending[j])
         for j in range(asked):
             numbers[j] = number_of(states, pending[j])
             if numbers[j] >= 0:
@@ -363,22 +450,18 @@ def relax(tests, decoder, states, closed, block, start, d, distance, out, throug
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_transitions(tests, decoder, states, block, number, offsets, actions, targets):
     """Write the rows of the transitions of the states of a block, numbered from `number`."""
-    words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     row = offsets[number]
     for i in range(len(block)):
         index = block[i]
-        decode(decoder, index, words)
         begin = row
-        t = holding(tests, words, FIRST)
-        while t < len(tests.word):
-            for move in range(tests.first[t], tests.first[t + 1]):
-                action = tests.action[move]
-                at = row
-                while at > begin and actions[at - 1] > action:
-                    actions[at], targets[at] = actions[at - 1], targets[at - 1]
-                    at -= 1
-                actions[at] = action
-                targets[at] = number_of(states, after(tests, words, move, index))
-                row += 1
-            t = holding(tests, words, t + 1)
+        for place in range(applicable(tests, decoder, index, cursor, moves)):
+            action = tests.action[moves[place]]
+            at = row
+            while at > begin and actions[at - 1] > action:
+                actions[at], targets[at] = actions[at - 1], targets[at - 1]
+                at -= 1
+            actions[at] = action
+            targets[at] = number_of(states, after(tests, cursor.words, moves[place], index))
+            row += 1
         offsets[number + i + 1] = row

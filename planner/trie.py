@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from .candidates import NO_CANDIDATES, candidates
 from .coding import Coding
 from .kernels import Tests
 from .moves import Move
@@ -112,9 +113,15 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
     changes = [coding.change(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
     trie = _Trie(coding)
-    trie.test(0, 0, 0)  # it always holds
-    most = trie.build([(frozenset(moves[number].facts.items()), number) for number in possible])
-    trie.skip[0] = len(trie.word)
+    chosen = candidates([moves[number] for number in possible], coding)
+    if chosen is None:
+        chosen = NO_CANDIDATES
+        trie.test(0, 0, 0)  # it always holds
+        most = trie.build([(frozenset(moves[number].facts.items()), number) for number in possible])
+        trie.skip[0] = len(trie.word)
+    else:
+        trie.order = possible
+        most = int(np.bitwise_count(chosen.sets).sum(axis=1).max(initial=1))
     trie.first.append(len(trie.order))
 
     # Tables of changes, one for each cluster: a row for each of its values, an entry for each kind of change.
@@ -146,6 +153,7 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
     ]
     ordered = [moves[number] for number in trie.order]
     return Tests(
+        chosen,
         np.array(trie.word, np.int64),
         np.array(trie.mask, np.uint64),
         np.array(trie.value, np.uint64),
