@@ -31,12 +31,12 @@ NO_CANDIDATES = Candidates(
 )
 
 
-def candidates(moves: Sequence[Move], coding: Coding, largest: int = LARGEST) -> Candidates | None:
-    """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they take more than `largest`."""
+def candidates(moves: Sequence[Move], coding: Coding) -> Candidates | None:
+    """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they are too large."""
     if not moves:
         return NO_CANDIDATES
     decoder, words = coding.decoder, -(-len(moves) // 64)
-    if 8 * words * len(decoder.rows) > largest:
+    if 8 * words * len(decoder.rows) > LARGEST:
         return None
     allowed, untold = _allowed(moves, coding)
     tables = []

@@ -8,8 +8,8 @@ many, `Coding.dense` looks deeper: for variables that any linear invariant deter
 of variables that take few values together (`clusters`); there a move adds what it finds in a table, by the cluster's
 digit.
 
-A state is decoded by adding up table entries. Which moves can be applied in a state is found by a trie of tests
-(`trie`).
+A state is decoded by adding up table entries. Which moves can be applied in it is found by intersecting sets, one for
+each entry (`candidates`), or by a trie of tests (`trie`).
 """
 
 from __future__ import annotations

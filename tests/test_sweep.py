@@ -19,6 +19,7 @@ from planner.moves import exactly_one, split_operators
 from planner.statespace import explore
 
 module = importlib.import_module("planner.sweep")
+candidates = importlib.import_module("planner.candidates")
 searches = importlib.import_module("planner.searches")
 moves_module = importlib.import_module("planner.moves")
 sweep = module.sweep
@@ -140,6 +141,14 @@ def test_random_tasks(seed, costs, hashed, monkeypatch):
         monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
         monkeypatch.setattr(searches, "SPARSE", 0)
     rng = random.Random(f"{seed} {costs}")
+    for _ in range(25):
+        check(random_task(rng, costs=costs))
+
+
+@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
+def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatch):
+    monkeypatch.setattr(candidates, "LARGEST", 0)
+    rng = random.Random(f"trie {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
 
