@@ -382,8 +382,10 @@ def verify(
 
     done = 0
     with ThreadPoolExecutor(jobs) as pool:
+        # One at a time without a thread: where no memory is left for its beginning, Python waits for it for ever.
+        each = pool.map if jobs > 1 else map
         try:
-            for state, expected in zip(states, pool.map(asked, range(len(states))), strict=True):
+            for state, expected in zip(states, each(asked, range(len(states))), strict=True):
                 if expected is None:
                     break
                 if expected != table[state]:

@@ -99,6 +99,15 @@ def small_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path, 
     return read(folder / "small.toml"), folder / "out", json.loads(printed.read_text())
 
 
+@pytest.fixture
+def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports of studies that are made in this process draw their first picture alone: each takes two seconds."""
+    from assist.study import report
+
+    draw = report._draw_all
+    monkeypatch.setattr(report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
+
+
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:
     """Run the command as a user does; that something is compiled first, which depends on the past, is left out."""
     command = [str(Path(sys.executable).with_name("kitassist")), *map(str, arguments)]

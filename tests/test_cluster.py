@@ -31,8 +31,8 @@ def test_a_batch_has_the_same_records(scheduler: str, tmp_path: Path) -> None:
     """Solved, unsolvable, with costs, and a file that is no PDDL."""
     names = [KITTING / f"{name}.pddl" for name in ("tiny", "unsolvable", "costs/ways")]
     names.append(write_instance(tmp_path / "bad", "(", ")").problem)
-    here = invoke("solve", *names, "--json", "--jobs", 2)
-    there = invoke("solve", *names, "--json", "--scheduler", scheduler, "--out", tmp_path / "out")
+    here = invoke("solve", *names, "--verify", 1, "--json", "--jobs", 2)
+    there = invoke("solve", *names, "--verify", 1, "--json", "--scheduler", scheduler, "--out", tmp_path / "out")
     assert here.exit_code == there.exit_code == 1
     assert {record["status"] for record in json.loads(there.stdout)} == {"solved", "unsolvable", "invalid"}
     assert stable(json.loads(here.stdout)) == stable(json.loads(there.stdout))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 from conftest import graph_task
@@ -153,6 +155,12 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
     assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+
+
+def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where memory is limited there may be none for a thread, whose beginning Python then waits for without an end."""
+    monkeypatch.setattr(threading.Thread, "start", lambda _: pytest.fail("a thread was started"))
+    assert verify(table, 2, np.random.default_rng(0)) == 2
 
 
 def test_a_program_that_finds_no_room_to_begin_is_out_of_memory() -> None:

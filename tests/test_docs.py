@@ -54,7 +54,7 @@ def name(page: Path) -> str:
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one_picture: None) -> Path:  # noqa: ARG001
     """A folder that looks like the project's, to which nothing is written in the project itself."""
     for folder in ("domains", "docs"):
         (tmp_path / folder).symlink_to(ROOT / folder)

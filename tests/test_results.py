@@ -44,11 +44,12 @@ def run(*arguments: object) -> Result:
 
 def test_a_changed_problem_is_solved_again(tmp_path: Path, instance: Instance) -> None:
     out = tmp_path / "out"
-    first = run("solve", instance.problem, "--out", out, "--json")
+    out_json = ("--out", out, "--verify", 1, "--json")
+    first = run("solve", instance.problem, *out_json)
     assert [record["cost"] for record in json.loads(first.stdout)] == [6]
-    assert run("solve", instance.problem, "--out", out, "--json", "--resume").stdout == first.stdout
+    assert run("solve", instance.problem, *out_json, "--resume").stdout == first.stdout
     instance.problem.write_text(HALF)
-    again = run("solve", instance.problem, "--out", out, "--json", "--resume")
+    again = run("solve", instance.problem, *out_json, "--resume")
     assert [record["cost"] for record in json.loads(again.stdout)] == [3]
     assert [json.loads(line)["cost"] for line in (out / "results.jsonl").read_text().splitlines()] == [3]
     assert next(out.rglob("*.plan")).read_text().endswith("; cost = 3 (unit cost)\n")
