@@ -116,6 +116,13 @@ def test_every_module_has_its_place() -> None:
     assert sorted(modules()) == sorted(ORDER)
 
 
+def test_the_picture_shows_the_imports_that_there_are() -> None:
+    """And the order of the rooms is one in which each stands below all that it needs."""
+    import drawn_rooms  # which imports this file
+
+    assert drawn_rooms.FILE.read_text() == drawn_rooms.drawn(), "python tests/drawn_rooms.py draws it anew"
+
+
 def test_nothing_is_beside_the_rooms() -> None:
     for folder, rooms in (("planner", []), ("assist", [room.removeprefix("assist.") for room in ROOMS][1:])):
         beside = {file.name for file in (ROOT / folder).iterdir() if folder == "assist" or file.is_dir()}

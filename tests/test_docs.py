@@ -9,15 +9,19 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from conftest import ROOT
+from test_architecture import PACKAGES, handed_on
 
 from assist.cli import main
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
+STATUS = "echo $?"
+"""Behind a command: it may fail, what it says on stderr is shown as well, and its exit code is the one shown."""
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Cells of notebooks are run where the documentation is built.
 KINDS = {"console", "pycon", "sh", "pddl", "toml", "text", "json", "{toctree}", "{eval-rst}", "{code-cell}"}
@@ -62,24 +66,32 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one_picture: None) ->
     return tmp_path
 
 
-def run(command: str) -> tuple[int, str, str]:
-    """Run a command: exit code and what it prints; the project's own without a shell and a second interpreter."""
+def run(command: str) -> tuple[int, str, str, str]:
+    """Run a command: exit code, stdout, stderr and both; the project's own without a shell and another interpreter."""
     if command.startswith("kitassist ") and not set(command) & set("|<>&;$`"):
         result = CliRunner().invoke(main, shlex.split(command)[1:], prog_name="kitassist")
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
-        return result.exit_code, result.stdout, result.stderr
+        return result.exit_code, result.stdout, result.stderr, result.output
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     done = subprocess.run(command, shell=True, capture_output=True, text=True, env=environment, timeout=120)
-    return done.returncode, done.stdout, done.stderr
+    return done.returncode, done.stdout, done.stderr, done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("page", pages_with("console"), ids=name)
 def test_console_blocks(page: Path, place: Path) -> None:
     assert Path.cwd() == place
-    for command, expected in commands(page):
-        code, printed, errors = run(command)
-        assert code == 0, f"{command}\n{errors}"
+    shown = commands(page)
+    code = 0
+    for (command, expected), (after, _) in zip(shown, [*shown[1:], ("", "")], strict=True):
+        if command == STATUS:
+            assert int(expected) == code, f"line before\n{STATUS}"
+            continue
+        code, printed, errors, both = run(command)
+        if after == STATUS:
+            printed = both
+        else:
+            assert code == 0, f"{command}\n{errors}"
         if expected.strip():
             same = doctest.OutputChecker().check_output(expected.strip() + "\n", printed.strip() + "\n", FLAGS)
             assert same, f"{command}\n--- shown\n{expected}\n--- printed\n{printed}"
@@ -124,6 +136,13 @@ def test_make_commands_exist(page: Path) -> None:
             subprocess.run(["make", "--dry-run", target], cwd=ROOT, check=True, capture_output=True)
         else:
             assert command.startswith(("git clone", "cd ", ". .venv/")) or not command
+
+
+def test_every_exception_is_in_the_catalogue() -> None:
+    values = {name: getattr(import_module(package), name) for package in PACKAGES for name, _ in handed_on(package)}
+    exceptions = {name for name, value in values.items() if isinstance(value, type) and issubclass(value, Exception)}
+    rows = re.findall(r"^\| (`\w+Error`.*?) \|", (ROOT / "docs" / "errors.md").read_text(), re.M)
+    assert {name for row in rows for name in re.findall(r"\w+", row)} == exceptions
 
 
 def test_what_notebooks_write_is_what_the_examples_have() -> None:

@@ -194,7 +194,8 @@ def mixture(record: dict[str, Any]) -> Mixture:
             shares.append(float(part["share"]))
         return Mixture(tuple(parts), tuple(shares))
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"expected a population as `kitassist fit --population` writes it ({error!r})") from None
+        what = f"{error} is missing" if isinstance(error, KeyError) else f"{error}"
+        raise ValueError(f"expected a population as `kitassist fit --population` writes it ({what})") from None
 
 
 def fit_population(

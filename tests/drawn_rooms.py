@@ -1,0 +1,111 @@
+"""The picture of the architecture, drawn from the imports that there are: `python tests/drawn_rooms.py` writes it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from collections.abc import Mapping
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+from conftest import ROOT
+from test_architecture import ROOMS, imports, modules, within
+
+FILE = ROOT / "docs" / "figures" / "architecture.svg"
+WIDTH, HEIGHT, ACROSS, DOWN, MARGIN = 218, 78, 236, 118, 12
+COLUMNS = {
+    "planner": 1.5, "assist.people": 1, "assist.drawing": 3, "assist.person": 0.5, "assist.learning": 1.75,
+    "assist.team": 0.5, "assist.simulation": 0.5, "assist.certify": 0, "assist.plots": 1, "assist.live": 2,
+    "assist.interop": 3, "assist.study": 1, "assist.userstudy": 1.5, "assist.cli": 1.5,
+}  # fmt: skip
+"""Where each room stands in its row; the rows follow from the imports."""
+STYLE = """
+.room { fill: #eef2f7; stroke: #6b7785; }
+.name { font: 600 15px system-ui, sans-serif; fill: #1a2330; }
+.about { font: 11.5px system-ui, sans-serif; fill: #3b4654; }
+.way { fill: none; stroke: #6b7785; stroke-width: 1.5; }
+.tip { fill: #6b7785; }
+@media (prefers-color-scheme: dark) {
+.room { fill: #222a35; stroke: #8b97a6; } .name { fill: #eef2f7; } .about { fill: #c3ccd8; }
+.way { stroke: #8b97a6; } .tip { fill: #8b97a6; }
+}
+"""
+
+
+def room_of(module: str) -> str:
+    return next(room for room in reversed(ROOMS) if within(module, room))
+
+
+def needs() -> dict[str, set[str]]:
+    """For each room those that its files import from, less those that these need themselves."""
+    found: dict[str, set[str]] = {room: set() for room in ROOMS}
+    for module, file in modules().items():
+        found[room_of(module)] |= {room_of(name) for name, _ in imports(module, file.read_text()) if name != "assist"}
+    for room in found:
+        found[room].discard(room)
+    all_of: dict[str, set[str]] = {}
+    for room in ROOMS:
+        all_of[room] = found[room].union(*(all_of[other] for other in found[room]))
+    return {
+        room: {one for one in others if not any(one in all_of[other] for other in others)}
+        for room, others in found.items()
+    }
+
+
+def rows(edges: Mapping[str, set[str]]) -> dict[str, int]:
+    """On which row each room stands: one below the lowest that it needs."""
+    found: dict[str, int] = {}
+    for room in ROOMS:
+        found[room] = 1 + max((found[other] for other in edges[room]), default=-1)
+    return found
+
+
+def about(room: str) -> list[str]:
+    """What a room is for, in the words of its own first sentence."""
+    doc = ast.get_docstring(ast.parse((ROOT / room.replace(".", "/") / "__init__.py").read_text())) or ""
+    said = re.sub(r"`| \(extra .*\)", "", doc.partition("\n")[0].partition(": ")[0]).rstrip(".")
+    return textwrap.wrap(said, 31, break_on_hyphens=False)
+
+
+def drawn() -> str:
+    """Give the picture."""
+    edges = needs()
+    row = rows(edges)
+    place = {room: (MARGIN + COLUMNS[room] * ACROSS, MARGIN + row[room] * DOWN) for room in ROOMS}
+    wide, high = 2 * MARGIN + 3 * ACROSS + WIDTH, 2 * MARGIN + max(row.values()) * DOWN + HEIGHT
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" role="img">',
+        "<title>The rooms of the packages, and which builds on which</title>", f"<style>{STYLE}</style>",
+        '<marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="8" markerHeight="8" orient="auto">'
+        '<path class="tip" d="M0 0 8 4 0 8z"/></marker>',
+    ]  # fmt: skip
+    for room in ROOMS:
+        users = sorted((other for other in ROOMS if room in edges[other]), key=lambda other: place[other][0])
+        for number, other in enumerate(users, start=1):
+            x = place[room][0] + WIDTH * number / (len(users) + 1)
+            above = sorted(edges[other], key=lambda one: place[one][0])
+            to = place[other][0] + WIDTH * (above.index(room) + 1) / (len(above) + 1)
+            y, below = place[room][1] + HEIGHT, place[other][1]
+            leave, arrive = below - (DOWN - HEIGHT), below - (DOWN - HEIGHT) / 2  # long ways turn at their end
+            parts.append(
+                f'<path class="way" marker-end="url(#tip)" d="M{x:.0f} {y} C{x:.0f} {max(leave, y + 19):.0f} {to:.0f} '
+                f'{arrive:.0f} {to:.0f} {below}"/>'
+            )
+    for room, (x, y) in place.items():
+        parts.append(f'<rect class="room" x="{x:g}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="8"/>')
+        name = room.removeprefix("assist.")
+        parts.append(f'<text class="name" x="{x + 12:g}" y="{y + 20}">{name}/</text>')
+        for number, line in enumerate(about(room)):
+            parts.append(f'<text class="about" x="{x + 12:g}" y="{y + 37 + 15 * number}">{escape(line)}</text>')
+    return "\n".join([*parts, "</svg>", ""])
+
+
+def main() -> None:
+    """Write the picture."""
+    Path(FILE).write_text(drawn(), encoding="utf-8")
+    print(FILE.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()
