@@ -7,13 +7,11 @@ import sys
 from pathlib import Path
 
 from jupyter_client.manager import KernelManager
-from nbclient import NotebookClient
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
-# Notebooks run on this machine, over TCP each would warn that nothing is encrypted; and it may be a slow one.
-KernelManager.transport.default_value = "ipc"
-NotebookClient.startup_timeout.default_value = 600  # seconds
+# Notebooks run on this machine; without this each would warn that what it says to its kernel is not encrypted.
+KernelManager.transport_encryption.default_value = "auto"
 
 
 def _sources() -> str:
