@@ -32,7 +32,7 @@ ROOMS = {
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
     "assist.live": """advice problem roster assistant course journal session pictures access simulated service limits
         description messages admission routes watching browser web server client""",
-    "assist.userstudy": """questionnaires plan assignment group cohort session tables effects summary report export
+    "assist.userstudy": """assignment questionnaires plan group cohort session tables effects summary report export
         service rehearsal routes serving""",
     "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
         solutions bounds solving domains solve simulate policy bound export draw log learned fit study conducting serve

@@ -8,21 +8,27 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from conftest import KITTING, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from userstudies import PLAN, SCORES, Part, written
 
 from assist.live.problem import InapplicableError
 from assist.study.study import StudyError
+from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
 from assist.userstudy.plan import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
+from assist.userstudy.summary import summarise
+from assist.userstudy.tables import tables
 from planner import Instance, Table
 from planner.errors import DamagedFileError, ResultsExistError
 
@@ -57,6 +63,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ("seed = 3", "seed = ", "Invalid value"),
         ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
         ('practice = "', 'practice = "x', "practice: .*no such file"),
+        ("seed = 3", 'design = "mixed"', "design: 'mixed'; expected between or within"),
     ]
     for right, wrong, message in faults:
         file = written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1))
@@ -183,6 +190,63 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
             assert done_together(folder / JOURNAL) == done_together(tmp_path / "data" / JOURNAL)
         again.close()
         shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_orders_of_conditions_are_balanced(count: int) -> None:
+    """Each condition at each place, and directly after each other one, equally often."""
+    names = [f"condition {number}" for number in range(count)]
+    orders = balanced_orders(names)
+    assert all(sorted(order) == names for order in orders)
+    places = Counter((place, name) for order in orders for place, name in enumerate(order))
+    after = Counter(pair for order in orders for pair in pairwise(order))
+    assert (len(places), len(after)) == (count * count, count * (count - 1))
+    assert len(set(places.values())) == len(set(after.values())) == 1
+
+
+def test_within_participants_all_conditions_are_compared(opened: Open) -> None:
+    session = opened(PLAN.replace("seed = 3", 'seed = 3\ndesign = "within"'))
+    parts = [Part(session, name) for name in ("ann", "bob", "cleo")]
+    for number, part in enumerate(parts):
+        part.come()
+        part.to("task tiny 1")
+        for _ in range(number):
+            part.errs()
+        part.to("task tiny 2")
+        part.errs()
+        part.to("thanks")
+    assert [stage.name for stage in session.study.stages][3:] == [
+        "task tiny 1", "questionnaire nasa-tlx 1", "questionnaire trust 1", "questionnaire remarks 1", "task tiny 2",
+        "questionnaire nasa-tlx 2", "questionnaire trust 2", "questionnaire remarks 2", "thanks",
+    ]  # fmt: skip
+    drawn = [str(session.cohort.participants[part.name].condition) for part in parts]
+    assert set(drawn[:2]) == {"none > attention", "attention > none"}
+    found = tables(session.study, session.folder / JOURNAL)
+    assert [(row["participant"], row["condition"], row["period"]) for row in found.tasks] == [
+        (part.name, condition, number)
+        for part, order in zip(parts, drawn, strict=True)
+        for number, condition in enumerate(order.split(" > "), start=1)
+    ]
+    told = Counter(row["condition"] for row in found.actions if row["suggestion"] is not None)
+    assert set(told) == {"attention"}  # nothing is suggested where nobody helps
+    (_, log), *_ = found.logs()
+    assert {(row["person"], row["episode"]) for row in map(json.loads, log.splitlines())} == {
+        (part.name, episode) for part in parts for episode in ("1", "2")
+    }
+    assert [row["episode"] for row in session.log() if row["person"] == "ann"].count("2") == found.tasks[1]["actions"]
+
+    summary = summarise(session.study, found)
+    actions = {(row["participant"], row["condition"]): row["actions"] for row in found.tasks}
+    pairs = [actions[part.name, "attention"] - actions[part.name, "none"] for part in parts]
+    (shown,) = summary["measures"][0]["differences"]
+    peer = stats.ttest_1samp(pairs, 0).confidence_interval(0.95)
+    assert (shown["mean"], shown["low"], shown["high"]) == pytest.approx((np.mean(pairs), peer.low, peer.high))
+    assert shown["hedges_g"] == pytest.approx(np.mean(pairs) / np.std(pairs, ddof=1) * (1 - 3 / 7))
+    assert {one["condition"]: one["done"] for one in summary["conditions"]} == Counter(drawn)
+    before = {name: session.person(name) for name in session.people}, session.log(), session.beliefs()
+    session.close()
+    again = opened(session.study.file.read_text())
+    assert ({name: again.person(name) for name in again.people}, again.log(), again.beliefs()) == before
 
 
 def test_a_journal_that_cannot_have_been_is_refused_with_its_line(opened: Open, tmp_path: Path) -> None:

@@ -20,7 +20,15 @@ from userstudies import PLAN, written
 
 from assist.cli import main
 from assist.userstudy import rehearsal, report
-from assist.userstudy.effects import cronbach_alpha, detectable, difference, hedges_g
+from assist.userstudy.effects import (
+    cronbach_alpha,
+    detectable,
+    detectable_within,
+    difference,
+    difference_within,
+    hedges_g,
+    hedges_g_within,
+)
 
 
 def run(*words: object) -> Any:
@@ -136,5 +144,9 @@ def test_statistics_are_those_worked_out_by_hand() -> None:
     assert cronbach_alpha([[1, 1], [2, 3], [3, 2]]) == pytest.approx(2 * (1 - 2 / 3))
     assert cronbach_alpha([[1, 2], [2, 3], [3, 4]]) == pytest.approx(1)
     assert detectable(64, 64) == pytest.approx(0.5, abs=0.005)  # Cohen (1988): 64 in each group for d = 0.5
-    for nothing in (difference([1], [2, 3]).low, hedges_g([1], [2, 3]), cronbach_alpha([[1, 2]]), detectable(1, 5)):
+    assert detectable_within(34) == pytest.approx(0.5, abs=0.01)  # as G*Power has it: 34 pairs for d = 0.5
+    for nothing in (
+        difference_within([1, 1]).low, hedges_g_within([1, 2]), detectable_within(1), difference([1], [2, 3]).low,
+        hedges_g([1], [2, 3]), cronbach_alpha([[1, 2]]), detectable(1, 5),
+    ):  # fmt: skip
         assert math.isnan(nothing)

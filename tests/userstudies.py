@@ -75,6 +75,10 @@ class Part:
         return str(self.session.person(self.name)["study"]["stage"])
 
     @property
+    def what(self) -> str:
+        return str(self.session.person(self.name)["study"]["what"])
+
+    @property
     def kind(self) -> str:
         return str(self.session.person(self.name)["study"]["kind"])
 
@@ -89,7 +93,7 @@ class Part:
 
     def onward(self, answers: dict[str, Any] | None = None) -> dict[str, Any]:
         stage = self.stage
-        return self.report("onward", stage=stage, answers=answers or SCORES.get(stage.partition(" ")[2]))
+        return self.report("onward", stage=stage, answers=answers or SCORES.get(self.what))
 
     def errs(self) -> None:
         """Do what leads nowhere, or least far."""

@@ -81,10 +81,11 @@ class Participant:
     expired : bool
         Whether the time for the task is up.
     condition : str or None
+        Which was drawn; where each participant has all, the name of their order (`UserStudy.orders`).
     completion : str or None
         What they are given at the end.
     groups : dict of Group
-        In practice, and in the tasks.
+        By kind of stage and period: in practice, and in the tasks of each condition.
     """
 
     code: str
@@ -97,7 +98,11 @@ class Participant:
     expired: bool = False
     condition: str | None = None
     completion: str | None = None
-    groups: dict[str, Group] = field(default_factory=dict)
+    groups: dict[tuple[str, int], Group] = field(default_factory=dict)
+
+    def at_tasks(self) -> list[Group]:
+        """Give their teams at the tasks that they have begun, in the order of their conditions."""
+        return [group for (kind, _), group in self.groups.items() if kind == "task"]
 
 
 class Cohort:
@@ -235,12 +240,12 @@ class Cohort:
         if to.kind == "task" and person.condition is None:
             condition = facts["condition"] = assign(self.counts(), self.study.seed, self.begun)
         if to.kind in ("practice", "task"):
-            new = to.kind not in person.groups
+            new = (to.kind, to.period) not in person.groups
             try:
                 facts["team"] = self._group(person, to, condition).begin(to.what, n, time)
             except Exception:
                 if new:
-                    person.groups.pop(to.kind, None)
+                    person.groups.pop((to.kind, to.period), None)
                 raise
         if to.kind == "thanks":
             facts["completion"] = self.study.code or "".join(secrets.choice(LETTERS) for _ in range(8))
@@ -265,9 +270,11 @@ class Cohort:
             person.completion, person.status = record["completion"], DONE
 
     def _group(self, person: Participant, stage: Stage, condition: str | None) -> Group:
-        if stage.kind not in person.groups:
+        key = stage.kind, stage.period
+        if key not in person.groups:
             number = list(self.participants).index(person.code)
             practice = stage.kind == "practice"
+            own = None if practice else self.study.orders[condition or person.condition or ""][stage.period - 1]
             count = 0 if practice else self.study.simulated
             setting = self.study.setting
 
@@ -280,11 +287,10 @@ class Cohort:
                     for seed in seeds
                 ]
 
-            person.groups[stage.kind] = Group(
-                person.code, self._tasks, lambda: self._course(None if practice else condition), mates,
-                again=self.study.again,
-            )  # fmt: skip
-        return person.groups[stage.kind]
+            person.groups[key] = Group(
+                person.code, self._tasks, lambda: self._course(own), mates, again=self.study.again
+            )
+        return person.groups[key]
 
     # What is so.
 
@@ -300,8 +306,8 @@ class Cohort:
         return self.participants[person]
 
     def counts(self) -> dict[str, int]:
-        """Count the participants of each condition; those who are gone only if they are not replaced."""
-        counts = dict.fromkeys((condition.name for condition in self.study.conditions), 0)
+        """Count the participants of each condition, or order; those who are gone only if they are not replaced."""
+        counts = dict.fromkeys(self.study.orders, 0)
         for person in self.participants.values():
             if person.condition is not None:
                 counts[person.condition] += self._counts(person)
@@ -327,7 +333,7 @@ class Cohort:
         stage = self.stages[person.at]
         if stage.kind not in ("practice", "task"):
             raise InapplicableError(f"{person.code} is at {stage.name}; nothing can be done there")
-        return person.groups[stage.kind]
+        return person.groups[stage.kind, stage.period]
 
     def _over(self, person: Participant) -> bool:
         """Whether somebody's task is: finished, impossible by now, or its time is up."""
@@ -370,8 +376,8 @@ class Cohort:
                 seen["reason"] = None
         kind = stage.kind if who.status in (HERE, DONE) else who.status
         study = {
-            "kind": kind, "stage": stage.name, "number": who.at + 1, "of": len(self.stages), "over": over,
-            "completion": who.completion,
+            "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
+            "over": over, "completion": who.completion,
         }  # fmt: skip
         return seen | {"seq": who.seq, "study": study}
 
@@ -382,7 +388,7 @@ class Cohort:
 
     def beliefs(self) -> dict[str, bytes]:
         """Give what is believed of everybody in a team that has begun a task, simulated people included, to the bit."""
-        groups = (who.groups["task"] for who in self.participants.values() if "task" in who.groups)
+        groups = (group for who in self.participants.values() for group in who.at_tasks())
         return {person: belief for group in groups for person, belief in group.course.beliefs().items()}
 
     @property
@@ -407,6 +413,11 @@ class Cohort:
             raise UnknownError(f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
         rows = []
         for who in self.participants.values():
-            if "task" in who.groups:
-                rows += [row for row in who.groups["task"].course.log(task) if row["person"] == who.code]
+            before = 0
+            for group in who.at_tasks():
+                own = [row for row in group.course.log() if row["person"] == who.code]
+                rows += [
+                    row | {"episode": str(before + int(row["episode"]))} for row in own if task in (None, row["task"])
+                ]
+                before += len({row["episode"] for row in own})
         return rows

@@ -1,4 +1,4 @@
-"""What a comparison of two groups of participants shows: differences, effect sizes, and what so few can show at all."""
+"""What a comparison of conditions shows, between groups or within participants: differences, effect sizes, power."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
-from ..study.statistics import Estimate
+from ..study.statistics import Estimate, mean
 
 POWER = 0.8
 
@@ -32,6 +32,19 @@ def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Estimate:
     return Estimate(value, value - half, value + half)
 
 
+def difference_within(pairs: ArrayLike, level: float = 0.95) -> Estimate:
+    """Give how much larger a number is in one condition than in another for the same participants (Student's t).
+
+    Parameters
+    ----------
+    pairs : float array, shape (n,)
+        The difference of each participant. Of fewer than two there is no interval, nor where nobody differs.
+    """
+    x = np.asarray(pairs, dtype=float)
+    found = mean(x, level=level)
+    return found if x.var() > 0 else Estimate(found.value, math.nan, math.nan)
+
+
 def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
     """Give the standardised difference of two groups: Cohen's d with Hedges' correction for few participants (1981).
 
@@ -46,6 +59,19 @@ def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
         return math.nan
     pooled = math.sqrt(((len(x) - 1) * x.var(ddof=1) + (len(y) - 1) * y.var(ddof=1)) / freedom)
     return float(x.mean() - y.mean()) / pooled * (1 - 3 / (4 * freedom - 1)) if pooled > 0 else math.nan
+
+
+def hedges_g_within(differences: ArrayLike) -> float:
+    """Give the mean difference of pairs by their standard deviation (d_z), with Hedges' correction for few pairs.
+
+    Parameters
+    ----------
+    differences : float array, shape (n,)
+        One for each participant. Not a number for fewer than three, and where nobody differs.
+    """
+    x = np.asarray(differences, dtype=float)
+    deviation = float(x.std(ddof=1)) if len(x) > 2 else 0.0
+    return float(x.mean()) / deviation * (1 - 3 / (4 * (len(x) - 1) - 1)) if deviation > 0 else math.nan
 
 
 def cronbach_alpha(scores: ArrayLike) -> float:
@@ -69,13 +95,23 @@ def detectable(n: int, m: int, power: float = POWER, level: float = 0.95) -> flo
 
     Not a number for fewer than two in a group.
     """
-    if min(n, m) < 2:
-        return math.nan
-    freedom, scale = n + m - 2, math.sqrt(n * m / (n + m))
+    return math.nan if min(n, m) < 2 else _detectable(n + m - 2, math.sqrt(n * m / (n + m)), power, level)
+
+
+def detectable_within(n: int, power: float = POWER, level: float = 0.95) -> float:
+    """Give the smallest standardised difference that so many pairs would show so often (t-test of their differences).
+
+    Not a number for fewer than two.
+    """
+    return math.nan if n < 2 else _detectable(n - 1, math.sqrt(n), power, level)
+
+
+def _detectable(freedom: int, scale: float, power: float, level: float) -> float:
     critical = float(stats.t.ppf((1 + level) / 2, freedom))
 
     def missed(effect: float) -> float:
         shifted = effect * scale
         return float(stats.nct.cdf(critical, freedom, shifted)) - (1 - power)
 
-    return float(optimize.brentq(missed, 0.0, 40.0 / scale))
+    # Far beyond what is sought scipy's distribution is not a number.
+    return float(optimize.brentq(missed, 0.0, (2 * critical + 2) / scale))

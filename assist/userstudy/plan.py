@@ -9,7 +9,7 @@ import hashlib
 import re
 import tomllib
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -38,9 +38,12 @@ from ..study.toml import (
 )
 from ..team.policies import POLICIES
 from ..team.settings import Setting
+from .assignment import balanced_orders
 from .questionnaires import FORMS, Item, Questionnaire
 
 MOST_MATES = 20
+BETWEEN, WITHIN = "between", "within"
+"""Designs: each participant has one condition, or all of them, in an order that is balanced over participants."""
 
 Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
 Mates = Annotated[int, Meta(ge=0, le=MOST_MATES, description=f"a whole number from 0 to {MOST_MATES}")]
@@ -94,6 +97,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     title: Text | None = None
     thanks: Text = "Thank you for taking part."
     practice: Text | None = None
+    design: Text = BETWEEN
     reference: Text | None = None
     participants: Whole | None = None
     simulated: Mates = 2
@@ -115,7 +119,7 @@ SettingTable = partial_of(Setting)
 
 @dataclass(frozen=True)
 class Condition:
-    """What is varied between participants.
+    """What is varied, between participants or within each.
 
     Attributes
     ----------
@@ -140,11 +144,14 @@ class Stage:
         The first word of the name.
     what : str
         Which task or questionnaire; empty for others.
+    period : int
+        Of tasks and questionnaires: 1 in a participant's first condition; 0 for others.
     """
 
     name: str
     kind: str
     what: str = ""
+    period: int = 0
 
 
 @dataclass(frozen=True)
@@ -163,6 +170,8 @@ class UserStudy:
         By name, in the order in which everybody gets them.
     practice : Instance or None
     conditions : tuple of Condition
+    design : str
+        "between" or "within" participants.
     reference : str
         The condition with which the others are compared.
     participants : int or None
@@ -198,6 +207,7 @@ class UserStudy:
     tasks: tuple[tuple[str, Instance], ...]
     practice: Instance | None
     conditions: tuple[Condition, ...]
+    design: str
     reference: str
     participants: int | None
     simulated: int
@@ -217,12 +227,34 @@ class UserStudy:
     def stages(self) -> tuple[Stage, ...]:
         """What everybody goes through, in this order."""
         practice = [] if self.practice is None else [Stage("practice", "practice", "practice")]
+        parts = [("task", name) for name, _ in self.tasks]
+        parts += [("questionnaire", one.name) for one in self.questionnaires]
         return (
             Stage("consent", "consent"), Stage("instructions", "instructions"), *practice,
-            *(Stage(f"task {name}", "task", name) for name, _ in self.tasks),
-            *(Stage(f"questionnaire {one.name}", "questionnaire", one.name) for one in self.questionnaires),
+            *(
+                Stage(f"{kind} {what}" + f" {period}" * self.is_within, kind, what, period)
+                for period in range(1, self.periods + 1)
+                for kind, what in parts
+            ),
             Stage("thanks", "thanks"),
         )  # fmt: skip
+
+    @property
+    def is_within(self) -> bool:
+        """Whether each participant has all conditions."""
+        return self.design == WITHIN
+
+    @property
+    def periods(self) -> int:
+        """How many conditions each participant has."""
+        return len(self.conditions) if self.is_within else 1
+
+    @cached_property
+    def orders(self) -> dict[str, tuple[str, ...]]:
+        """The orders of conditions of which each participant gets one, by name; that of one condition is its own."""
+        names = [condition.name for condition in self.conditions]
+        orders = balanced_orders(names) if self.is_within else [(name,) for name in names]
+        return {" > ".join(order): order for order in orders}
 
     def questionnaire(self, name: str) -> Questionnaire:
         """Give a questionnaire by its name."""
@@ -289,6 +321,10 @@ def _has(content: Any, path: list[Any]) -> bool:
 def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     names = _conditions(file, table.conditions, carried_out)
     found = partial(_instance, file, carried_out=carried_out)
+    if table.design not in (BETWEEN, WITHIN):
+        raise fault(file, "design", f"'{table.design}'; expected {BETWEEN} or {WITHIN}")
+    if table.design == WITHIN and len(names) < 2:
+        raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
     reference = table.reference or names[0]
     if reference not in names:
         raise fault(file, "reference", f"'{reference}'; expected one of {', '.join(names)}")
@@ -312,7 +348,8 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         file, hashlib.sha256(file.read_bytes()).hexdigest()[:32], table.title or file.stem, table.seed,
         tuple(zip(stems, tasks, strict=True)),
         None if table.practice is None else found("practice", table.practice),
-        tuple(Condition(own.name, own.policy) for own in table.conditions), reference, table.participants,
+        tuple(Condition(own.name, own.policy) for own in table.conditions), table.design, reference,
+        table.participants,
         table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
         _setting(file, table.setting), _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,

@@ -86,7 +86,7 @@ class SimulatedParticipant:
                 self._lost = max(0.0, seen["steps"] - self._shortest(seen["task"]))
         answers = None
         if at["kind"] == "questionnaire":
-            answers = self._answers(self.study.questionnaire(at["stage"].partition(" ")[2]))
+            answers = self._answers(self.study.questionnaire(at["what"]))
         onward: dict[str, Any] = self._client.ask(
             "POST", f"{path}/onward", {**once, "stage": at["stage"], "answers": answers}
         )

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 FIGURES = "figures"
 NUMBERS = {
-    "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed", "seconds", "step", "time",
-    "cost_before", "cost_after", "score",
+    "period", "position", "actions", "optimal_cost", "suboptimal_actions", "suggestions", "followed", "seconds", "step",
+    "time", "cost_before", "cost_after", "score",
 }  # fmt: skip
 TRUTHS = {"simulated", "finished", "followed"}
 
@@ -104,7 +104,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
 
 def headline(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Give the head and the rows of a table with the mean of each measure in each condition."""
-    names = [one["condition"] for one in summary["conditions"]]
+    names = [cell["condition"] for cell in summary["measures"][0]["cells"]]
     return ["", *names], [[one["label"], *map(_written, one["cells"])] for one in summary["measures"]]
 
 
@@ -168,7 +168,8 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
             if any(i.reversed for i in study.questionnaire(one["questionnaire"]).items)
             else ""
         )
-        yield f"{one['n']} participants answered. Cronbach's alpha over its items {alpha}.{turned}"
+        answered = f"It was answered {one['n']} times" if study.is_within else f"{one['n']} participants answered"
+        yield f"{answered}. Cronbach's alpha over its items {alpha}.{turned}"
         yield from picture(f"scales-{one['questionnaire']}")
 
 
@@ -177,12 +178,13 @@ def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[
     flow, conditions = summary["flow"], summary["conditions"]
     began = sum(one["begun"] for one in conditions)
     done = sum(one["done"] for one in conditions)
+    drawn, place = ("order of conditions", "an order") if study.is_within else ("condition", "a condition")
     yield (
-        f"{flow[0]['reached']} came, {began} began the first task and had their condition drawn then, {done} went "
-        "through to the end. Who leaves before that takes no place in a condition; who leaves after it "
+        f"{flow[0]['reached']} came, {began} began the first task and had their {drawn} drawn then, {done} went "
+        f"through to the end. Who leaves before that takes no place in {place}; who leaves after it "
         + ("is replaced." if study.replace else "keeps it and is not replaced.")
     )
-    head = ["condition", "policy", "began", "done", "left after they began", "under way"]
+    head = [drawn, "policy", "began", "done", "left after they began", "under way"]
     yield table(
         head,
         ([one[key] for key in ("condition", "policy", "begun", "done", "left", "under_way")] for one in conditions),
@@ -220,9 +222,16 @@ def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
 
 def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield f"## Against {study.reference}"
+    said = (
+        "Everybody is compared with themselves: means of their differences with 95 % intervals (Student's t), and "
+        "Hedges' g of the differences (d_z). What one learns from one condition to the next weighs on all of them "
+        "alike only as far as the orders above are equally full."
+        if study.is_within
+        else "Differences of means with Welch's 95 % intervals, and Hedges' g."
+    )
     yield (
-        "Differences of means with Welch's 95 % intervals, and Hedges' g. An interval without 0 shows a difference, "
-        f"one at a time: with {len(TASK_MEASURES)} measures and more, one in twenty does so by chance."
+        f"{said} An interval without 0 shows a difference, one at a time: with {len(TASK_MEASURES)} measures and more, "
+        "one in twenty does so by chance."
     )
     rows = []
     for one in summary["measures"]:

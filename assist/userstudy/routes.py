@@ -43,10 +43,11 @@ class Onward(Once):
 
 
 class Progress(BaseModel):
-    """How far a participant has come; `over`: whether the task there is."""
+    """How far a participant has come: at which task or questionnaire (`what`), and whether the task is `over`."""
 
     kind: str
     stage: str
+    what: str
     number: int
     of: int
     over: bool

@@ -128,24 +128,24 @@ class StudyService(Service):
         now, study = self.session.now(), self.study
         people = []
         for code, person in cohort.participants.items():
-            task = person.groups.get("task")
+            tasks = person.at_tasks()
             people.append({
                 "code": code, "status": person.status, "stage": cohort.stages[person.at].name,
                 "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),
                 "seconds": round(now - person.entered) if person.status == HERE else None,
-                "steps": None if task is None else task.seen()["steps"], "simulated": person.simulated,
+                "steps": tasks[-1].seen()["steps"] if tasks else None, "simulated": person.simulated,
             })  # fmt: skip
-        counts = cohort.counts()
+        counts, policies = cohort.counts(), {one.name: one.policy for one in study.conditions}
         return {
             "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
             "fault": cohort.fault,
             "conditions": [
                 {
-                    "name": one.name, "policy": one.policy, "counting": counts[one.name],
-                    "begun": sum(who["condition"] == one.name for who in people),
-                    "done": sum(who["condition"] == one.name and who["status"] == "done" for who in people),
+                    "name": name, "policy": " > ".join(policies[one] for one in order), "counting": counts[name],
+                    "begun": sum(who["condition"] == name for who in people),
+                    "done": sum(who["condition"] == name and who["status"] == "done" for who in people),
                 }
-                for one in study.conditions
+                for name, order in study.orders.items()
             ],
         }  # fmt: skip

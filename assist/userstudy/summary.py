@@ -13,7 +13,15 @@ import numpy as np
 from planner.storage import finite
 
 from ..study.statistics import mean
-from .effects import cronbach_alpha, detectable, difference, hedges_g
+from .effects import (
+    cronbach_alpha,
+    detectable,
+    detectable_within,
+    difference,
+    difference_within,
+    hedges_g,
+    hedges_g_within,
+)
 from .plan import UserStudy
 from .questionnaires import Questionnaire
 from .tables import Row, Tables
@@ -51,16 +59,16 @@ def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
     stages = [stage.name for stage in study.stages]
     last = max(number for number, stage in enumerate(study.stages) if stage.kind == "task")
     through = {row["participant"] for row in tables.participants if stages.index(row["stage"]) > last}
-    own: dict[str, list[Row]] = {}
+    own: dict[tuple[str, str], list[Row]] = {}
     for row in tables.tasks:
         if row["participant"] in through:
-            own.setdefault(row["participant"], []).append(row)
+            own.setdefault((row["participant"], row["condition"]), []).append(row)
     for name, label in TASK_MEASURES.items():
         found: dict[str, dict[str, float]] = {one.name: {} for one in study.conditions}
-        for participant, rows in own.items():
+        for (participant, condition), rows in own.items():
             value = _of_tasks(name, rows)
             if value is not None:
-                found[rows[0]["condition"]][participant] = value
+                found[condition][participant] = value
         yield Measure(name, label, found)
     for one in study.questionnaires:
         if one.form != "text":
@@ -80,15 +88,13 @@ def _of_tasks(name: str, rows: list[Row]) -> float | None:
 
 
 def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, list[float]]]:
-    """Give for each participant who answered a questionnaire their condition, and the score of each item."""
-    given: dict[str, dict[str, float]] = {}
-    conditions: dict[str, str] = {}
+    """Give for each time that somebody answered a questionnaire who, in which condition, and each item's score."""
+    given: dict[tuple[str, str], dict[str, float]] = {}
     for row in tables.answers:
         if row["questionnaire"] == questionnaire.name:
-            given.setdefault(row["participant"], {})[row["item"]] = row["score"]
-            conditions[row["participant"]] = row["condition"]
-    for participant, scores in given.items():
-        yield participant, conditions[participant], [scores[item.name] for item in questionnaire.items]
+            given.setdefault((row["participant"], row["condition"]), {})[row["item"]] = row["score"]
+    for (participant, condition), scores in given.items():
+        yield participant, condition, [scores[item.name] for item in questionnaire.items]
 
 
 def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
@@ -99,6 +105,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
     return {
         "title": study.title,
         "simulated": any(row["simulated"] for row in tables.participants),
+        "design": study.design,
         "reference": study.reference,
         "conditions": _conditions(study, tables),
         "flow": _flow(study, tables),
@@ -106,18 +113,21 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "questionnaires": [
             _questionnaire(study, one, tables) for one in study.questionnaires if one.form != "text"
         ],
-        "detectable": finite(detectable(min(smallest), min(smallest))),
+        "detectable": finite(
+            detectable_within(min(smallest)) if study.is_within else detectable(min(smallest), min(smallest))
+        ),
         "few": [name for name, count in zip(names, smallest, strict=True) if len(found[0].values[name]) < FEW],
     }  # fmt: skip
 
 
 def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
-    found = []
-    for one in study.conditions:
-        own = [row["status"] for row in tables.participants if row["condition"] == one.name]
+    """Count participants in each condition; where everybody has all, in each order."""
+    found, policies = [], {one.name: one.policy for one in study.conditions}
+    for name, order in study.orders.items():
+        own = [row["status"] for row in tables.participants if row["condition"] == name]
         done, here = own.count("done"), own.count("here")
         counts = {"begun": len(own), "done": done, "under_way": here, "left": len(own) - done - here}
-        found.append({"condition": one.name, "policy": one.policy, **counts})
+        found.append({"condition": name, "policy": " > ".join(policies[one] for one in order), **counts})
     return found
 
 
@@ -136,16 +146,21 @@ def _flow(study: UserStudy, tables: Tables) -> list[Row]:
 
 
 def _measure(study: UserStudy, measure: Measure) -> dict[str, Any]:
-    values = {name: list(own.values()) for name, own in measure.values.items()}
-    reference = values[study.reference]
-    differences = []
-    for name, own in values.items():
-        if name != study.reference and own and reference:
-            record = difference(own, reference).record()
-            effect = finite(hedges_g(own, reference))
-            differences.append({"condition": name, "against": study.reference, **record, "hedges_g": effect})
-    cells = [{"condition": name, **_cell(own)} for name, own in values.items()]
+    reference, differences = measure.values[study.reference], []
+    for name, own in measure.values.items():
+        if name != study.reference and (compared := _compared(study, own, reference)):
+            differences.append({"condition": name, "against": study.reference, **compared})
+    cells = [{"condition": name, **_cell(list(own.values()))} for name, own in measure.values.items()]
     return {"measure": measure.name, "label": measure.label, "cells": cells, "differences": differences}
+
+
+def _compared(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> dict[str, Any]:
+    """Compare a condition with the reference: participants with themselves, where they have both; empty without any."""
+    if study.is_within:
+        pairs = [value - reference[participant] for participant, value in own.items() if participant in reference]
+        return {**difference_within(pairs).record(), "hedges_g": finite(hedges_g_within(pairs))} if pairs else {}
+    a, b = list(own.values()), list(reference.values())
+    return {**difference(a, b).record(), "hedges_g": finite(hedges_g(a, b))} if a and b else {}
 
 
 def _cell(values: list[float]) -> dict[str, Any]:

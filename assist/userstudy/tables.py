@@ -15,7 +15,7 @@ from typing import Any
 
 from planner.errors import DamagedFileError
 
-from .plan import UserStudy
+from .plan import Stage, UserStudy
 from .session import FORMAT
 
 Row = dict[str, Any]
@@ -28,14 +28,15 @@ COLUMNS: dict[str, dict[str, str]] = {
         "status": "done; here: under way; gone: not connected for long; withdrew; declined: no consent; full: no place "
         "when they came back",
         "stage": "the last stage that they reached",
-        "condition": "drawn when their first task began; empty before",
+        "condition": "drawn when their first task began; empty before; where everybody has all, their order",
         "completion_code": "what they were given at the end",
     },
     "tasks": {
         "participant": "code of a participant",
         "condition": "their condition",
+        "period": "1 for their first condition",
         "task": "the task's file name without its ending",
-        "position": "1 for the first task",
+        "position": "1 for the first task in this condition",
         "finished": "whether the goal was reached",
         "actions": "actions taken",
         "optimal_cost": "cost of a cheapest plan from the beginning; the number of actions where each costs 1",
@@ -47,6 +48,7 @@ COLUMNS: dict[str, dict[str, str]] = {
     "actions": {
         "participant": "code of a participant",
         "condition": "their condition; empty in practice",
+        "period": "1 for their first condition; 0 in practice",
         "task": "the task; practice",
         "step": "0 for the first action of the task",
         "time": "seconds since the study began, without those in which the service did not run",
@@ -59,6 +61,7 @@ COLUMNS: dict[str, dict[str, str]] = {
     "answers": {
         "participant": "code of a participant",
         "condition": "their condition",
+        "period": "1 for their first condition",
         "questionnaire": "its name",
         "item": "the question's name",
         "answer": "as given",
@@ -104,8 +107,8 @@ class Tables:
         for task in dict.fromkeys(row["task"] for row in self.tasks):
             rows = (
                 {
-                    "person": row["participant"], "episode": "1", "step": row["step"], "action": row["action"],
-                    "suggestion": row["suggestion"], "time": row["time"],
+                    "person": row["participant"], "episode": str(row["period"]), "step": row["step"],
+                    "action": row["action"], "suggestion": row["suggestion"], "time": row["time"],
                 }
                 for row in self.actions if row["task"] == task and row["condition"] is not None
             )  # fmt: skip
@@ -161,7 +164,8 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     study : UserStudy
     journal : Path
     """
-    found, stages = Tables(), [stage.name for stage in study.stages]
+    found, stages = Tables(), study.stages
+    at: dict[str, int] = {}
     people: dict[str, Row] = {}
     current: dict[str, Row] = {}
     began: dict[str, float] = {}
@@ -171,31 +175,33 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         if event == "visited":
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record["at"],
-                "status": "here", "stage": stages[0], "condition": None, "completion_code": None,
+                "status": "here", "stage": stages[0].name, "condition": None, "completion_code": None,
             }  # fmt: skip
-        person = people[code]
+            at[code] = 0
+        person, stage = people[code], stages[at[code]]
         if event in EVENTS:
             found.events.append({"participant": code, "time": record["time"], "event": event, "stage": person["stage"]})
         person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
         if event == "onward":
             for item, answer in record.get("answers", {}).items():
-                found.answers.append(_answer(study, person, item, answer))
+                found.answers.append(_where(study, person, stage) | _answer(study, stage, item, answer))
             person["condition"] = record.get("condition", person["condition"])
-            person["stage"] = stages[stages.index(person["stage"]) + 1]
-            kind, _, task = person["stage"].partition(" ")
+            at[code] += 1
+            stage = stages[at[code]]
+            person["stage"] = stage.name
             current.pop(code, None)
             steps[code], began[code] = 0, record["time"]
-            if kind == "task":
-                current[code] = {
-                    "participant": code, "condition": person["condition"], "task": task,
-                    "position": [name for name, _ in study.tasks].index(task) + 1, "finished": False, "actions": 0,
-                    "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0, "followed": 0, "seconds": None,
+            if stage.kind == "task":
+                current[code] = _where(study, person, stage) | {
+                    "task": stage.what, "position": [name for name, _ in study.tasks].index(stage.what) + 1,
+                    "finished": False, "actions": 0, "optimal_cost": None, "suboptimal_actions": 0, "suggestions": 0,
+                    "followed": 0, "seconds": None,
                 }  # fmt: skip
                 found.tasks.append(current[code])
-            if kind == "thanks":
+            if stage.kind == "thanks":
                 person["status"], person["completion_code"] = "done", record["completion"]
         elif event == "acted":
-            row = _action(person, record, steps[code])
+            row = _where(study, person, stage) | _action(stage, record, steps[code])
             steps[code] += 1
             found.actions.append(row)
             if code in current:
@@ -204,23 +210,24 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     return found
 
 
-def _answer(study: UserStudy, person: Row, name: str, answer: Any) -> Row:
-    questionnaire = study.questionnaire(person["stage"].partition(" ")[2])
+def _where(study: UserStudy, person: Row, stage: Stage) -> Row:
+    """Say who somebody is, and in which condition at a stage."""
+    condition = study.orders[person["condition"]][stage.period - 1] if stage.period else None
+    return {"participant": person["participant"], "condition": condition, "period": stage.period}
+
+
+def _answer(study: UserStudy, stage: Stage, name: str, answer: Any) -> Row:
+    questionnaire = study.questionnaire(stage.what)
     item = next(item for item in questionnaire.items if item.name == name)
     score = None if isinstance(answer, str) else questionnaire.score(item, answer)
-    return {
-        "participant": person["participant"], "condition": person["condition"], "questionnaire": questionnaire.name,
-        "item": name, "answer": answer, "score": score,
-    }  # fmt: skip
+    return {"questionnaire": questionnaire.name, "item": name, "answer": answer, "score": score}
 
 
-def _action(person: Row, record: Mapping[str, Any], step: int) -> Row:
+def _action(stage: Stage, record: Mapping[str, Any], step: int) -> Row:
     own, seen = record["team"][0], record["seen"]
-    kind, _, task = record["stage"].partition(" ")
     followed = None if seen["suggestion"] is None else own["action"].strip().lower() == seen["suggestion"].lower()
     return {
-        "participant": person["participant"], "condition": person["condition"] if kind == "task" else None,
-        "task": task or kind, "step": step, "time": record["time"], "action": own["action"],
+        "task": stage.what, "step": step, "time": record["time"], "action": own["action"],
         "suggestion": seen["suggestion"], "followed": followed, "cost_before": seen["cost_before"],
         "cost_after": seen["cost_after"],
     }  # fmt: skip

@@ -113,7 +113,7 @@ function words(item) {
 }
 
 function questionnaire(study) {
-  const asked = form.questionnaires[study.stage.split(" ").slice(1).join(" ")];
+  const asked = form.questionnaires[study.what];
   answers = draft();
   title(asked.title);
   at("body").append(element("p", {}, asked.introduction));
