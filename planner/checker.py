@@ -18,6 +18,7 @@ import threading
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from functools import lru_cache
 from typing import IO, Any
 
 from . import fast_downward
@@ -38,6 +39,9 @@ takes longer than all the rest."""
 
 INSTANCES = 100
 """So many are read by one process: the library keeps what it has read."""
+
+LATEST = 8
+"""Of so many a process knows what it has read, since the same ones are often loaded again."""
 
 
 class Checker:
@@ -193,14 +197,14 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
         setattr(stand_in, name, object)
         sys.modules.setdefault(package, stand_in)
 
-    problem = None
+    problem, known = None, lru_cache(LATEST)(parsed)
     while True:
         question, said = asked.get(), None
         try:
             if "plan" in question:
                 validate(problem, question["plan"])
             else:
-                problem = parsed(question["domain"], question["problem"])
+                problem = known(question["domain"], question["problem"])
         except RefusedError as error:
             said = asdict(error.refusal)
         except InvalidPlanError as error:

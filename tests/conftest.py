@@ -17,7 +17,8 @@ from assist.study.protocol import read
 from assist.study.study import Study
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from planner import Instance, Table, Task, find_instances, load, sweep
+from planner import Instance, Limits, Table, Task, fast_downward, find_instances, load, sweep
+from planner.source import Source
 from planner.task import from_sas
 
 ROOT = Path(__file__).parent.parent
@@ -51,6 +52,22 @@ def no_line_comes_between() -> None:
     """What commands print in this process does not depend on how long they take, nor on what was compiled before."""
     progress.BETWEEN_LINES = 1e6  # seconds
     task.compiling_line = solving.compiling_line = lambda: lambda: None
+
+
+@pytest.fixture(scope="session", autouse=True)
+def the_same_texts_are_grounded_once() -> None:
+    """In this process, where nothing is limited: the translator is a program of its own, which takes time to start."""
+    translate, grounded = fast_downward.translate, dict[tuple[str, str], str]()
+
+    def once(source: Source, limits: Limits = fast_downward.NO_LIMITS) -> str:
+        if limits != fast_downward.NO_LIMITS:
+            return translate(source, limits)
+        texts = source.domain_text, source.problem_text
+        if texts not in grounded:
+            grounded[texts] = translate(source)
+        return grounded[texts]
+
+    fast_downward.translate = once
 
 
 @pytest.fixture(scope="session")

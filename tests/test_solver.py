@@ -225,7 +225,7 @@ def test_dead_ends_cost_for_ever(sealed: Table) -> None:
 def test_bounds_tighten_until_the_gap_is_reached() -> None:
     steps: list[tuple[float, float, float]] = []
     pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
-    solution = solve(pomdp, gap=2e-3, progress=lambda *step: steps.append(step))
+    solution = solve(pomdp, gap=5e-3, progress=lambda *step: steps.append(step))
     seconds, lower, upper = np.array(steps).T
     assert len(steps) > 3
     assert (np.diff(seconds) > 0).all()
@@ -235,13 +235,13 @@ def test_bounds_tighten_until_the_gap_is_reached() -> None:
     assert upper[-1] < upper[0]
     assert (solution.lower, solution.upper) == (lower[-1], upper[-1])
     assert solution.stopped == "gap"
-    assert solution.gap <= 2e-3
+    assert solution.gap <= 5e-3
     # The result is the same where the search was.
     x, prior = np.array([pomdp.model.choices.initial]), pomdp.prior[None]
     assert solution.value(x, prior)[0] == pytest.approx(solution.lower, rel=1e-9)
     assert solution.upper_bound(x, prior)[0] == pytest.approx(solution.upper, rel=1e-3)
     assert solution.upper_bound(x, prior)[0] <= solution.upper + 1e-9  # more pivots than in the search
-    again = solve(pomdp, gap=2e-3)
+    again = solve(pomdp, gap=5e-3)
     assert (again.lower, again.upper, again.backups) == (solution.lower, solution.upper, solution.backups)
     np.testing.assert_array_equal(again.policy.vectors, solution.policy.vectors)
     np.testing.assert_array_equal(again.drop, solution.drop)
@@ -249,7 +249,7 @@ def test_bounds_tighten_until_the_gap_is_reached() -> None:
 
 def test_backing_everything_up_again_tightens_both_bounds() -> None:
     pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
-    better, best = solve(pomdp, gap=2e-3), qmdp(pomdp)
+    better, best = solve(pomdp, gap=4e-3), qmdp(pomdp)
     work = _Search(pomdp, best)
     work.begin(np.zeros(len(pomdp.robot_actions), dtype=np.int64))
     start, prior = pomdp.model.choices.initial, pomdp.prior.reshape(-1)
