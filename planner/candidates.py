@@ -84,18 +84,24 @@ def _families(coding: Coding) -> list[list[int]]:
 def _allowed(moves: Sequence[Move], coding: Coding) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
     """Tell which values of each variable, shape (n, moves), moves allow, and which facts of each are told by none."""
     digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
-    allowed = [np.ones((size, len(moves)), dtype=bool) for size in coding.sizes.tolist()]
+    needed: list[tuple[int, int, int]] = []  # variable, value, move
+    excluded: list[tuple[int, int, int]] = []
     untold: list[list[Fact]] = []
     for number, move in enumerate(moves):
         untold.append([])
-        for v, value in move.facts.items():
-            constant, terms = coding.implied.get((v, value), (0, {(v, value): 1}))
-            if v in digits or (constant, list(terms.values())) == (0, [1]):
-                ((other, needed),) = terms
-                allowed[other][:, number] &= np.arange(len(allowed[other])) == needed
+        for fact in move.facts.items():
+            constant, terms = coding.implied.get(fact, (0, {fact: 1}))
+            if fact[0] in digits or (constant == 0 and list(terms.values()) == [1]):
+                needed.extend((v, value, number) for v, value in terms)
             elif constant == 1 and all(times == -1 for times in terms.values()):
-                for other, excluded in terms:
-                    allowed[other][excluded, number] = False
+                excluded.extend((v, value, number) for v, value in terms)
             else:
-                untold[-1].append((v, value))
+                untold[-1].append(fact)
+    allowed = [np.ones((size, len(moves)), dtype=bool) for size in coding.sizes.tolist()]
+    wanted, unwanted = (np.array(facts, dtype=np.int64).reshape(-1, 3) for facts in (needed, excluded))
+    for v, own in enumerate(allowed):
+        _, value, number = wanted[wanted[:, 0] == v].T
+        np.logical_and.at(own, (slice(None), number), np.arange(len(own))[:, None] == value)
+        _, value, number = unwanted[unwanted[:, 0] == v].T
+        own[value, number] = False
     return allowed, untold
