@@ -154,6 +154,7 @@ class Course:
         self.present: set[str] = set()
         self.recent: deque[dict[str, Any]] = deque(maxlen=RECENT)
         self._notes: dict[str, _Note] = {}
+        self._known: dict[str, PersonState] = {}
 
     # What happens.
 
@@ -180,6 +181,7 @@ class Course:
         step = self.desk.step
         self._take(record)
         advice = self._decided()
+        self._known.clear()
         if advice == self.advice and event.kind == "elapsed":
             self.desk.follow(advice, step)
             return None
@@ -211,6 +213,7 @@ class Course:
         advice = Advice.of(record["advice"]) if "advice" in record else self.advice
         if not self.paused:
             self.desk.follow(advice, record["step"])
+        self._known.clear()
         self._note(record, advice)
 
     def _facts(self, event: Event) -> dict[str, Any]:
@@ -253,7 +256,7 @@ class Course:
 
     def _unheard(self, event: Event) -> bool:
         """Whether a suggestion stands that whoever acted cannot have known."""
-        note, stands = self._notes[event.person or ""], self.desk.person(event.person or "").suggestion
+        note, stands = self._notes[event.person or ""], self._state(event.person or "").suggestion
         if event.followed and (stands is None or stands.lower() != (event.action or "").strip().lower()):
             said = "nothing is suggested" if stands is None else f"{stands} is suggested"
             raise InapplicableError(f"followed is true and the action {event.action}, but {said}")
@@ -310,7 +313,7 @@ class Course:
         person = record.get("person")
         if person is not None and record["event"] != "arrived":
             note = self._notes[person]
-            note.history.append((record["time"], _finite(self.desk.person(person).cost_to_go)))
+            note.history.append((record["time"], _finite(self._state(person).cost_to_go)))
         entry = {"n": self.count, "time": record["time"], "event": record["event"], "person": person}
         for name in ("action", "followed"):
             entry[name] = record.get(name)
@@ -349,11 +352,17 @@ class Course:
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Give somebody's task, and the state in which it is."""
-        return self.tasks[self._notes[person].task], self.desk.person(person).state
+        return self.tasks[self._notes[person].task], self._state(person).state
 
     def person(self, person: str) -> dict[str, Any]:
         """Give what somebody sees, as JSON has it."""
-        return self._seen(self.desk.person(person))
+        return self._seen(self._state(person))
+
+    def _state(self, person: str) -> PersonState:
+        """Give what is known of somebody since the last event; it is asked for by several who show it."""
+        if person not in self._known:
+            self._known[person] = self.desk.person(person)
+        return self._known[person]
 
     def _seen(self, known: PersonState) -> dict[str, Any]:
         note = self._notes[known.person]
@@ -373,7 +382,7 @@ class Course:
 
     def entry(self, person: str) -> dict[str, Any]:
         """Give what the operator sees of somebody, as JSON has it."""
-        known = self.desk.person(person)
+        known = self._state(person)
         return self._seen(known) | {
             "history": [list(point) for point in self._notes[person].history],
             "beta": [known.beta.low, known.beta.mean, known.beta.high],
