@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 # Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
 # file), so that it is thrown away here.
 SHARED := assist/certify/conflicts.py assist/certify/lattice.py assist/learning/likelihood.py \
-	assist/people/compiled.py assist/person/qmdp.py \
+	assist/people/compiled.py assist/person/qmdp.py assist/person/upper_hull.py \
 	planner/atomics.py planner/kernels.py planner/reached.py
 
 demo: $(VENV)/.demo $(VENV)/.compiled

@@ -9,12 +9,13 @@ from itertools import product
 import numpy as np
 import pytest
 from conftest import KITTING, invoke
+from scipy.optimize import linprog
 from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant
 from assist.certify.clairvoyant import Clairvoyant, Path
 from assist.certify.conflicts import lost
-from assist.certify.lattice import END, Graph, Lattice, at, worth
+from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
 from assist.person.solver import solve
 
@@ -33,6 +34,11 @@ def made(price: np.ndarray) -> Clairvoyant:
 @pytest.fixture(scope="module")
 def robot() -> Clairvoyant:
     return made(PRICE)
+
+
+@pytest.fixture(scope="module")
+def without_prices() -> Clairvoyant:
+    return made(np.zeros(0))
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +104,12 @@ def test_what_a_belief_is_divided_among_adds_up_to_it(robot: Clairvoyant, paths:
     assert split > 10  # beliefs were divided
 
 
-def test_the_penalty_has_mean_zero(robot: Clairvoyant, paths: list[Path]) -> None:
+@pytest.mark.parametrize("free", [False, True])
+def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_prices: Clairvoyant) -> None:
     """The mean of U over all that two people may do next is what the search takes for it."""
     compared = []
+    robot = without_prices if free else robot
+    paths = [robot.path(np.random.default_rng(seed)) for seed in range(4)]
     for graphs, wishes in paths:
         for t in range(min(4, *(len(graph.layer) - 2 for graph in graphs))):
             edges, after = [], []
@@ -122,6 +131,22 @@ def test_the_penalty_has_mean_zero(robot: Clairvoyant, paths: list[Path]) -> Non
             compared.append(total)
             assert lost(t + 1, mean, robot.scale) == pytest.approx(total, abs=1e-9)
     assert max(compared) > 0.05
+
+
+def test_a_belief_is_divided_so_that_least_is_promised(robot: Clairvoyant) -> None:
+    """Among nodes that are known, by the linear program: no other parts make a smaller mean of bounds."""
+    lattice, rng, spread = robot.people[0].lattice, np.random.default_rng(0), 0
+    known, size = lattice.known, lattice.known.corner.shape[1]
+    part, node = np.empty(2 * size), np.empty(2 * size, dtype=np.int64)
+    for x in np.argsort(-np.diff(known.first))[:10].tolist():
+        points = slice(known.first[x], known.first[x + 1])
+        for belief in rng.dirichlet(np.ones(size), 12):
+            count = divide(belief, x, known, part, node)
+            found = sum(p * worth(n, known) for p, n in zip(part[:count], node[:count].tolist(), strict=True))
+            best = linprog(known.drop[points], A_ub=known.point[points].T, b_ub=belief)
+            assert found == pytest.approx(float(known.corner[x] @ belief) + best.fun, abs=1e-4)
+            spread += np.sum(node[:count] < len(known.drop)) > 1
+    assert spread > 10
 
 
 def least(

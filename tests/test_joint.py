@@ -98,12 +98,12 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
 @pytest.mark.parametrize("costs", COSTS)
 def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
-    bound = upper_bound(pool, jobs=1, paths=150)
+    bound = upper_bound(pool, jobs=1, paths=100)
     assert bound.sampled is not None
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= joint.lower
     assert bound.sampled.mean < bound.upper < bound.proven
-    # More than two fifths of what the prices leave open; half and more in docs/teams.md.
-    assert bound.proven - bound.sampled.mean > 0.4 * (bound.proven - joint.upper)
+    # More than half of what the prices leave open; two thirds in docs/teams.md.
+    assert bound.proven - bound.sampled.mean > 0.5 * (bound.proven - joint.upper)
 
 
 def test_never_helping_is_everybodys_own_value() -> None:

@@ -11,7 +11,9 @@ what coming from the nearest other place does. That holds for all prices. At tho
 (`assist.person.solver`), so that knowing people better than one can is no source of looseness.
 
 Where paths are asked for, what the prices leave open, that the robot may be in two places at a time as long as it is in
-one on average, is narrowed by samples (`assist.certify.clairvoyant`); the bound then holds with a confidence.
+one on average, is narrowed by samples (`assist.certify.clairvoyant`); the bound then holds with a confidence. It is
+sampled from the problems at these prices, or from those without any where their bounds come to less: a state of
+these needs no step, so that they are solved much further in the same time, and samples see conflicts without prices.
 
 The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
 simulated as well.
@@ -22,7 +24,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -30,10 +32,11 @@ from typing import Any
 import numpy as np
 
 from ..people.decision import Floats
-from ..person.solver import solve
+from ..person.solver import Solution, solve
 from ..team.arguments import Seed, entropy, positive, whole
 from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
+from ..team.subproblem import Visits
 from ..team.travel import Travel
 from .certificate import Certificate, horizon, returns
 from .clairvoyant import Clairvoyant, Sampled
@@ -46,8 +49,11 @@ FOR_BOUND = 0.8
 FOR_PRICES = 0.4
 """The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
 
-FOR_PATHS = 0.3
+FOR_PATHS = 0.5
 """The share of the time for a bound in which lucks are sampled, if any are to be."""
+
+FOR_FREE = 0.3
+"""The share of that in which people's problems are bounded without prices, before."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ class TeamBound:
     upper_seen : float
         What the bound would be if beta and theta were seen, at the same prices.
     price : float array, shape (W,)
-        lambda_t, in cost units.
+        lambda_t, in cost units; none where the team was taken apart without prices.
     seconds : float
     proven : float
         What holds in any case.
@@ -191,52 +197,91 @@ def upper_bound(
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
     paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
-    gamma, luck, tell = pool.setting.gamma, entropy(seed), progress or (lambda *_: None)
+    luck, tell = entropy(seed), progress or (lambda *_: None)
     steps = window_of(pool, members, luck) if window is None else whole("window", window)
     kinds = kinds_of(pool, members, travel, steps, memory_limit_mb=memory_limit_mb, tell=tell)
     price = np.zeros(0)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
     if len(members) > 1 and steps:
         price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * for_people, tell=tell)
-    lattices: dict[int, Lattice] = {}
-
-    def one(number: int, kind: Kind) -> tuple[float, float, float]:
-        visits = kind.at(price)
-        best = kind.best(visits)
-        still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
-        share = (start + for_people - time.perf_counter()) / still
-        solution = solve(
-            visits.pomdp, gap=gap, time_limit=None if time_limit is None else max(0.0, share),
-            memory_limit_mb=memory_limit_mb, best=best,
-        )  # fmt: skip
-        if paths:
-            lattices[number] = Lattice(visits, solution)
-        return solution.upper, solution.upper - solution.lower, solution.value_qmdp
-
-    parts: list[tuple[float, float, float]] = []
-    tell("bounding people's problems", 0, len(kinds))
-    with ThreadPoolExecutor(workers) as threads:
-        for part in threads.map(one, range(len(kinds)), kinds):
-            parts.append(part)
-            tell("bounding people's problems", len(parts), len(kinds))
-    paid = float(price @ gamma ** np.arange(len(price)))
-    counts = np.array([kind.count for kind in kinds])
-    upper, slack, seen = (float(counts @ column) for column in np.array(parts).T)
-    proven, sampled = upper + paid, None
+    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell)
+    sampled = None
     if paths and len(members) > 1:
-        everybody = [lattices[number] for number, kind in enumerate(kinds) for _ in range(kind.count)]
-
         begun = time.perf_counter()
+        if len(price):  # without prices states need no step: problems are so much smaller that this may be ahead
+            free = kinds_of(pool, members, travel, 0, memory_limit_mb=memory_limit_mb, tell=tell)
+            until = begun + FOR_FREE * (start + limit - begun)
+            relaxed = min(
+                relaxed, _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell), key=lambda one: one.upper
+            )
 
         def left(done: int) -> float:
             tell("sampling lucks", done, paths)
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
-        sampled = Clairvoyant(everybody, price, steps).sampled(paths, luck, left)
+        sampled = Clairvoyant(relaxed.lattices(), relaxed.price, steps).sampled(paths, luck, left)
     return TeamBound(
-        pool, members, travel, min(proven, sampled.upper) if sampled else proven, slack, seen + paid, price,
-        time.perf_counter() - start, proven, sampled,
+        pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
+        relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Relaxed:
+    """A team taken apart: people's problems at some prices, with their solutions."""
+
+    kinds: list[Kind]
+    parts: list[tuple[Visits, Solution]]
+    price: Floats
+
+    def _all(self, each: Callable[[Solution], float]) -> float:
+        return sum(kind.count * each(solution) for kind, (_, solution) in zip(self.kinds, self.parts, strict=True))
+
+    @property
+    def paid(self) -> float:
+        gamma = self.kinds[0].pool.setting.gamma
+        return float(self.price @ gamma ** np.arange(len(self.price)))
+
+    @property
+    def upper(self) -> float:
+        return self.paid + self._all(lambda solution: solution.upper)
+
+    @property
+    def upper_seen(self) -> float:
+        return self.paid + self._all(lambda solution: solution.value_qmdp)
+
+    @property
+    def slack(self) -> float:
+        return self._all(lambda solution: solution.upper - solution.lower)
+
+    def lattices(self) -> list[Lattice]:
+        """Give each person's; people of a kind share one."""
+        lattices = [Lattice(*part) for part in self.parts]
+        return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
+
+
+def _relax(
+    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Tell
+) -> _Relaxed:
+    """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
+
+    def one(number: int, kind: Kind) -> tuple[Visits, Solution]:
+        visits = kind.at(price)
+        best = kind.best(visits)
+        still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
+        share = (until - time.perf_counter()) / still
+        return visits, solve(
+            visits.pomdp, gap=gap, time_limit=None if until == math.inf else max(0.0, share),
+            memory_limit_mb=memory_limit_mb, best=best,
+        )  # fmt: skip
+
+    parts: list[tuple[Visits, Solution]] = []
+    tell("bounding people's problems", 0, len(kinds))
+    with ThreadPoolExecutor(workers) as threads:
+        for part in threads.map(one, range(len(kinds)), kinds):
+            parts.append(part)
+            tell("bounding people's problems", len(parts), len(kinds))
+    return _Relaxed(kinds, parts, price)
 
 
 def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:

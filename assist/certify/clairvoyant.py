@@ -48,7 +48,7 @@ from ..people.decision import Floats
 from .conflicts import Conflicts, Scale, Wishes, lost
 from .lattice import END, Graph, Lattice
 
-ALPHAS = (0.0, 0.2, 0.4, 0.6, 0.8)
+ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.8)
 """What share of U the penalty takes into account: the best of these."""
 
 PILOT = 0.1
@@ -66,8 +66,8 @@ ROUNDS = 60
 STEP = 0.3
 """What they change by in the first round, in cost units."""
 
-POPPED = 20_000
-"""States that are looked at for one luck, at most, times people."""
+POPPED = 400_000
+"""States that are looked at for one luck, at most, times people: with fewer, large alphas come to nothing."""
 
 CONFIDENCE = 0.95
 ERRORS = 1.645
@@ -119,12 +119,12 @@ class Clairvoyant:
         gamma = lattices[0].arrays.gamma
         tasks = [lattice.visits.alone.model.choices for lattice in lattices]
         unit = min(float(task.costs[task.applicable].min()) for task in tasks)
-        self.scale = Scale.of(price, gamma, unit)
+        self.steps = max(steps, len(price) + AFTER)
+        self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
+        self.scale = Scale.of(self.price[:-1], gamma, unit)
         conflicts = {id(lattice): Conflicts(lattice, self.scale) for lattice in lattices}
         self.people = [conflicts[id(lattice)] for lattice in lattices]
-        self.steps = max(steps, len(price) + AFTER)
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
-        self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.value = float(self.scale.paid[0]) + sum(lattice.value for lattice in lattices)
         self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
 
@@ -256,7 +256,7 @@ def _search(
         product *= radix[k]
     exact = product < 2.0**62  # else states are not recognised when they are met again, which only takes longer
     seen = Dict.empty(numba.types.int64, numba.types.float64)
-    here, next_ = np.ones((people, len(scale.weight) + 1)), np.ones((people, len(scale.weight) + 1))
+    here, next_ = np.ones((people, rows[0].shape[1])), np.ones((people, rows[0].shape[1]))
     idle = np.empty(people, np.int64)
     popped = 0
     while len(heap):

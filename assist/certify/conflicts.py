@@ -32,53 +32,56 @@ LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
 
 
 class Scale(NamedTuple):
-    """Steps and levels: a row has an entry for each level of each of W steps, and one more for what is added.
+    """Steps and levels: a row has a block for each of W steps, of an entry for each of L levels and one that adds up.
 
     Attributes
     ----------
     price : float array, shape (W,)
     paid : float array, shape (W + 1,)
         What the prices of each step and all later ones come to, discounted to step 0.
-    weight : float array, shape (W * L,)
-        Width of each level, discounted.
+    width : float array, shape (L,)
     level : float array, shape (L + 1,)
-    gamma : float
+    discount : float array, shape (W + 1,)
     """
 
     price: Floats
     paid: Floats
-    weight: Floats
+    width: Floats
     level: Floats
-    gamma: float
+    discount: Floats
 
     @classmethod
     def of(cls, price: Floats, gamma: float, unit: float) -> Scale:
-        """Make the scale for prices of W steps."""
-        discount = gamma ** np.arange(len(price))
-        paid = np.append(np.cumsum((price * discount)[::-1])[::-1], 0.0)
-        return cls(np.array(price), paid, np.kron(discount, unit * np.diff(LEVELS)), unit * LEVELS, gamma)
+        """Make the scale for W steps with these prices."""
+        discount = gamma ** np.arange(len(price) + 1.0)
+        paid = np.append(np.cumsum((price * discount[:-1])[::-1])[::-1], 0.0)
+        return cls(np.array(price), paid, unit * np.diff(LEVELS), unit * LEVELS, discount)
 
 
 class Rows(NamedTuple):
     """The rows of nodes; row 0 is that of everybody who wants nothing any more.
 
+    What a node's block says is of so many steps later, so that one row serves a node at whatever step it is met.
+
     Attributes
     ----------
     of : int array, shape (nodes,)
         Each node's; -1 where it has not been worked out.
-    row : float array, shape (rows, W * L + 1)
-        P(G <= g) at each step, and what adds up: the mean of (G - lambda)^+ and of what the bound is too high by,
-        discounted to step 0.
+    depth : int array, shape (nodes,)
+        How many of its blocks have been.
+    row : float array, shape (rows, W * (L + 1))
+        In each block P(G <= g), and what adds up: the mean of (G - lambda)^+ and of what the bound is too high by.
     used : int array, shape (1,)
     """
 
     of: Ints
+    depth: Ints
     row: Floats
     used: Ints
 
 
 class Wishes(NamedTuple):
-    """The rows of a graph's nodes, shape (n,), and edges, shape (e, W * L + 1).
+    """The rows of a graph's nodes, shape (n,), and edges, shape (e, W * (L + 1)).
 
     Attributes
     ----------
@@ -100,31 +103,35 @@ class Conflicts:
 
     def __init__(self, lattice: Lattice, scale: Scale) -> None:
         self.lattice, self.scale = lattice, scale
-        width = len(scale.weight) + 1
-        self.rows = Rows(np.full(len(lattice.nodes.first), -1), np.empty((1 << 10, width)), np.ones(1, dtype=np.int64))
-        self.rows.row[0] = 1.0
-        self.rows.row[0, -1] = 0.0
-        self.step = lattice.visits.layout.step
+        steps, levels = len(scale.price), len(scale.width)
+        count = len(lattice.nodes.first)
+        self.rows = Rows(
+            np.full(count, -1), np.zeros(count, dtype=np.int64), np.empty((1 << 10, steps * (levels + 1))),
+            np.ones(1, dtype=np.int64),
+        )  # fmt: skip
+        self.rows.row[0] = np.tile(np.append(np.ones(levels), 0.0), steps)
+        layout, price = lattice.visits.layout, lattice.visits.price
+        self.price = np.append(price, 0.0)[np.minimum(layout.step, len(price))]
 
     def of(self, graph: Graph) -> Wishes:
         """Give the rows of a graph."""
         wishes = Wishes(
-            np.zeros(len(graph.node), dtype=np.int64), np.empty((len(graph.to), len(self.scale.weight) + 1)),
+            np.zeros(len(graph.node), dtype=np.int64), np.empty((len(graph.to), self.rows.row.shape[1])),
             np.zeros(len(graph.to)),
         )  # fmt: skip
         while not _wishes(
-            graph, wishes, self.rows, self.scale, self.step, self.lattice.attended, self.lattice.nodes,
+            graph, wishes, self.rows, self.scale, self.price, self.lattice.attended, self.lattice.nodes,
             self.lattice.known, self.lattice.arrays, self.lattice.order,
         ):  # fmt: skip
             self._grow()
         return wishes
 
     def at_root(self) -> Floats:
-        """Give the mean row at the beginning, shape (W * L + 1,)."""
+        """Give the mean row at the beginning, shape (W * (L + 1),)."""
         for node in self.lattice.root.tolist():
             while not _row(
-                node, self.rows, self.scale, self.step, self.lattice.attended, self.lattice.nodes, self.lattice.known,
-                self.lattice.arrays, self.lattice.order,
+                node, len(self.scale.price), self.rows, self.scale, self.price, self.lattice.attended,
+                self.lattice.nodes, self.lattice.known, self.lattice.arrays, self.lattice.order,
             ):  # fmt: skip
                 self._grow()
         return np.asarray(self.lattice.chance @ self.rows.row[self.rows.of[self.lattice.root]])
@@ -152,39 +159,36 @@ def _wanted(
 
 
 @numba.njit(cache=True)
-def _follow(edge: int, start: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
-    """Fill in the mean of the rows after an edge, from a column on; before, zeros."""
-    out[:] = 0.0
-    before, last = 0.0, out.shape[0] - 1
+def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
+    """Fill in the mean of the rows after an edge, up to a column."""
+    out[:end] = 0.0
+    before = 0.0
     for k in range(nodes.begin[edge], nodes.begin[edge + 1]):
         chance = nodes.share[k] - before
         before = nodes.share[k]
         row = rows.row[rows.of[nodes.to[k]] if nodes.to[k] != END else 0]
-        for c in range(start, last + 1):
+        for c in range(end):
             out[c] += chance * row[c]
 
 
 @numba.njit(cache=True)
 def _row(
-    node: int, rows: Rows, scale: Scale, step: Ints, attended: NDArray[np.bool_], nodes: Nodes, known: Known,
-    m: Arrays, order: Ints,
+    node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
+    known: Known, m: Arrays, order: Ints,
 ) -> bool:  # fmt: skip
-    """Work out the row of a node, and of all that follow; tell whether there was room."""
-    levels = len(scale.level) - 1
-    stack = [node]
+    """Work out so many blocks of the row of a node, and what of later nodes that takes; tell whether there was room."""
+    levels = len(scale.width)
+    size = levels + 1
+    stack, depths = [node], [depth]
     while len(stack):
-        n = stack[-1]
-        if rows.of[n] >= 0:
+        n, d = stack[-1], depths[-1]
+        if rows.depth[n] >= d:
             stack.pop()
-            continue
-        x = at(n, known)
-        t = step[x]
-        if t >= len(scale.price):
-            rows.of[n] = 0
-            stack.pop()
+            depths.pop()
             continue
         if not work_out(n, nodes, known, m, order):
             return False
+        x = at(n, known)
         e, robots = nodes.first[n], m.robot_actions[x]
         best = e
         for r in range(e + 1, e + robots):
@@ -192,38 +196,43 @@ def _row(
                 best = r
         ready = True
         for k in range(nodes.begin[best], nodes.begin[best + 1]):
-            if nodes.to[k] != END and rows.of[nodes.to[k]] < 0:
+            if nodes.to[k] != END and rows.depth[nodes.to[k]] < d - 1:
                 stack.append(nodes.to[k])
+                depths.append(d - 1)
                 ready = False
         if not ready:
             continue
-        if rows.used[0] + 1 >= len(rows.row):
-            return False
-        number = rows.used[0]
-        rows.used[0] += 1
-        row = rows.row[number]
-        _follow(best, (t + 1) * levels, row, rows, nodes)
-        wanted = _wanted(n, x, scale.price[t], scale.level[levels], nodes, attended, robots)
-        row[-1] += scale.gamma**t * (nodes.regret[best] + max(0.0, wanted - scale.price[t]))
+        if rows.of[n] < 0:
+            if rows.used[0] + 1 >= len(rows.row):
+                return False
+            rows.of[n] = rows.used[0]
+            rows.used[0] += 1
+        row = rows.row[rows.of[n]]
+        wanted = _wanted(n, x, price[x], scale.level[levels], nodes, attended, robots)
         for i in range(levels):
             below = (scale.level[i + 1] - wanted) / (scale.level[i + 1] - scale.level[i])
-            row[t * levels + i] = min(1.0, max(0.0, below))
-        rows.of[n] = number
+            row[i] = min(1.0, max(0.0, below))
+        row[levels] = nodes.regret[best] + max(0.0, wanted - price[x])
+        _follow(best, (d - 1) * size, row[size:], rows, nodes)
+        rows.depth[n] = d
         stack.pop()
+        depths.pop()
     return True
 
 
 @numba.njit(cache=True)
 def _wishes(
-    graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, step: Ints, attended: NDArray[np.bool_], nodes: Nodes,
+    graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
 ) -> bool:  # fmt: skip
     """Fill in the rows of a graph; tell whether there was room."""
-    levels, last = len(scale.level) - 1, wishes.mean.shape[1] - 1
-    for t in range(len(graph.layer) - 1):
+    levels, steps = len(scale.width), len(scale.price)
+    size = levels + 1
+    for t in range(min(steps, len(graph.layer) - 1)):
+        depth = steps - t
         for j in range(graph.layer[t], graph.layer[t + 1]):
             node = graph.node[j]
-            if not _row(node, rows, scale, step, attended, nodes, known, m, order):
+            if not _row(node, depth, rows, scale, price, attended, nodes, known, m, order):
                 return False
             wishes.of[j] = rows.of[node]
             first = nodes.first[node]
@@ -232,32 +241,40 @@ def _wishes(
                 number = first + e - graph.edge[j]
                 for k in range(nodes.begin[number], nodes.begin[number + 1]):
                     if nodes.to[k] != END and not _row(
-                        nodes.to[k], rows, scale, step, attended, nodes, known, m, order
+                        nodes.to[k], depth - 1, rows, scale, price, attended, nodes, known, m, order
                     ):
                         return False
-                _follow(number, 0, wishes.mean[e], rows, nodes)
+                _follow(number, (depth - 1) * size, wishes.mean[e], rows, nodes)
                 if nodes.regret[number] < least:
                     best, least = e, nodes.regret[number]
             for e in range(graph.edge[j], graph.edge[j + 1]):
-                fall = wishes.mean[best, last] - wishes.mean[e, last]
-                for c in range((t + 1) * levels, last):
-                    fall += scale.weight[c] * max(0.0, wishes.mean[best, c] - wishes.mean[e, c])
+                fall = 0.0
+                for s in range(depth - 1):
+                    one = wishes.mean[best, (s + 1) * size - 1] - wishes.mean[e, (s + 1) * size - 1]
+                    for i in range(levels):
+                        c = s * size + i
+                        one += scale.width[i] * max(0.0, wishes.mean[best, c] - wishes.mean[e, c])
+                    fall += scale.discount[t + 1 + s] * one
                 wishes.fall[e] = fall
     return True
 
 
 @numba.njit(cache=True)
 def lost(step: int, rows: Floats, scale: Scale) -> float:
-    """Give U from a step on, discounted to step 0, of people with these rows, shape (K, W * L + 1)."""
-    levels, last = len(scale.level) - 1, rows.shape[1] - 1
+    """Give U from a step on, discounted to step 0, of people with these rows, shape (K, W * (L + 1))."""
+    levels = len(scale.width)
+    size = levels + 1
     if step >= len(scale.price):
         return 0.0
     total = scale.paid[step]
-    for k in range(len(rows)):
-        total += rows[k, last]
-    for c in range(step * levels, last):
-        below = 1.0
+    for s in range(len(scale.price) - step):
+        one = 0.0
         for k in range(len(rows)):
-            below *= rows[k, c]
-        total -= scale.weight[c] * (1.0 - below)
+            one += rows[k, s * size + levels]
+        for i in range(levels):
+            below = 1.0
+            for k in range(len(rows)):
+                below *= rows[k, s * size + i]
+            one -= scale.width[i] * (1.0 - below)
+        total += scale.discount[step + s] * one
     return total

@@ -23,15 +23,13 @@ from ..people.compiled import answer
 from ..people.decision import Floats
 from ..person.qmdp import Arrays
 from ..person.solver import Solution
+from ..person.upper_hull import PIVOTS, weigh
 from ..team.subproblem import Visits
 
 Ints = NDArray[np.int64]
 
 END = -1
 """The node of everybody who has finished."""
-
-PIECES = 12
-"""Beliefs that a belief is divided among, at most; what is left goes to the corners."""
 
 SLIGHT = 1e-5
 """A belief that could lower the bound by less than this, in cost units, gets no part."""
@@ -133,7 +131,7 @@ class Lattice:
             np.empty(1 << 16, dtype=np.int64), np.zeros(2, dtype=np.int64),
         )  # fmt: skip
         self._stamp, self._stamps = np.zeros(count, dtype=np.int64), 0
-        part, node = np.empty(size + PIECES), np.empty(size + PIECES, dtype=np.int64)
+        part, node = np.empty(2 * size), np.empty(2 * size, dtype=np.int64)
         found = divide(pomdp.prior.reshape(-1), choices.initial, self.known, part, node)
         self.root, self.chance = node[:found].copy(), part[:found] / part[:found].sum()
         bounds = [worth(n, self.known) for n in self.root.tolist()]
@@ -198,29 +196,24 @@ def worth(node: int, known: Known) -> float:
 def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> int:
     """Divide an unnormalised belief of a state among its nodes; return how many get a part.
 
-    Always the one that takes most off the bound next: any parts that add up to the belief are right.
+    As the solution's bound does, at most one node for each type and its corner; `part` and `node` have room for twice
+    as many.
     """
-    left, mass, count = belief.copy(), belief.sum(), 0
-    for _ in range(PIECES):
-        best, chosen, most = -SLIGHT * mass, -1, 0.0
-        for i in range(known.first[x], known.first[x + 1]):
-            share = np.inf
-            for h in range(len(left)):
-                if known.point[i, h] > 0.0 and left[h] < share * known.point[i, h]:
-                    share = left[h] / known.point[i, h]
-                    if share * known.drop[i] >= best:
-                        break
-            if share * known.drop[i] < best:
-                best, chosen, most = share * known.drop[i], i, share
-        if chosen < 0:
-            break
-        part[count], node[count] = most, chosen
-        count += 1
-        for h in range(len(left)):
-            left[h] = max(0.0, left[h] - most * known.point[chosen, h])
-    for h in range(len(left)):
+    size, base = len(belief), 0.0
+    left, mass = belief.copy(), belief.sum()
+    for h in range(size):
+        base += known.corner[x, h] * belief[h]
+    found = weigh(part, node, belief, base, known.point, known.drop, known.first[x], known.first[x + 1], PIVOTS)
+    count = 0
+    for j in range(found):
+        if part[j] * known.drop[node[j]] < -SLIGHT * mass:
+            part[count], node[count] = part[j], node[j]
+            for h in range(size):
+                left[h] = max(0.0, left[h] - part[count] * known.point[node[count], h])
+            count += 1
+    for h in range(size):
         if left[h] > 1e-14 * mass:
-            part[count], node[count] = left[h], len(known.drop) + x * len(left) + h
+            part[count], node[count] = left[h], len(known.drop) + x * size + h
             count += 1
     return count
 
@@ -256,7 +249,7 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
     points, size, x = len(known.drop), known.corner.shape[1], at(node, known)
     e, k = nodes.used[0], nodes.used[1]
     robots = m.robot_actions[x]
-    if e + robots >= len(nodes.regret) or k + robots * order.shape[1] * (size + PIECES) >= len(nodes.to):
+    if e + robots >= len(nodes.regret) or k + robots * order.shape[1] * 2 * size >= len(nodes.to):
         return False
     belief, after = np.zeros(size), np.empty(size)
     if node < points:
@@ -265,7 +258,7 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
             belief[h] = known.point[node, h] / mass
     else:
         belief[(node - points) % size] = 1.0
-    part, piece = np.empty(size + PIECES), np.empty(size + PIECES, np.int64)
+    part, piece = np.empty(2 * size), np.empty(2 * size, np.int64)
     bound = worth(node, known)
     nodes.first[node] = e
     for r in range(robots):

@@ -49,50 +49,72 @@ def uppers(
     `drop` below what the corners of s, shape (H,), give.
     """
     size = beliefs.shape[1]
-    most = 0
-    for s in x:
-        most = max(most, first[s + 1] - first[s])
-    table, left, inverse = np.empty((size + 1, most + 1)), np.empty(size), np.empty(size)
-    share, column = np.empty(most), np.empty(most, np.int64)
-    basic, free = np.empty(size, np.int64), np.empty(most, np.int64)
+    weight, used = np.empty(size), np.empty(size, np.int64)
     for n in range(len(x)):
-        base, mass = 0.0, 0.0
+        base, worth = 0.0, 0.0
         for h in range(size):
             base += corner[x[n], h] * beliefs[n, h]
-            mass += beliefs[n, h]
-        for h in range(size):
-            left[h] = beliefs[n, h] + ABSENT * mass
-            inverse[h] = 1.0 / left[h] if left[h] > 0.0 else 0.0
-        count = 0
-        for i in range(first[x[n]], first[x[n] + 1]):
-            largest = 0.0
-            for h in range(size):
-                largest = max(largest, point[i, h] * inverse[h])
-            if largest > 0.0 and drop[i] < NEGLIGIBLE * base * largest:
-                share[count], column[count] = 1.0 / largest, i
-                count += 1
-        for c in range(count):
-            table[size, c], free[c] = share[c] * drop[column[c]], c
-        for h in range(size):
-            for c in range(count):
-                table[h, c] = share[c] * point[column[c], h] * inverse[h]
-            table[h, count], basic[h] = 1.0 - SLANT * (h + 1) / size, count + h
-        table[size, count] = 0.0
-        _minimise(table, basic, free, count, -NEGLIGIBLE * abs(base), pivots)
-        worth = 0.0
-        for h in range(size):
-            if basic[h] < count and table[h, count] > 0.0:
-                i, weight = column[basic[h]], share[basic[h]] * table[h, count]
-                worth += weight * drop[i]
-                for k in range(size):
-                    left[k] -= weight * point[i, k]
-        scale = 1.0
-        for h in range(size):
-            if left[h] < 0.0:  # then the weights are that much too large
-                entry = beliefs[n, h] + ABSENT * mass
-                scale = min(scale, entry / (entry - left[h]))
-        value[n] = base + scale * worth
+        for j in range(weigh(weight, used, beliefs[n], base, point, drop, first[x[n]], first[x[n] + 1], pivots)):
+            worth += weight[j] * drop[used[j]]
+        value[n] = base + worth
         value[n] += ROUNDING * abs(value[n])
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+def weigh(
+    weight: Floats,
+    used: NDArray[np.int64],
+    belief: Floats,
+    base: float,
+    point: Floats,
+    drop: Floats,
+    begin: int,
+    end: int,
+    pivots: int,
+) -> int:
+    """Fill in the weights, shape (H,), of the points that bound the value at an unnormalised belief, shape (H,).
+
+    They are among those from `begin` to `end`, and `base` is what the corners give. Returns how many are used.
+    """
+    size, mass = len(belief), belief.sum()
+    table, left, inverse = np.empty((size + 1, end - begin + 1)), np.empty(size), np.empty(size)
+    share, column = np.empty(end - begin), np.empty(end - begin, np.int64)
+    basic, free = np.empty(size, np.int64), np.empty(end - begin, np.int64)
+    for h in range(size):
+        left[h] = belief[h] + ABSENT * mass
+        inverse[h] = 1.0 / left[h] if left[h] > 0.0 else 0.0
+    count = 0
+    for i in range(begin, end):
+        largest = 0.0
+        for h in range(size):
+            largest = max(largest, point[i, h] * inverse[h])
+        if largest > 0.0 and drop[i] < NEGLIGIBLE * base * largest:
+            share[count], column[count] = 1.0 / largest, i
+            count += 1
+    for c in range(count):
+        table[size, c], free[c] = share[c] * drop[column[c]], c
+    for h in range(size):
+        for c in range(count):
+            table[h, c] = share[c] * point[column[c], h] * inverse[h]
+        table[h, count], basic[h] = 1.0 - SLANT * (h + 1) / size, count + h
+    table[size, count] = 0.0
+    _minimise(table, basic, free, count, -NEGLIGIBLE * abs(base), pivots)
+    found = 0
+    for h in range(size):
+        if basic[h] < count and table[h, count] > 0.0:
+            i = column[basic[h]]
+            weight[found], used[found] = share[basic[h]] * table[h, count], i
+            for k in range(size):
+                left[k] -= weight[found] * point[i, k]
+            found += 1
+    scale = 1.0
+    for h in range(size):
+        if left[h] < 0.0:  # then the weights are that much too large
+            entry = belief[h] + ABSENT * mass
+            scale = min(scale, entry / (entry - left[h]))
+    for j in range(found):
+        weight[j] *= scale
+    return found
 
 
 @numba.njit(cache=True, fastmath={"reassoc", "contract"})
