@@ -99,7 +99,7 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
     several = [row for name in "abcd" for row in lines(*PLAN, person=name, told={1: PLAN[1]})]
     assert fit(tiny, Log.of(several)).distribution().eta is None
     assert fit(tiny, Log.of(several), method=Method(eta=0.2)).distribution().eta == 0.2
-    many = people_at_work(Choices.of(tiny), [0.5] * 30, np.random.default_rng(1), suggest=0.6, episodes=8)
+    many = people_at_work(Choices.of(tiny), [0.5] * 15, np.random.default_rng(1), suggest=0.6, episodes=8)
     eta = fit(tiny, Log.of(many)).distribution().eta
     assert eta == pytest.approx(0.2, abs=0.1)
 

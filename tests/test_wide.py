@@ -37,22 +37,26 @@ def weakest(team: TeamState) -> TeamAction:
     return team.act(np.where(team.active, team.cost_to_go(), -1).argmax(axis=1), team.first_optimal())
 
 
-@pytest.mark.parametrize(
-    ("policy", "options"),
-    [
-        ("none", {}),
-        ("reactive", {}),
-        ("attention", {}),
-        ("priority", {}),
-        (weakest, {}),
-        ("attention", {"setting": Setting(knowledge="exact", c_suggest=0.2)}),
-        ("priority", {"setting": Setting(c_suggest=0.2, travel_time=2)}),
-        ("attention", {"setting": Setting(c_suggest=0.2, suggestions="all"), "population": Population(noise="action")}),
-        ("reactive", {"world": "model"}),
-        ("priority", {"world": "model"}),
-    ],
-)
-@pytest.mark.parametrize("task", ["sealed", "costs/ways"])
+WAYS: list[tuple[Any, dict[str, Any]]] = [
+    ("none", {}),
+    ("reactive", {}),
+    ("attention", {}),
+    ("priority", {}),
+    (weakest, {}),
+    ("attention", {"setting": Setting(knowledge="exact", c_suggest=0.2)}),
+    ("priority", {"setting": Setting(c_suggest=0.2, travel_time=2)}),
+    ("attention", {"setting": Setting(c_suggest=0.2, suggestions="all"), "population": Population(noise="action")}),
+    ("reactive", {"world": "model"}),
+    ("priority", {"world": "model"}),
+]
+CASES = [
+    pytest.param(task, *way, marks=[pytest.mark.slow] if task == "costs/ways" and way not in WAYS[2:4] else [])
+    for task in ("sealed", "costs/ways")
+    for way in WAYS
+]
+
+
+@pytest.mark.parametrize(("task", "policy", "options"), CASES)
 def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dict[str, Any]) -> None:
     """The same people with the same luck do the same, in tasks with dead ends and with actions that cost nothing."""
     table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
