@@ -201,6 +201,10 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
         "[types]\nslot = {of = 'fits'}": "of = 'fits'; expected something like 'holds ?1'",
         "[marks]\nin-slot = '?1 in ?3'": "?3; the predicate has 2 arguments",
         "[colors]\n": "[colors] is not expected",
+        "[words]\nfetch = 3": "words.fetch: 3; expected a text",
+        "[hide]\npredicates = 3": "hide: 'predicates = 3' is not expected; there is a list, predicates",
+        "[hide]\npredicates = 'in-slot'": "hide: 'predicates = 'in-slot'' is not expected",
+        "[hide]\nobjects = []": "hide: 'objects = []' is not expected",
         "nothing": "drawing.toml: ",
     }.items():
         (tmp_path / "drawing.toml").write_text(text)

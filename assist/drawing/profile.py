@@ -210,11 +210,17 @@ def read(file: Path, subject: Subject) -> Profile:
     for kind, table in content.get("types", {}).items():
         for name in _known_by(file, f"types.{kind}", table.get("of", []), subject):
             own.setdefault(name, types[kind])
+    for name, text in content.get("words", {}).items():
+        if not isinstance(text, str):
+            raise ProfileError(f"{file}: words.{name}: {text!r}; expected a text")
+    for name, listed in content.get("hide", {}).items():
+        if name != "predicates" or not isinstance(listed, list) or not all(isinstance(one, str) for one in listed):
+            raise ProfileError(f"{file}: hide: '{name} = {listed!r}' is not expected; there is a list, predicates")
     return Profile(
         types=types,
         own=own,
         things=things,
-        words={name: str(text) for name, text in content.get("words", {}).items()},
+        words=content.get("words", {}),
         hidden=frozenset(content.get("hide", {}).get("predicates", ())),
         places=rules["places"],
         marks=rules["marks"],
