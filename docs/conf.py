@@ -26,6 +26,9 @@ def _sources() -> str:
 project = "kitassist"
 html_title = "kitassist"
 html_theme = "furo"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_show_copyright = False
 extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.viewcode"]
 exclude_patterns = ["examples"]
 myst_enable_extensions = ["dollarmath"]

@@ -20,6 +20,7 @@ from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population
 from ..simulation.dynamics import People, act
 from ..simulation.ground import Group, World
+from ..simulation.luck import from_the_prior
 from ..team.pool import LARGEST, Pool
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
@@ -99,16 +100,8 @@ class Teams:
             self.belief[rows] = self._prior[self.model[rows]]
         self.location[rows], self.busy_until[rows], self.clock[rows] = BASE, 0, 0
         if self.on_grid:
-            self._from_the_prior(rows, draw())
-
-    def _from_the_prior(self, rows: NDArray[np.int64], drawn: Floats) -> None:
-        for number, solved in enumerate(self.pool.policies):
-            team, place = np.nonzero(self.model[rows] == number)
-            prior, grid = solved.pomdp.prior.ravel(), solved.pomdp.grid
-            cell = np.searchsorted(np.cumsum(prior), drawn[team, place], side="right")
-            b, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(grid.theta))
-            at = rows[team], place
-            self.who[at], self.beta[at], self.theta[at] = b, grid.beta[b], grid.theta[t]
+            pomdps = [solved.pomdp for solved in self.pool.policies]
+            self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
 
     def free(self) -> NDArray[np.bool_]:
         """Say which robots are under way to nobody, shape (N,)."""

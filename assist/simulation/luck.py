@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
+from ..person.pomdp import AssistPOMDP
 
 BLOCK = 64
 """Episodes whose random numbers are drawn together."""
@@ -33,3 +36,31 @@ class Luck:
         """Draw K different numbers of a pool, shape (N, K)."""
         order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams[3]]
         return np.stack(order)[self.block, self.row, : self.places]
+
+
+def from_the_prior(
+    pomdps: Sequence[AssistPOMDP], model: NDArray[np.int64], drawn: Floats
+) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Decide who people are where the robot's models hold: a point of the grid, by their model's prior.
+
+    Parameters
+    ----------
+    pomdps : sequence of AssistPOMDP
+        Of each model.
+    model : int array
+        Everybody's model.
+    drawn : float array, of the same shape
+        Uniform numbers.
+
+    Returns
+    -------
+    mind, beta, theta : arrays of the same shape
+        The number of beta in the grid, and the values.
+    """
+    mind, beta, theta = np.zeros(model.shape, dtype=np.int64), np.zeros(model.shape), np.zeros(model.shape)
+    for number, pomdp in enumerate(pomdps):
+        at, prior = model == number, pomdp.prior.ravel()
+        cell = np.searchsorted(np.cumsum(prior), drawn[at], side="right")
+        b, t = np.divmod(np.minimum(cell, np.flatnonzero(prior)[-1]), len(pomdp.grid.theta))
+        mind[at], beta[at], theta[at] = b, pomdp.grid.beta[b], pomdp.grid.theta[t]
+    return mind, beta, theta

@@ -16,7 +16,7 @@ from ..team.travel import Travel
 from .dynamics import People, act
 from .episodes import Episodes, Trace
 from .ground import Ground, Group, View, Whole, Wide, World
-from .luck import Luck
+from .luck import Luck, from_the_prior
 from .presence import Presence
 
 
@@ -50,7 +50,9 @@ class Run:
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
-            self._from_the_prior()
+            drawn = self.luck.draw(0, np.arange(len(numbers)))
+            pomdps = [solved.pomdp for solved in pool.policies]
+            self.mind, self.beta, self.theta = from_the_prior(pomdps, self.model, drawn)
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
@@ -71,16 +73,6 @@ class Run:
         self.moves = np.zeros(len(numbers), dtype=np.int64)
         self.steps = np.zeros(len(numbers), dtype=np.int64)
         self.discounted = np.zeros(len(numbers))
-
-    def _from_the_prior(self) -> None:
-        """Replace everybody's beta and theta by a draw from their model's prior."""
-        drawn = self.luck.draw(0, np.arange(len(self.numbers)))
-        for group, solved in enumerate(self.pool.policies):
-            rows, grid = self.model == group, solved.pomdp.grid
-            cell = np.searchsorted(np.cumsum(solved.pomdp.prior.ravel()), drawn[rows], side="right")
-            last = int(np.flatnonzero(solved.pomdp.prior.ravel())[-1])
-            b, t = np.divmod(np.minimum(cell, last), len(grid.theta))
-            self.mind[rows], self.beta[rows], self.theta[rows] = b, grid.beta[b], grid.theta[t]
 
     def run(self) -> Episodes:
         """Step until all have finished or the limit is reached."""
