@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo live test test-all lint bench bench-smallest study docs wheel-check clean
+.PHONY: demo live test test-all coverage lint bench bench-smallest study docs wheel-check clean
 
 # Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
 # file), so that it is thrown away here.
@@ -31,6 +31,13 @@ test: $(VENV)/.test $(VENV)/.warm
 # The same, and longer versions of some tests.
 test-all: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
+# Which lines and branches `make test` runs, subprocesses included; it takes longer.
+coverage: export COVERAGE_FILE = $(CURDIR)/.coverage/data
+coverage: $(VENV)/.test $(VENV)/.warm
+	@rm -rf .coverage && mkdir .coverage
+	$(BIN)/python -m coverage run -m pytest --numprocesses auto --dist worksteal -m "not slow"
+	@$(BIN)/python -m coverage combine --quiet && $(BIN)/python -m coverage report --skip-covered
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -69,7 +76,7 @@ $(VENV)/.warm: $(VENV)/.test $(VENV)/.compiled $(wildcard planner/*.py assist/*/
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo site
+	rm -rf $(VENV) .coverage demo site
 
 # Which packages are installed, and from which versions, is fixed by pyproject.toml and constraints.txt.
 $(VENV)/bin/python:
