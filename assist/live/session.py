@@ -11,12 +11,13 @@ from __future__ import annotations
 import json
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,6 +46,65 @@ Refused = (ValueError, LimitError, PolicyError)
 
 Outcome = dict[str, Any] | Exception
 """What has come of an event: what whoever reported it sees now, or why it has not happened."""
+
+
+class Happenings(Protocol):
+    """What a session keeps: what happens, and what is seen of it, as described at `Course`, that of one team."""
+
+    count: int
+    paused: bool
+    fault: str | None
+    recent: deque[dict[str, Any]]
+
+    def happen(self, event: Event, time: float) -> dict[str, Any] | None:
+        """Let something happen; give the record of it."""
+        ...
+
+    def again(self, record: Mapping[str, Any]) -> None:
+        """Let happen again what has been recorded."""
+        ...
+
+    def touched(self, record: Mapping[str, Any]) -> set[str]:
+        """Name those for whom something has changed with an event."""
+        ...
+
+    def require(self, person: str) -> None:
+        """Refuse whoever is not there."""
+        ...
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Who is there."""
+        ...
+
+    @property
+    def advice(self) -> Advice:
+        """What was decided after the last event."""
+        ...
+
+    def person(self, person: str) -> dict[str, Any]:
+        """Give what somebody sees."""
+        ...
+
+    def entry(self, person: str) -> dict[str, Any]:
+        """Give what the operator sees of somebody."""
+        ...
+
+    def place(self, person: str) -> tuple[CostToGo, int]:
+        """Give somebody's task, and the state in which it is."""
+        ...
+
+    def robot(self) -> dict[str, Any]:
+        """Give where the robot is to be."""
+        ...
+
+    def beliefs(self) -> dict[str, bytes]:
+        """Give what is believed of everybody, to the bit."""
+        ...
+
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Give everybody's actions as `fit` reads them."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -132,7 +192,7 @@ class Session:
         self._began = clock() - self._last
 
     def _header(self) -> dict[str, Any]:
-        desk, distance = self._course.desk, self._options["distance"]
+        desk, distance = Course(self._tasks, **self._options).desk, self._options["distance"]
         return {
             "format": FORMAT,
             "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
@@ -145,8 +205,8 @@ class Session:
             else {name: _chances(task, desk.population) for name, task in self._tasks.items()},
         }
 
-    def _course_anew(self) -> Course:
-        """Give a course in which nothing has happened yet."""
+    def _course_anew(self) -> Happenings:
+        """Give one in which nothing has happened yet."""
         return Course(self._tasks, **self._options)
 
     def _resume(self) -> None:

@@ -76,7 +76,7 @@ class StudySession(Session):
             )
         super()._check(header)
 
-    def _course_anew(self) -> Any:
+    def _course_anew(self) -> Cohort:
         return Cohort(self.study, self._tasks, self._course_of)
 
     def _course_of(self, condition: str | None) -> Course:
@@ -86,9 +86,8 @@ class StudySession(Session):
     @property
     def cohort(self) -> Cohort:
         """The participants; to be looked at under the lock."""
-        cohort: Any = self._course
-        assert isinstance(cohort, Cohort)
-        return cohort
+        assert isinstance(self._course, Cohort)
+        return self._course
 
     def see(self, look: Callable[[Cohort], Any]) -> Any:
         """Give what a function finds out about the participants as they are."""
