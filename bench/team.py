@@ -72,7 +72,8 @@ RATE: Columns = {
 GAP: Columns = {
     "instance": cell("instance"), "c_suggest": cell("c_suggest", "g"), "gamma": cell("gamma", "g"),
     "people": cell("humans"), "bound": cell("upper", ".2f"), "priority": cell("priority", ".2f", "stderr"),
-    "gap": lambda row: f"**{row['gap %']:.2f} %**", "solver": cell("left to solver %", ".2f"),
+    "gap": lambda row: f"**{row['gap %']:.2f} %**", "proven": cell("proven gap %", ".2f"),
+    "lucks": cell("lucks"), "solver": cell("left to solver %", ".2f"),
     "attention": cell("attention gap %", ".2f"), "reactive": cell("reactive gap %", ".2f"),
     "nobody": cell("none gap %", ".2f"), "if seen": cell("if beta, theta seen %", ".2f"),
 }  # fmt: skip
@@ -81,8 +82,9 @@ JOINT: Columns = {
     "nobody helped": cell("none", ".2f"), "attention": cell("attention", ".3f", "attention stderr"),
     "priority": cell("priority", ".3f", "priority stderr"),
     "the whole problem": lambda row: f"{row['joint lower']:.3f} to {row['joint upper']:.3f}",
-    "bound": cell("bound", ".3f"), **{f"{name} below": lambda row, name=name: _apart(row[name], row) for name in NAMES},
-    "bound above": lambda row: _apart(row["bound"], row),
+    "bound": cell("bound", ".3f"), "sampled": cell("sampled", ".3f", "sampled stderr"),
+    **{f"{name} below": lambda row, name=name: _apart(row[name], row) for name in NAMES},
+    **{f"{name} above": lambda row, name=name: _apart(row[name], row) for name in ("bound", "sampled")},
 }  # fmt: skip
 SETTINGS_SHOWN: Columns = {
     "K": cell("K"), "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"),
@@ -283,7 +285,8 @@ def gap(
                 best, (relaxed, error) = certified["priority"], found.relaxed()
                 rows.append(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
-                     "proven": found.proven,
+                     "proven": found.proven, "proven gap %": 100 * (found.proven - best.value) / abs(best.value),
+                     "lucks": found.sampled.paths if found.sampled else 0, "prices": len(found.price),
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
                      "attention gap %": certified["attention"].gap_percent,
                      "reactive gap %": certified["reactive"].gap_percent,
@@ -357,9 +360,10 @@ def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path |
 @main.command()
 @click.option("--time-limit", type=float, default=20.0, show_default=True, help="Seconds for each joint problem.")
 @click.option("--episodes", type=click.IntRange(min=2), default=100_000, show_default=True)
+@click.option("--paths", type=click.IntRange(min=1), default=400, show_default=True, help="Sampled lucks.")
 @out_option
 @record_option
-def joint(time_limit: float, episodes: int, out: Path, record: Path | None) -> None:
+def joint(time_limit: float, episodes: int, paths: int, out: Path, record: Path | None) -> None:
     """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare."""
     choices, population = choices_of("tiny"), Population(sigma=(0.5, 1.0))
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
@@ -374,20 +378,16 @@ def joint(time_limit: float, episodes: int, out: Path, record: Path | None) -> N
         ]
         setting = Setting(gamma=0.95, c_suggest=c_suggest, c_move=c_move)
         pool = Pool(setting, tuple(people), tuple(qmdp(pomdp) for pomdp in pomdps), np.arange(2))
-        whole, relaxed = joint_bounds(pool, gap=1e-3, time_limit=time_limit), upper_bound(pool)
+        whole, relaxed = joint_bounds(pool, gap=1e-3, time_limit=time_limit), upper_bound(pool, paths=paths)
         certified = {name: relaxed.certify(pool.policy(name), name, episodes=episodes) for name in (*NAMES, "none")}
         row: dict[str, Any] = {"c_suggest": c_suggest, "c_move": c_move, "seed": seed}
         for name in NAMES:
             row |= {name: certified[name].value, f"{name} stderr": certified[name].value_stderr}
-        row |= {
-            "none": certified["none"].value,
-            "joint lower": whole.lower,
-            "joint upper": whole.upper,
-            "bound": relaxed.upper,
-        }
+        row |= {"none": certified["none"].value, "joint lower": whole.lower, "joint upper": whole.upper}
+        row |= {"bound": relaxed.proven, "sampled": relaxed.sampled.mean, "sampled stderr": relaxed.sampled.stderr}
         for name in NAMES:
             row[f"{name} below joint %"] = 100 * (whole.lower - certified[name].value) / abs(whole.lower)
-        row["bound above joint %"] = 100 * (relaxed.upper - whole.upper) / abs(whole.upper)
+        row["bound above joint %"] = 100 * (relaxed.proven - whole.upper) / abs(whole.upper)
         rows.append(row)
     write(out, "joint", rows, "The whole problem of two people, tiny.pddl, gamma .95")
     write_record(record, JOINT, rows)
