@@ -169,21 +169,25 @@ def solve_instance(
     except LimitError as error:
         record = unsolved(instance, "limit", str(error))
     except MemoryError:
-        record = unsolved(
-            instance,
-            "limit",
-            f"out of memory ({options.memory_limit:g} MB)" if options.memory_limit else "out of memory",
-        )
+        record = _out_of_memory(instance, options)
     except (FastDownwardError, MismatchError, InvalidPlanError) as error:
         record = unsolved(instance, "invalid", str(error))
     except OSError as error:
-        status = "limit" if error.errno in DISK_IS_FULL else "invalid"
-        file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
-        record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
+        if error.errno == errno.ENOMEM:  # another program found no room to begin
+            record = _out_of_memory(instance, options)
+        else:
+            status = "limit" if error.errno in DISK_IS_FULL else "invalid"
+            file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
+            record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
     record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
     record["seconds"]["total"] = round(time.monotonic() - phases.start, 6)
     record["peak_memory_mb"] = round(_peak_memory_mb(), 1)
     return record
+
+
+def _out_of_memory(instance: Instance, options: SolveOptions) -> Record:
+    limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
+    return unsolved(instance, "limit", f"out of memory{limit}")
 
 
 def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: ExitStack) -> Task:

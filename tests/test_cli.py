@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import time
 from pathlib import Path
@@ -130,6 +131,17 @@ def test_a_memory_limit_holds() -> None:
     assert big["note"] in result.stderr
     assert big["peak_memory_mb"] < 1.2 * 500
     assert (small["status"], small["method"], small["note"]) == ("solved", "sweep", None)
+
+
+@pytest.mark.parametrize("error", [MemoryError(), OSError(errno.ENOMEM, "Cannot allocate memory", "/bin/sh")])
+def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("planner.costtogo.verify", full)
+    record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions(memory_limit=3000.0))
+    assert (record["status"], record["error"]["message"]) == ("limit", "out of memory (3000 MB)")
+    assert record["error"]["file"] == str(KITTING / "tiny.pddl")
 
 
 def test_memory_is_shared_by_those_that_run(monkeypatch: pytest.MonkeyPatch) -> None:
