@@ -50,7 +50,7 @@ CASES = {
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
     "team joint": ("--time-limit 10 --episodes 20000", "--time-limit 1 --episodes 100"),
 }
-NEED_DATA = {"collection", "live_pictures", "symbolic"}
+NEED_DATA = {"collection", "covered", "live_pictures", "symbolic"}
 """Scripts that nobody can run without other people's files or programs, or without a browser."""
 
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
