@@ -160,7 +160,9 @@ class Clairvoyant:
         while len(tried) < max(2, PILOT * paths) and (not tried or left(len(tried)) > FOR_ALPHA):
             path = self.path(_luck(seed, 0, len(tried)))
             tried.append([self.bound(path, alpha) for alpha in ALPHAS])
-        alpha = ALPHAS[int(np.mean(tried, axis=0).argmin())]
+        # With few lucks an alpha may look good that is lost on a rare one: the spread tells.
+        spread = np.std(tried, axis=0, ddof=1 if len(tried) > 1 else 0) / math.sqrt(len(tried))
+        alpha = ALPHAS[int((np.mean(tried, axis=0) + ERRORS * spread).argmin())]
         found: list[float] = []
         while len(found) < 2 or (len(found) < paths and left(len(tried) + len(found)) > 0):
             found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
