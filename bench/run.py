@@ -49,6 +49,7 @@ CASES = {
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
     "team joint": ("--time-limit 10 --episodes 20000", "--time-limit 1 --episodes 100"),
+    "wide": ("--instance kitting/ladder-3x5 --episodes 2000", "--instance kitting/tiny --people 2 --episodes 20"),
 }
 NEED_DATA = {"collection", "covered", "live_pictures", "symbolic"}
 """Scripts that nobody can run without other people's files or programs, or without a browser."""

@@ -27,6 +27,9 @@ TOLERANCE = 1e-3
 ROUNDS = 4
 """Times that the means are taken."""
 
+AGAIN = 2
+"""Times that they are taken where values begin from somebody else's."""
+
 
 @dataclass(frozen=True)
 class Estimates:
@@ -64,6 +67,7 @@ class Estimates:
         region: Region,
         rows: NDArray[np.int64] | None = None,
         *,
+        like: Estimates | None = None,
         tolerance: float = TOLERANCE,
         progress: Callable[[float], None] | None = None,
     ) -> Estimates:
@@ -77,6 +81,8 @@ class Estimates:
             Of n states.
         rows : int array, shape (P, n)
             The problem's state for each position of the robot; those of the region unless given.
+        like : Estimates, optional
+            Of a problem with similar values, from which these begin; with as many positions, or one.
         tolerance : float
             Largest error of a value given those at the frontier.
         progress : callable, optional
@@ -89,7 +95,10 @@ class Estimates:
         order = np.flatnonzero(inside)[np.argsort(region.states[inside])]
         level, place = np.unique(choices.h[order], return_inverse=True)
         value = highest(problem)
-        rounds = ROUNDS if len(region.frontier) else 1
+        rounds = (ROUNDS if like is None else AGAIN) if len(region.frontier) else 1
+        if like is not None and rounds > 1:  # where nothing breaks off values are bounds, and begin as such
+            begins = np.flatnonzero(np.isfinite(choices.h) & ~choices.goal)
+            value[rows[:, begins].T] = like.at(region.states[begins], choices.h[begins])
         for round_ in range(1, rounds + 1):
             # Early means need no digits.
             improve(problem, value, tolerance=tolerance * 10.0 ** (rounds - round_), progress=progress)

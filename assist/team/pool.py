@@ -141,8 +141,10 @@ class Pool:
             require_goal(float(table.lookup([table.initial])[0]))
             everybody = population.sample(None, size, rng)
             ground = Ground(table, prior, region)
-            them = everybody if setting.knowledge == "own" else [None]
-            wide = tuple(WidePolicy(ground, setting, human) for human in them)
+            anybody = WidePolicy(ground, setting)
+            wide = tuple(WidePolicy(ground, setting, human, anybody) for human in everybody)
+            if setting.knowledge == "exact":
+                wide = (anybody,)
             return cls(setting, tuple(everybody), wide, np.arange(size) if models > 1 else np.zeros(size, np.int64))
         _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
         choices = choices_of(table, (*population.weights, *prior.weights))

@@ -65,6 +65,8 @@ class WidePolicy:
     setting : Setting
     human : Human or None
         The person, as far as the robot knows what they are mistaken about; None: it knows the task only.
+    like : WidePolicy or None
+        For somebody else, from whose values theirs are worked out; where there are many people that saves time.
     solved : dict
         What has been estimated so far, by what it depends on: the prices of attention, if there are any.
     """
@@ -72,6 +74,7 @@ class WidePolicy:
     ground: Ground
     setting: Setting
     human: Human | None = None
+    like: WidePolicy | None = None
     solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -106,8 +109,8 @@ class WidePolicy:
     def alone(self, progress: Tell | None = None) -> Estimates:
         """Give what the person's problem is worth with a robot that is always there; worked out once."""
         if () not in self.solved:
-            region = self.region
-            self.solved[()] = Estimates.of(self.problem(region), region, progress=progress)
+            region, like = self.region, None if self.like is None else self.like.alone(progress)
+            self.solved[()] = Estimates.of(self.problem(region), region, like=like, progress=progress)
         return self.solved[()]
 
     def visited(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:
@@ -123,9 +126,10 @@ class WidePolicy:
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
             region = self.region
+            like = self.alone() if self.like is None else self.like.visited(*key)
             visits = Visits.of(self.problem(region), entry, entry_steps, longest=longest)
             rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
-            self.solved[key] = Estimates.of(visits.at_price(price), region, rows)
+            self.solved[key] = Estimates.of(visits.at_price(price), region, rows, like=like)
         return self.solved[key]
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
