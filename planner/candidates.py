@@ -98,10 +98,10 @@ def _allowed(moves: Sequence[Move], coding: Coding) -> tuple[list[NDArray[np.boo
             else:
                 untold[-1].append(fact)
     allowed = [np.ones((size, len(moves)), dtype=bool) for size in coding.sizes.tolist()]
-    wanted, unwanted = (np.array(facts, dtype=np.int64).reshape(-1, 3) for facts in (needed, excluded))
-    for v, own in enumerate(allowed):
-        _, value, number = wanted[wanted[:, 0] == v].T
-        np.logical_and.at(own, (slice(None), number), np.arange(len(own))[:, None] == value)
-        _, value, number = unwanted[unwanted[:, 0] == v].T
-        own[value, number] = False
+    for v, value, number in needed:
+        own = allowed[v][:, number]
+        own[:value] = False
+        own[value + 1 :] = False
+    for v, value, number in excluded:
+        allowed[v][value, number] = False
     return allowed, untold
