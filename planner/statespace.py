@@ -198,11 +198,15 @@ class Listed:
         return self.rows
 
 
+BLOCK = 1 << 14
+"""States whose transitions are worked out at a time, between two checks of limits."""
+
+
 def explore(
     task: Task,
     *,
     max_states: int | None = None,
-    check: Callable[[int], None] = lambda _states: None,
+    check: Callable[[int, int], None] = lambda _states, _transitions: None,
     progress: Progress = lambda *_: None,
 ) -> StateSpace:
     """Enumerate the reachable states of any task, breadth first, with all transitions in memory.
@@ -213,7 +217,8 @@ def explore(
     max_states : int, optional
         The largest number of states that may be stored.
     check : callable, optional
-        Called before each layer with how many states there are; it may raise `LimitError`.
+        Called before each `BLOCK` states with how many states and how many transitions there are; it may raise
+        `LimitError`.
     progress : callable, optional
         Called after each layer with "states" and how many there are by then.
 
@@ -228,17 +233,22 @@ def explore(
     layers = [layer]
     seen = packing.keys(layer)  # sorted
     edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
-    first = 0  # number of the layer's first state
+    first = transitions = 0  # the number of a block's first state, and of the transitions before
     while len(layer):
-        check(len(seen))
-        rows, actions, after = successors.edges(layer)
-        edges.append((rows + first, actions, after))
-        first += len(layer)
-        keys, places = np.unique(packing.keys(after), return_index=True)
-        at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
-        fresh = seen[at] != keys
-        layer = after[places[fresh]]
-        seen = np.sort(np.concatenate([seen, keys[fresh]]))
+        fresh: list[tuple[NDArray[np.generic], Words]] = []
+        for start in range(0, len(layer), BLOCK):
+            check(len(seen), transitions)
+            block = layer[start : start + BLOCK]
+            rows, actions, after = successors.edges(block)
+            edges.append((rows + first, actions, after))
+            first, transitions = first + len(block), transitions + len(rows)
+            keys, places = np.unique(packing.keys(after), return_index=True)
+            at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
+            new = seen[at] != keys
+            fresh.append((keys[new], after[places[new]]))
+        keys, places = np.unique(np.concatenate([own for own, _ in fresh]), return_index=True)
+        layer = np.concatenate([own for _, own in fresh])[places]
+        seen = np.sort(np.concatenate([seen, keys]))
         if max_states is not None and len(seen) > max_states:
             raise LimitError(f"more than {max_states} states")
         layers.append(layer)

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -21,11 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels, reached
-from .budget import Budget, MemoryLimitError, available_memory
+from .budget import Budget, available_memory
 from .checkpoint import Checkpoint
 from .coding import choose
 from .costtogo import Table, backward, compact
-from .fast_downward import LimitError
 from .moves import split_operators
 from .reached import States
 from .reports import Progress
@@ -153,25 +151,13 @@ def sweep(
 
 def _slow_sweep(task: Task, budget: Budget, why: str, progress: Progress) -> Table:
     """Sweep with all transitions in memory, which does for every task; the table's note says why."""
-    # At most so many operators are applicable at once: those that agree on the value of some variable.
-    most = len(task.operators)
-    for variable, description in enumerate(task.variables):
-        wanted = Counter(dict(operator.preconditions).get(variable, -1) for operator in task.operators)
-        values = range(len(description.facts))
-        most = min(most, wanted[-1] + max((wanted[value] for value in values), default=0))
     words = Packing.of(task).words
-    per_state = 64 * words + most * (72 + 24 * words)
-    affordable = int(budget.memory / per_state)
-    limit = affordable if budget.max_states is None else min(affordable, budget.max_states)
-    try:
-        space = explore(task, max_states=limit, check=budget.check_time, progress=progress)
-    except LimitError:
-        budget.check_time(limit)
-        if limit == budget.max_states:
-            raise
-        raise MemoryLimitError(
-            f"{budget.memory / 1e6:.0f} MB of memory may not do for more than {limit} states"
-        ) from None
+
+    def check(states: int, transitions: int) -> None:
+        budget.check_time(states)
+        budget.check_memory(64 * words * states + (72 + 24 * words) * transitions)
+
+    space = explore(task, max_states=budget.max_states, check=check, progress=progress)
     progress("cost-to-go", 0, None)
     distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, check=budget.check_time)
     note = f"swept with all transitions in memory, which is some hundred times slower than without: {why}"
