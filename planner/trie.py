@@ -109,7 +109,7 @@ class _Trie:
 
 
 def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> Tests:
-    """Arrange moves; `costs` are those of the actions."""
+    """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
     changes = [coding.change(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
     trie = _Trie(coding)
