@@ -250,7 +250,8 @@ class Fuzzer:
         if not whole:
             self._spoil_row(rows, [*VALUES, *NUMBERS, *",;\t\n\r", '"', '"a"b'])
         text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, list(rows[0]), delimiter=self._one([",", ";", "\t"]), lineterminator="\n")
+        names = list(dict.fromkeys(name for row in rows for name in row))  # the first row may lack what was spoiled
+        writer = csv.DictWriter(text, names, delimiter=self._one([",", ";", "\t"]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
         file.write_text(text.getvalue(), encoding="utf-8", errors="surrogateescape", newline="")
