@@ -21,6 +21,7 @@ from planner.statespace import explore
 module = importlib.import_module("planner.sweep")
 candidates = importlib.import_module("planner.candidates")
 searches = importlib.import_module("planner.searches")
+statespace = importlib.import_module("planner.statespace")
 moves_module = importlib.import_module("planner.moves")
 sweep = module.sweep
 
@@ -151,6 +152,13 @@ def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatc
     rng = random.Random(f"trie {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
+
+
+def test_random_tasks_explored_three_states_at_a_time(monkeypatch):
+    monkeypatch.setattr(statespace, "BLOCK", 3)
+    rng = random.Random("blocks")
+    for _ in range(25):
+        check(random_task(rng))
 
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
