@@ -85,6 +85,11 @@ def test_simulations_that_cannot_be(pool: Pool, arguments: dict[str, Any], compl
         simulate(pool, given.pop("policy"), **given)
 
 
+def test_a_task_without_people_is_no_pool(tiny: Table) -> None:
+    with pytest.raises(TypeError, match="expected people at a task, a Pool, not what is a Table"):
+        simulate(tiny, "none", humans=2, episodes=2, seed=0)  # type: ignore[arg-type]
+
+
 def test_any_kind_of_integer_and_a_generator_will_do(pool: Pool) -> None:
     plain = simulate(pool, "attention", humans=2, episodes=3, seed=4)
     typed = simulate(pool, "attention", humans=np.int64(2), episodes=np.int32(3), seed=np.uint8(4))

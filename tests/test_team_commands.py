@@ -177,3 +177,11 @@ def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
     assert hasty["upper"] >= good["upper"] - 1e-9
     assert hasty["value"] <= hasty["upper"] + 4 * hasty["value_stderr"]
     assert (hasty["price"], hasty["episodes"]) == ([], 1024)  # no round of prices, and one portion of episodes
+
+
+def test_a_single_episode_has_no_standard_error() -> None:
+    said = invoke("simulate", str(TINY), "--humans", "1", "--policy", "none", "--episodes", "1").stdout
+    assert "8.00" in said
+    assert said.endswith("of one episode\n")
+    assert "nan" not in said
+    assert "±" not in said

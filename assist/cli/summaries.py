@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 from rich.table import Table
 
 from ..simulation.episodes import SHOWN, Summary
 from .console import print_table
+
+
+def _cell(mean: float, error: float) -> str:
+    """Write a mean with its standard error, which a single episode does not have."""
+    return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
 
 
 def show_summaries(summaries: list[Summary]) -> None:
@@ -15,7 +22,8 @@ def show_summaries(summaries: list[Summary]) -> None:
     for column in ("policy", *SHOWN.values(), "cut off"):
         table.add_column(column.replace("_", " "), justify="left" if column == "policy" else "right")
     for summary in summaries:
-        cells = [f"{mean:.2f} ± {error:.2f}" for mean, error in (getattr(summary, name) for name in SHOWN)]
+        cells = [_cell(*getattr(summary, name)) for name in SHOWN]
         table.add_row(summary.policy, *cells, f"{summary.cut_off}")
     print_table(table)
-    click.echo(f"mean ± standard error over {summaries[0].episodes} episodes")
+    count = summaries[0].episodes
+    click.echo("of one episode" if count == 1 else f"mean ± standard error over {count} episodes")

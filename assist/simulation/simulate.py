@@ -80,6 +80,8 @@ def simulate(
 
     Raises
     ------
+    TypeError
+        Without a pool, as with a task alone.
     ValueError
         What cannot be.
     PolicyError
@@ -87,6 +89,8 @@ def simulate(
     LimitError
         More episodes than fit the memory.
     """
+    if not isinstance(pool, Pool):
+        raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
     if world not in get_args(World):
         raise ValueError(f"world {world!r}: expected {' or '.join(map(repr, get_args(World)))}")
     count = _count(episodes)
