@@ -39,6 +39,7 @@ CASES = {
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),
     "people huge": ("", "--instance kitting/tiny --people 4 --actions 10"),
     "pomdp": ("--timeout 20 --solvers kitassist", "--timeout 2 --solvers kitassist --settings 0.95/1/0"),
+    "start": ("", "--repeat 1"),
     "study": ("", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
     "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1"),
