@@ -144,8 +144,12 @@ class _Process:
             self._close()
 
     def _close(self) -> None:
-        self._popen.kill()
-        self._popen.wait()
+        self._popen.terminate()
+        try:
+            self._popen.wait(1.0)
+        except subprocess.TimeoutExpired:  # SIGTERM may be ignored, as this process was started
+            self._popen.kill()
+            self._popen.wait()
         for pipe in (self._popen.stdin, self._popen.stdout):
             if pipe is not None:
                 with contextlib.suppress(BrokenPipeError):

@@ -57,6 +57,9 @@ def served(*options: object, instance: Path | None = TINY, **more: Any) -> Itera
         said = json.loads(line)
         yield Served(process, said["url"], said["join"], said["operator"])
     finally:
-        if process.poll() is None:
+        process.terminate()  # which leaves coverage.py the time to write what it has seen
+        try:
+            process.communicate(timeout=10)
+        except subprocess.TimeoutExpired:
             process.kill()
-        process.communicate()
+            process.communicate()
