@@ -11,16 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke
+from conftest import KITTING, invoke, table_of
 from scipy.sparse import csr_array
 from test_alpha_vectors import lockers, problems
-from test_qmdp import make
+from test_qmdp import GRID, make
 
 from assist.interop import PolicyFileError, read_policy, to_pomdp_py, write_pomdp, write_pomdpx
 from assist.interop.observed import FORBIDDEN, Observed, action_names
 from assist.people.choices import Choices
+from assist.people.human import HumanModel
 from assist.person.pomdp import AssistPOMDP, Frontier
 from assist.person.qmdp import evaluate, qmdp
+from planner import Instance
 from planner.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
@@ -324,6 +326,21 @@ def test_pomdp_py_has_the_same_chances_and_rewards(tiny_choices: Choices) -> Non
         (tiny_choices.initial, b, t) for b, t in product(range(2), range(3)) if pomdp.prior[b, t] > 0
     }
     assert len(agent.policy_model.get_all_actions(states[0])) == pomdp.robot_actions[0]
+
+
+def test_rewards_are_expected_costs_where_actions_differ_in_cost() -> None:
+    folder = KITTING.parent / "delivery"
+    choices = Choices.of(table_of(Instance(folder / "one-parcel.pddl", folder / "domain.pddl")))
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, execute=True)
+    observed = Observed.of(pomdp)
+    differ = 0
+    for x in range(0, len(choices), 9):
+        for r in range(int(pomdp.robot_actions.max())):
+            found = np.broadcast_to(observed.reward(x, r), pomdp.grid.shape)
+            wanted = [[exact(pomdp, x, r, b, t)[1] for t in range(found.shape[1])] for b in range(len(found))]
+            assert found == pytest.approx(np.array(wanted))
+            differ += len(np.unique(found)) > 1
+    assert differ
 
 
 def test_pomdp_pys_planner_runs(tiny_choices: Choices) -> None:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -160,3 +161,17 @@ def ended_in(error: BaseException) -> Result:
 
 def test_the_version_is_said() -> None:
     assert CliRunner().invoke(main, ["--version"], prog_name="kitassist").stdout.startswith("kitassist, version ")
+
+
+def test_what_is_no_signal_passes_through() -> None:
+    with pytest.raises(KeyboardInterrupt) as raised, interruptible():
+        raise KeyboardInterrupt
+    assert not isinstance(raised.value, Interrupted)
+    before = signal.getsignal(signal.SIGINT)
+
+    def in_a_thread() -> object:  # where signals cannot be taken
+        with interruptible():
+            return signal.getsignal(signal.SIGINT)
+
+    with ThreadPoolExecutor(1) as threads:
+        assert threads.submit(in_a_thread).result() is before

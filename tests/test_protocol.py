@@ -114,11 +114,35 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ('priors = ["own", "everybody"]', 'priors = ["none"]', "'none'; expected one of own, everybody"),
         ('name = "dear"', 'name = "first"', "there are two conditions 'first'"),
         ('name = "dear"', "", "conditions[2].name: is missing; expected a text"),
+        ("pool = 4", "pool = 4\nconditions = []", "conditions: []; expected one table or more"),
+        (
+            "beta = [0.1, 0.5]",
+            'beta = [0.1, 0.5]\nfile = "people.json"',
+            "populations.novices: file says what beta would; expected one of them",
+        ),
+        (
+            "[populations.everybody]",
+            "[reference]\nsource = 'me'\nheadline = { actions_vs_none = true }\n[populations.everybody]",
+            "reference.headline.actions_vs_none: true; expected a number",
+        ),
+        (
+            'policies = ["attention"]',
+            'policies = ["own.py:none"]',
+            "'none' is a policy of the package; expected another",
+        ),
+        (
+            'policies = ["attention"]',
+            'policies = ["own.py:mine", "./other/../own.py:mine"]',
+            "two policies are called 'mine'; expected different names",
+        ),
     ],
 )
 def test_a_malformed_study_is_refused_with_the_place(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert old in TINY
-    file = write(tmp_path, TINY.replace(old, new, 1))
+    (tmp_path / "own.py").touch()
+    (tmp_path / "other").mkdir()
+    text = TINY[: TINY.index("[[")] if "conditions = []" in new else TINY
+    file = write(tmp_path, text.replace(old, new, 1))
     with pytest.raises(StudyError) as caught:
         read(file)
     assert str(caught.value).startswith(f"{file}: ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,9 +13,11 @@ from click.testing import CliRunner, Result
 from conftest import KITTING, write_instance
 
 from assist.cli import main
-from planner import Instance, results
+from planner import Instance, batch, results
+from planner.batch import solve_batch
 from planner.results import Results
 from planner.solving import SolveOptions, solve_instance
+from planner.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
 DOMAIN, TINY = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
@@ -148,3 +151,20 @@ def test_results_of_something_else_are_refused(content: bytes, place: str, tmp_p
     assert result.stderr.startswith(f"{tmp_path / 'results.jsonl'}{place}")
     assert result.stderr.count("\n") == 1
     assert [file.read_bytes() for file in tmp_path.iterdir()] == [content]
+
+
+def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends = [TimeoutError(), WorkerDiedError("the worker process died with exit code -9"), RuntimeError("a fault")]
+    instances = [write_instance(tmp_path / str(number), DOMAIN, TINY) for number in range(len(ends))]
+
+    def outcomes(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:
+        yield from zip(items, ends, strict=True)
+
+    monkeypatch.setattr(batch, "outcomes", outcomes)
+    records = solve_batch([*instances], replace(OPTIONS, time_limit=5.0), out=tmp_path / "out", jobs=2)
+    assert [(record["status"], record["error"]["message"]) for record in records] == [
+        ("limit", "out of time (5 s)"),
+        ("limit", "the worker process died with exit code -9"),
+        ("invalid", "internal error: RuntimeError('a fault')"),
+    ]
+    assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == len(ends)

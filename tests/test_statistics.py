@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from assist.study import statistics
+from assist.study.wording import beside, sign
 
 
 def test_a_mean_has_students_interval() -> None:
@@ -66,3 +67,21 @@ def test_changes_ratios_and_effects() -> None:
     alike = statistics.saving(np.full(5, 3.0), np.full(5, 4.0), rng)
     assert (alike.low, alike.value, alike.high) == (25, 25, 25)
     assert statistics.saving([0.0, 0.0], [0.0, 0.0], rng).record() == {"mean": None, "low": None, "high": None}
+
+
+def test_an_interval_is_put_into_words() -> None:
+    """What is shown needs the whole interval on one side; without one nothing is shown."""
+
+    def between(low: float | None, high: float | None) -> dict[str, float | None]:
+        return {"mean": 5.0, "low": low, "high": high}
+
+    assert [sign(between(*ends)) for ends in ((1, 9), (-1, 9), (None, None))] == ["yes", "not shown", "not shown"]
+    assert [sign(between(1, 9), at) for at in (0.5, 5.0, 10.0)] == ["yes", "not shown", "no, the contrary"]
+    assert sign({"mean": None}) == "yes"  # of nothing there is no smallest number
+    assert [beside(between(1, 9), other) for other in (0.5, 4.0, 6.0, 10.0)] == [
+        "better, the whole interval", "better, not the whole interval", "worse, not the whole interval",
+        "worse, the whole interval",
+    ]  # fmt: skip
+    assert [beside(between(None, None), other) for other in (4.0, 6.0)] == [
+        "better, in a single pool", "worse, in a single pool",
+    ]  # fmt: skip

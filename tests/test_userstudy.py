@@ -76,6 +76,27 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         read(written(tmp_path / "study.toml", PLAN.replace("consent =", "thanks =", 1)))
 
 
+@pytest.mark.parametrize(
+    ("right", "wrong", "message"),
+    [
+        ("seed = 3", "tick = 0", "tick: 0; expected a number of seconds above 0"),
+        ("seed = 3", "population = {beta = [2, 1]}", r"population: beta range \(2, 1\): expected 0 <= low <= high"),
+        ("c_move = 0.01", "execute = true", "setting.execute: true; expected a robot that suggests"),
+        ('policy = "attention"', 'policy = "own.py:mine"', r"conditions\[2\].policy: .*own.py: no such file"),
+        ('name = "trust"', 'name = "1st"', r"questionnaires\[2\].name: '1st'; expected a letter"),
+        ('name = "trust"', 'name = "nasa-tlx"', r"questionnaires\[2\]: there are two questionnaires 'nasa-tlx'"),
+        ('form = "likert"', 'form = "nasa-tlx"', r"questionnaires\[2\].items: the form nasa-tlx has its own"),
+        ('form = "nasa-tlx"', 'form = "text"\nname = "more"', r"questionnaires\[1\]: items: is missing"),
+        ('/tiny.pddl"]', '/tiny.pddl", "kitting/tiny"]', "tasks: two of them have the same file name"),
+        ('/tiny.pddl"]', '"]', r"tasks\[1\]: '.*kitting' stands for [1-9]\d+ problems; expected the file of one"),
+    ],
+)
+def test_a_file_that_cannot_be_carried_out_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:
+    assert right in PLAN
+    with pytest.raises(StudyError, match=rf"study.toml:\d+: {message}"):
+        read(written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1)))
+
+
 def test_a_task_that_comes_with_the_package_is_found_by_its_name(tmp_path: Path) -> None:
     study = read(written(tmp_path / "study.toml", PLAN.replace(f"{KITTING}/tiny.pddl", "kitting/tiny")))
     assert study.tasks == (("tiny", Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")),)

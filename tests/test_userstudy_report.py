@@ -29,6 +29,9 @@ from assist.userstudy.effects import (
     hedges_g,
     hedges_g_within,
 )
+from assist.userstudy.tables import COLUMNS
+from assist.userstudy.tables import written as written_rows
+from planner.errors import DamagedFileError
 
 
 def run(*words: object) -> Any:
@@ -117,6 +120,42 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert {one["person"]: one["actions"] for one in fitted} == {
         one["participant"]: int(one["actions"]) for one in tasks
     }
+
+
+def exported(folder: Path, **rows: list[dict[str, object]]) -> Path:
+    """An unpacked export that says so much."""
+    folder.mkdir()
+    written(folder / "study.toml")
+    for name, columns in COLUMNS.items():
+        plain = written_rows(columns, [dict.fromkeys(columns) | row for row in rows.get(name, [])])
+        (folder / f"{name}.csv").write_text(plain)
+    return folder
+
+
+def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> None:
+    nobody = run("study-report", exported(tmp_path / "nobody"), "--out", tmp_path / "report")
+    assert "actions per task" in nobody.stdout
+    text = (tmp_path / "report" / "report.md").read_text()
+    assert "With fewer than two participants in a condition nothing can be compared." in text
+    assert "rehearsal" not in text
+    assert "](figures/" not in text
+
+
+def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "export", tasks=[{"actions": 3.0}])
+    file = folder / "tasks.csv"
+    for wrong, words in (
+        (file.read_text().replace("3.0", "three"), "tasks.csv:2: a number was expected where there is none"),
+        (file.read_text().replace("actions,", "", 1), "tasks.csv:1: expected the columns participant"),
+    ):
+        file.write_text(wrong)
+        with pytest.raises(DamagedFileError, match=words):
+            report.of_folder(folder)
+
+
+def test_an_answer_that_a_spreadsheet_would_calculate_is_text(tmp_path: Path) -> None:
+    folder = exported(tmp_path / "export", answers=[{"answer": "=1+1"}, {"answer": "-1"}, {"answer": "1-1"}])
+    assert [row["answer"] for row in read(folder, "answers.csv")] == ["'=1+1", "'-1", "1-1"]
 
 
 def test_what_the_command_refuses(tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
 from simulated_people import People, observed, record, record_with_terms
 
-from assist.learning import Log, Method, compare, fit, mixture
+from assist.learning import Log, Method, compare, fit, hierarchy, mixture
 from assist.learning.comparison import by_person, held_out, pooled
-from assist.learning.hierarchy import fit_hierarchy, intervals
+from assist.learning.hierarchy import fit_hierarchy, intervals, with_rate
 from assist.learning.observations import Observations
 from assist.learning.weighing import BETA, THETA, Likelihood, maximise
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
@@ -163,6 +163,18 @@ def test_one_person_alone_is_fitted_by_their_own_actions() -> None:
     own = Likelihood.of([observations], Method())
     _, best, _ = maximise(own, np.array([[4.0, 0.0, *WEIGHTS]]), np.array([[False, True] + [False] * 4]))
     assert best[0] - 1 < person.fit.log_likelihood <= best[0]
+
+
+def test_the_rate_of_trust_is_the_one_that_fits_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    likelihood, _ = advised()
+    rates = (0.0, 0.1, 0.4)
+    monkeypatch.setattr(hierarchy, "RATES", np.array(rates))
+    found = with_rate(likelihood, Method(), progress=(done := list[int]()).append)
+    evidence = {rate: fit_hierarchy(replace(likelihood, eta=float(rate)), 5).evidence for rate in rates}
+    assert found.eta == max(evidence, key=evidence.__getitem__)
+    assert sum(done) == len(rates)
+    assert with_rate(likelihood, Method(eta=0.1)) is likelihood
+    assert with_rate(alone(), Method()) is alone()
 
 
 def test_folds_are_apart_and_whoever_is_predicted_was_not_seen() -> None:

@@ -1,0 +1,272 @@
+"""What the functions refuse that Python users call, and in which words: each says what would be right."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+import pytest
+from conftest import KITTING, write_instance
+from teams import state
+
+from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
+from assist.interop.pettingzoo import parallel_env
+from assist.interop.teams import Teams
+from assist.learning import comparison, population, weighing
+from assist.learning.actions import Matcher, UnmatchedError
+from assist.learning.estimates import Method
+from assist.live.access import Access
+from assist.live.advice import Advice
+from assist.live.assistant import Assistant
+from assist.live.course import Course
+from assist.people import own
+from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value
+from assist.people.choices import Choices
+from assist.people.decision import perceived_cost
+from assist.people.human import Mixture, Population
+from assist.people.misconception import Misconception
+from assist.person.pomdp import AssistPOMDP
+from assist.simulation.presence import Presence
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.state import PolicyError, TeamAction
+from assist.team.travel import Travel
+from planner import OnDemand, PDDLError, Table, load
+from planner.engine import Engine
+from planner.storage import writable
+from planner.task import from_sas
+
+
+class Given(NamedTuple):
+    table: Table
+    choices: Choices
+    pool: Pool
+    folder: Path
+
+
+@pytest.fixture
+def given(tiny: Table, tiny_choices: Choices, pool: Pool, tmp_path: Path) -> Given:
+    return Given(tiny, tiny_choices, pool, tmp_path)
+
+
+def of_no_python_file(folder: Path) -> None:
+    (folder / "own.txt").touch()
+    own.load(folder / "own.txt", "mine")
+
+
+def another_way(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    return boltzmann(choices, q, beta)
+
+
+def says(text: str, folder: Path) -> Path:
+    (folder / "secret").write_text(text)
+    return folder / "secret"
+
+
+def saved_by_another(given: Given) -> None:
+    desk = Assistant(given.table, people=["ann"])
+    Assistant.from_json(json.dumps(json.loads(desk.to_json()) | {"format": 0}), given.table)
+
+
+def saved_with_an_own_policy(given: Given) -> None:
+    desk = Assistant(given.table, people=["ann"], policy=given.pool.policy("reactive"))
+    Assistant.from_json(desk.to_json(), given.table)
+
+
+def comes_back_to_another(given: Given) -> None:
+    desk = Assistant(given.table, people=["ann"])
+    desk.leave("ann")
+    desk.join("ann", given.table)
+
+
+def in_utf_16(folder: Path) -> None:
+    (folder / "task.pddl").write_text("(define (problem p))", encoding="utf-16")
+    load(folder / "task.pddl", KITTING / "domain.pddl")
+
+
+REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
+    # People and pools.
+    "two choice models": (
+        lambda _: Mixture((Population(), Population(chooses=another_way)), (0.5, 0.5)),
+        ValueError, "parts with different choice models; expected the same for all",
+    ),
+    "noise": (lambda _: Misconception(0.5, 1, "both"), ValueError, "noise 'both': expected 'state' or 'action'"),
+    "own model's file": (lambda g: own.load(g.folder / "x.py", "mine"), own.OwnError, "x.py: no such file"),
+    "own model's kind": (
+        lambda g: of_no_python_file(g.folder),
+        own.OwnError, "expected a Python file, whose name ends",
+    ),
+    "suggestions": (
+        lambda g: AssistPOMDP.of(g.pool.policies[0].pomdp.model, suggestions="best"),
+        ValueError, "suggestions 'best': expected 'optimal' or 'all'",
+    ),
+    "empty pool": (
+        lambda g: replace(g.pool, people=()),
+        ValueError, "0 people, model (5,): expected one entry for each",
+    ),
+    "a model too many": (
+        lambda g: replace(g.pool, model=g.pool.model + len(g.pool.policies)),
+        ValueError, "model: expected numbers from 0 to",
+    ),
+    "another gamma": (
+        lambda g: replace(g.pool, setting=replace(g.pool.setting, gamma=0.9)),
+        ValueError, "gamma 0.99: expected that of the setting, 0.9",
+    ),
+    "no pools": (lambda _: Pool.joined([]), ValueError, "joined: expected one pool or more"),
+    # Teams.
+    "distances of a line": (
+        lambda _: Travel(np.zeros((2, 3)), np.zeros((2, 3), dtype=np.int64), 1.0),
+        ValueError, "distance, shape (2, 3): expected a square, one row for each place and base",
+    ),
+    "steps backwards": (
+        lambda _: Travel(np.zeros((2, 2)), np.array([[0, -1], [0, 0]]), 1.0),
+        ValueError, "steps: expected one number of 0 or more for each distance",
+    ),
+    "gone before they come": (lambda _: Presence.of(2, joins=3, leaves=2), ValueError, "join at step 0 or later and"),
+    "ways of others": (
+        lambda g: simulate(g.pool, "none", humans=2, episodes=1, seed=0, travel=g.pool.setting.travel(3)),
+        ValueError, "travel for 3, presence for 2: expected 2 people",
+    ),
+    "beliefs of none": (
+        lambda g: replace(state(g.pool, [0, 0]), belief=None).q_values(),
+        ValueError, "the policy has said that it uses no beliefs",
+    ),
+    "actions of floats": (
+        lambda g: state(g.pool, [0, 0]).check(TeamAction(np.zeros(1), np.zeros(1, dtype=np.int64))),
+        PolicyError, "step 0: the policy ",
+    ),
+    "speaks on its way": (
+        lambda g: state(g.pool, [0, 0], travel=Travel.of(2, travel_time=2.0)).check(
+            TeamAction(np.zeros(1, dtype=np.int64), np.ones(1, dtype=np.int64))
+        ),
+        PolicyError, "speaks to a person before the robot has arrived",
+    ),
+    # Environments.
+    "team of nobody": (lambda g: TeamEnv(g.pool, 0), ValueError, "humans 0: expected 1 to 5, the size of the pool"),
+    "parallel team": (lambda g: parallel_env(g.pool, 6), ValueError, "humans 6: expected 1 to 5, the size of the pool"),
+    "way of drawing": (lambda g: TeamEnv(g.pool, render_mode="ansi"), ValueError, "render_mode 'ansi': expected rgb"),
+    "step before reset": (lambda g: TeamEnv(g.pool).step(0), gymnasium.error.ResetNeeded, "expected reset before it"),
+    "steps before reset": (
+        lambda g: TeamVectorEnv(g.pool, 3).step(np.zeros(3, dtype=np.int64)),
+        gymnasium.error.ResetNeeded, "expected reset before it",
+    ),
+    "drawing of a pool": (
+        lambda g: TeamEnv(g.pool, render_mode="rgb_array").render(),
+        TypeError, "expected an environment of a task by its file or name, and this one is of a pool",
+    ),
+    "team around a state": (
+        lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "a task that is looked at whole",
+    ),
+    # Learning.
+    "weights of nobody": (lambda _: weighing.Steps.of([], Method()), ValueError, "terms need people; there are no obs"),
+    "population of nobody": (
+        lambda _: population.fit_population([]),
+        ValueError, "a population needs people; there are",
+    ),
+    "one fold": (lambda _: comparison.compare_observed([], folds=1), ValueError, "folds 1: expected 2 or more"),
+    "nothing done": (
+        lambda _: Matcher(["(go)"]).slot((), np.array([0])),
+        UnmatchedError, "an empty action; nearest of",
+    ),
+    "no choice": (
+        lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),
+        UnmatchedError, "(go) is not applicable; here one can only stand still, (wait)",
+    ),
+    # The live assistant.
+    "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),
+    "secret": (
+        lambda g: Access.kept(says("short", g.folder), "http://x"),
+        OSError, "from which the links' tokens follow;",
+    ),
+    "advice": (
+        lambda _: Advice.of({"reason": None, "arrived": "yes", "person": None, "suggestion": None}),
+        ValueError, "advice {'reason': None, 'arrived': 'yes'",
+    ),
+    "format of a team": (saved_by_another, ValueError, "no saved team that can be restored: format 0; expected"),
+    "an own policy": (saved_with_an_own_policy, ValueError, "the policy was a function; expected it as `policy`"),
+    "back to another task": (
+        comes_back_to_another,
+        ValueError, "ann comes back to the task that they left; `begin` gives",
+    ),
+    # Tasks.
+    "options of the engine": (lambda _: Engine(speed=3), TypeError, "speed: this engine has no such options"),
+    "counting what costs": (
+        lambda g: OnDemand(g.table.task).plan_lengths([g.table.initial]),
+        ValueError, "expected a task with actions that cost nothing",
+    ),
+    "SAS text": (
+        lambda g: from_sas("begin_variable\n", g.table.task.instance),
+        ValueError, "SAS text: expected 'begin_version', found 'begin_variable'",
+    ),
+    "output": (lambda g: writable(g.folder), OSError, "is a folder, not a file"),
+    "encoding": (lambda g: in_utf_16(g.folder), PDDLError, "task.pddl:1: this is UTF-16; save it as UTF-8"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_is_refused(given: Given, what: str) -> None:
+    call, kind, words = REFUSED[what]
+    with pytest.raises(kind, match=re.escape(words)):
+        call(given)
+
+
+DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
+FILES = {
+    "preferences": ("(:goal (and", "(:goal (and (preference p (platform-free))", "preferences are not supported"),
+    "no domain's name": ("(define (domain kitting)", "(define (kitting)", "not a PDDL domain: (domain NAME)"),
+    "no domain": ("(:domain kitting)", "", "not a PDDL problem: (:domain NAME) is missing"),
+    "a type whose ancestors are in a circle": (
+        "(:types container item slot)", "(:types slot - container container - item item - container)",
+        "circular types: ",
+    ),
+    "no facts": (PROBLEM[PROBLEM.index("(:init") : PROBLEM.index("(:goal")], "", "the problem has no (:init ...)"),
+    "a word among facts": ("(platform-free)\n    (con", "platform-free\n    (con", "a fact stands in parentheses"),
+    "a word before all": ("(define (domain", "kitting (define (domain", "'kitting' is not within (define ...)"),
+    "a broken predicate": ("(platform-free)        ", "(platform-free ?a -)", "domain.pddl:12: "),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", FILES)
+def test_files_that_are_no_task_are_refused(tmp_path: Path, what: str) -> None:
+    old, new, words = FILES[what]
+    assert (old in DOMAIN) != (old in PROBLEM)
+    with pytest.raises(PDDLError, match=re.escape(words)) as refused:
+        load(write_instance(tmp_path, DOMAIN.replace(old, new, 1), PROBLEM.replace(old, new, 1)))
+    assert "\n" not in str(refused.value)
+
+
+def test_an_environment_draws_nothing_unless_asked_to(pool: Pool) -> None:
+    env = TeamEnv(pool)
+    env.reset(seed=1)
+    assert env.render() is None
+    vector = TeamVectorEnv(pool, 2)
+    vector.reset(seed=1)
+    for numbers in ([0], [0, 10**6], [0, -1]):
+        with pytest.raises(ValueError, match="actions: expected 2 numbers from 0 to"):
+            vector.step(np.array(numbers))
+
+
+def test_who_can_only_stand_still_is_understood() -> None:
+    assert Matcher(["(go)"]).slot(("wait",), np.array([], dtype=np.int32)) == 0
+
+
+def test_a_choice_model_without_terms_is_the_papers(tiny_choices: Choices) -> None:
+    q = perceived_cost(tiny_choices, tiny_choices.h)
+    beta = np.array([0.3, 2.0])
+    assert (Weighted()(tiny_choices, q, beta) == boltzmann(tiny_choices, q, beta)).all()
+
+    class Worthless:
+        def __call__(self, choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+            return boltzmann(choices, q, beta)
+
+        def value(self, _: Choices, q: np.ndarray) -> np.ndarray:
+            return q[:3, 0]
+
+    with pytest.raises(ChoiceModelError, match=r"Worthless: value of shape \(3,\); expected a number for each of \d+"):
+        value(Worthless(), tiny_choices, q)
