@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import threading
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.live import answered
+from assist.live.answered import Answered
 from assist.live.assistant import Assistant
 from assist.live.course import AbsentError, Event
-from assist.live.journal import JournalError
+from assist.live.journal import Journal, JournalError
 from assist.live.problem import InapplicableError, UnknownError
 from assist.live.session import Session
 from assist.team.settings import Setting
@@ -130,6 +135,101 @@ def test_the_same_id_is_answered_as_the_first_and_happens_once(opened: Callable[
     assert len(session.log()) == 3
     with pytest.raises(InapplicableError, match="the id '1' stands for something else"):
         session.undo("ann", id="1")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 20)), max_size=30), st.integers(1, 4), st.booleans())
+def test_all_answers_are_found_whatever_their_hashes(
+    tmp_path_factory: pytest.TempPathFactory, keys: list[tuple[str, int]], hashes: int, latest: bool
+) -> None:
+    """However few hashes there are, and for whatever is asked."""
+    journal = Journal(tmp_path_factory.mktemp("answered") / "journal.jsonl")
+    found = Answered(journal, hashed=lambda key: (int(key[1]) % hashes - 1) << 61)
+    expected: dict[tuple[str, str], int] = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(answered, "LATEST", 1000 if latest else 3)
+        for number, (person, id) in enumerate(keys):
+            if (person, str(id)) not in expected:
+                line = json.dumps({"n": number, "person": person, "id": str(id)}).encode() + b"\n"
+                found.add((person, str(id)), journal.append([line])[0])
+                expected[person, str(id)] = number
+            for asked in ((name, str(one)) for name in "ab" for one in range(0, 21, 4)):
+                record = found.find(asked)
+                assert (None if record is None else record["n"]) == expected.get(asked)
+    assert len(found) == len(expected)
+    journal.close()
+
+
+def test_old_answers_and_old_tasks_are_those_of_before(
+    opened: Callable[..., Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Against what a list of all that was acknowledged says, before and after the session goes on."""
+    monkeypatch.setattr(answered, "LATEST", 7)
+    ticks = iter(range(10**6))
+    session = opened(clock=lambda: next(ticks))
+    rng, log, answers = np.random.default_rng(5), dict[tuple[str, int], list[dict[str, Any]]](), dict[Event, Any]()
+    episode, tasks = {"ann": 1, "bob": 1}, {"ann": "tiny", "bob": "fixed"}
+    for name, task in tasks.items():
+        session.join(name, task)
+    for number in range(120):
+        name = ("ann", "bob")[number % 2]
+        seen, rows = session.person(name), log.setdefault((name, episode[name]), [])
+        kind, task, action = "acted", None, None
+        if seen["finished"] or rng.random() < 0.1:
+            kind, task = "began", ("tiny", "fixed", None)[int(rng.integers(3))]
+            tasks[name] = task or tasks[name]
+            episode[name] += 1
+        elif rng.random() < 0.3:
+            kind = "undone"
+        else:
+            action = seen["suggestion"] or seen["applicable"][int(rng.integers(len(seen["applicable"])))]
+        event = Event(kind, name, action, task=task, id=str(number))
+        (answers[event],) = session.report([event])
+        if kind == "undone":
+            assert isinstance(answers[event], InapplicableError) == (not rows), "nobody goes back into an old task"
+            del rows[-1:]
+        if kind == "acted":
+            time = session.outlook().recent[-1]["time"]
+            rows.append({
+                "person": name, "episode": str(episode[name]), "step": len(rows), "action": action,
+                "suggestion": seen["suggestion"], "task": tasks[name], "time": time,
+            })  # fmt: skip
+    expected = [row for name in episode for e in range(1, episode[name] + 1) for row in log.get((name, e), [])]
+    assert max(episode.values()) > 5
+    assert any(row["suggestion"] for row in expected)
+    for kept in session, opened():
+        assert kept.log() == expected
+        assert kept.log("fixed") == [row for row in expected if row["task"] == "fixed"]
+        for event, answer in answers.items():
+            if not isinstance(answer, Exception):
+                assert kept.report([event]) == [answer]
+
+
+def test_a_long_session_takes_no_more_memory(opened: Callable[..., Session], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some 40 bytes for each event, and what numpy keeps at hand."""
+    monkeypatch.setattr(answered, "LATEST", 100)
+    session = opened(policy="none")
+    session.join("ann")
+    way = ["(fetch box-a)", "(return box-a)"] * 3
+
+    def many(first: int, last: int) -> int:
+        """Let her do it again and again; give the bytes that are in use then."""
+        events = []
+        for number in range(first, last):
+            events += [Event("acted", "ann", action, id=f"{number}-{step}") for step, action in enumerate(way)]
+            events.append(Event("began", "ann", task="tiny", id=str(number)))
+        assert not any(isinstance(outcome, Exception) for outcome in session.report(events))
+        del events
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    many(0, 20)
+    tracemalloc.start()
+    try:
+        before, after = many(20, 50), many(50, 130)
+    finally:
+        tracemalloc.stop()
+    assert after - before < 150 * 80 * (len(way) + 1)
 
 
 def test_what_was_cut_off_in_a_line_has_not_happened(opened: Callable[..., Session], tmp_path: Path) -> None:

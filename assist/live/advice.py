@@ -11,7 +11,7 @@ from ..people.belief import Grid, Spread
 from ..people.decision import Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Reason:
     """Why somebody is to be helped: the numbers of Algorithm 1, whatever the team's policy goes by.
 
@@ -57,7 +57,7 @@ class Reason:
         return cls(**values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Advice:
     """What the robot is to do next.
 

@@ -189,7 +189,7 @@ class Assistant:
         here, there = self._team.part(record)[0].policy.pomdp.grid, part.policy.pomdp.grid
         if not (np.array_equal(here.beta, there.beta) and np.array_equal(here.theta, there.theta)):
             raise ValueError(f"{person}: the next task distinguishes other values of beta and theta; expected the same")
-        record.past.append((record.problem, record.steps))
+        record.past.add(record.problem, record.steps)
         record.problem, record.before, record.steps = problem, self._team.belief[record.place].copy(), []
         self._team.put(record, part, row)
         self._advice = None
@@ -371,6 +371,11 @@ class Assistant:
             self._team.belief[k].copy(),
         )  # fmt: skip
 
+    def cost_to_go(self, person: str) -> float:
+        """Give what somebody's task costs from where they are, in cost units: there or not."""
+        part, row = self._team.part(self._team.by_name.get(person) or self._team.known(person))
+        return float(part.choices.h[row])
+
     @property
     def step(self) -> int:
         """How many decisions there have been."""
@@ -387,7 +392,7 @@ class Assistant:
         for record in self._team.records:
             for number, (_, steps) in enumerate(record.episodes(), start=1):
                 for count, step in enumerate(steps):
-                    rows.append({"person": record.name, "episode": str(number), "step": count, **step.named()})
+                    rows.append({"person": record.name, "episode": str(number), "step": count, **step})
         return rows
 
     # Saved and restored.
@@ -402,7 +407,7 @@ class Assistant:
                 "person": record.name,
                 "present": bool(self._team.present[record.place]),
                 "episodes": [
-                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": [s.named() for s in steps]}
+                    {"task": digest(p.task), "population": p.prior.as_dict(), "steps": steps}
                     for p, steps in record.episodes()
                 ],
                 "suggestion": self._suggestion(record),

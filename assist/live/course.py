@@ -14,9 +14,11 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from sys import intern
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -108,15 +110,19 @@ def require_record(record: Mapping[str, Any]) -> None:
 
 @dataclass
 class _Note:
-    """What a session keeps of somebody beside the team's own record."""
+    """What a session keeps of somebody beside the team's own record.
+
+    Of all their tasks the names and the time of each action; of the present one also the reason of the suggestion
+    that stood at each, and the cost-to-go after each event.
+    """
 
     task: str
     seq: int = 0
     suggested: int = 0
     reason: Reason | None = None
-    reasons: list[Reason | None] = field(default_factory=list)
-    times: list[list[float]] = field(default_factory=lambda: [[]])
     tasks: list[str] = field(default_factory=list)
+    times: array[float] = field(default_factory=lambda: array("d"))
+    reasons: list[Reason | None] = field(default_factory=list)
     history: list[tuple[float, float | None]] = field(default_factory=list)
 
 
@@ -276,19 +282,19 @@ class Course:
                 desk.leave(person or "")
                 self.present.discard(person or "")
             case "began":
-                name = record.get("task") or self._notes[person or ""].task
+                name = intern(record.get("task") or self._notes[person or ""].task)  # one of each
                 desk.begin(person or "", self.tasks[name])
                 self._began(self._notes[person or ""], name)
             case "acted":
                 desk.observe(person or "", record["action"], heard=not record.get("unheard"))
                 note = self._notes[person or ""]
-                note.times[-1].append(record["time"])
+                note.times.append(record["time"])
                 note.reasons.append(note.reason)
                 note.reason = None
             case "undone":
                 desk.undo(person or "")
                 note = self._notes[person or ""]
-                note.times[-1].pop()
+                note.times.pop()
                 note.reason = note.reasons.pop()
             case "arrived":
                 desk.arrived(person)
@@ -303,7 +309,6 @@ class Course:
         note.task, note.reason = task, None
         note.reasons.clear()
         note.history.clear()
-        note.times.append([])
 
     def _note(self, record: Mapping[str, Any], advice: Advice) -> None:
         """Keep what follows from an event for those who watch."""
@@ -313,7 +318,7 @@ class Course:
         person = record.get("person")
         if person is not None and record["event"] != "arrived":
             note = self._notes[person]
-            note.history.append((record["time"], _finite(self._state(person).cost_to_go)))
+            note.history.append((record["time"], _finite(self.desk.cost_to_go(person))))
         entry = {"n": self.count, "time": record["time"], "event": record["event"], "person": person}
         for name in ("action", "followed"):
             entry[name] = record.get(name)
@@ -426,11 +431,12 @@ class Course:
         if task is not None:
             self._task(task)
         rows = []
+        times = {name: iter(note.times) for name, note in self._notes.items()}  # in the order of somebody's rows
         for row in self.desk.log():
-            note, number = self._notes[row["person"]], int(row["episode"]) - 1
-            own = [*note.tasks, note.task][number]
+            note, number, time = self._notes[row["person"]], int(row["episode"]) - 1, next(times[row["person"]])
+            own = note.tasks[number] if number < len(note.tasks) else note.task
             if task in (None, own):
-                rows.append({**row, "task": own, "time": note.times[number][row["step"]]})
+                rows.append({**row, "task": own, "time": time})
         return rows
 
 

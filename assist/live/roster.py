@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -18,6 +20,10 @@ ANSWERS = 8
 """Questions of which the answers are kept; policies ask one or two."""
 
 
+Named = dict[str, str | None]
+"""An action and a suggestion, in PDDL."""
+
+
 class Step(NamedTuple):
     """An action of a person: at which place of their task, after what of the robot's, and which; both also in PDDL."""
 
@@ -27,9 +33,49 @@ class Step(NamedTuple):
     action: str
     suggestion: str | None
 
-    def named(self) -> dict[str, str | None]:
+    def named(self) -> Named:
         """Give it in PDDL."""
         return {"action": self.action, "suggestion": self.suggestion}
+
+
+Numbers = dict[str | None, int]
+"""Of all actions that were done or suggested, in the order in which they came first; None stands for nothing."""
+
+
+class Past:
+    """The tasks that somebody has left behind, with what was done and suggested in each: eight bytes an action.
+
+    Parameters
+    ----------
+    numbers : dict
+        Of actions, shared by a team.
+    """
+
+    def __init__(self, numbers: Numbers) -> None:
+        self._numbers = numbers
+        self._problems: list[Problem] = []
+        self._ends, self._done = array("q"), array("i")  # of each step its action and its suggestion, in turn
+
+    def add(self, problem: Problem, steps: list[Step]) -> None:
+        """Keep a task."""
+        for step in steps:
+            for name in step.action, step.suggestion:
+                self._done.append(self._numbers.setdefault(name, len(self._numbers)))
+        self._problems.append(problem)
+        self._ends.append(len(self._done))
+
+    def __iter__(self) -> Iterator[tuple[Problem, list[Named]]]:
+        """Give each task with its steps."""
+        names, begin = list(self._numbers), 0
+        for problem, end in zip(self._problems, self._ends, strict=True):
+            yield (
+                problem,
+                [
+                    {"action": names[self._done[at]], "suggestion": names[self._done[at + 1]]}
+                    for at in range(begin, end, 2)
+                ],
+            )
+            begin = end
 
 
 @dataclass
@@ -40,12 +86,12 @@ class Record:
     place: int
     problem: Problem
     before: Floats
+    past: Past
     steps: list[Step] = field(default_factory=list)
-    past: list[tuple[Problem, list[Step]]] = field(default_factory=list)
 
-    def episodes(self) -> list[tuple[Problem, list[Step]]]:
+    def episodes(self) -> list[tuple[Problem, list[Named]]]:
         """Give all tasks that they have been at, with their steps."""
-        return [*self.past, (self.problem, self.steps)]
+        return [*self.past, (self.problem, [step.named() for step in self.steps])]
 
 
 @dataclass
@@ -78,6 +124,7 @@ class Roster:
         self.parts: list[Part] = []
         self._people: list[int] = []  # in each part
         self._number: dict[Part, int] = {}
+        self._actions: Numbers = {}
         self.records: list[Record] = []
         self.by_name: dict[str, Record] = {}
         self.x, self.model, self.robot = (np.zeros(places, dtype=np.int64) for _ in range(3))
@@ -117,7 +164,7 @@ class Roster:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
-        record = Record(name, len(self.records), problem, prior.copy())
+        record = Record(name, len(self.records), problem, prior.copy(), Past(self._actions))
         self.records.append(record)
         self.by_name[name] = record
         self.present[record.place] = True

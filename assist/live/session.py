@@ -34,6 +34,7 @@ from ..person.problem import WHOLE, is_whole
 from ..team.settings import Setting
 from ..team.state import PolicyError, TeamPolicy
 from .advice import Advice
+from .answered import Answered, Key, key_of
 from .course import Course, Event
 from .journal import Journal, JournalError
 from .problem import InapplicableError, digest
@@ -211,7 +212,7 @@ class Session:
 
     def _resume(self) -> None:
         """Let all happen again that is in the journal."""
-        course, answers, last = self._course_anew(), dict[tuple[str, str], int](), 0.0
+        course, answered, last = self._course_anew(), Answered(self._journal), 0.0
         self._course = course
         for number, (begin, record) in enumerate(self._journal, start=1):
             if begin == 0:
@@ -225,8 +226,8 @@ class Session:
             except (KeyError, TypeError, AttributeError, ValueError) as error:
                 raise DamagedFileError(self._journal.file, number, f"cannot have happened: {error}") from error
             if "id" in record:
-                answers[record.get("person", ""), record["id"]] = begin
-        self._answers, self._last = answers, last
+                answered.add(key_of(record), begin)
+        self._answered, self._last = answered, last
 
     def _check(self, header: dict[str, Any]) -> None:
         expected = json.loads(_line(self._header()))
@@ -261,8 +262,8 @@ class Session:
                 return [self._known(event) or error for event in events]
             outcomes: list[Outcome | tuple[str, str]] = []
             lines: list[bytes] = []
-            records: dict[tuple[str, str], dict[str, Any]] = {}
-            answered: list[tuple[tuple[str, str], int]] = []
+            records: dict[Key, dict[str, Any]] = {}
+            answered: list[tuple[Key, int]] = []
             touched: set[str] = set()
             for event in events:
                 key = (event.person or "", event.id or "")
@@ -281,7 +282,7 @@ class Session:
     def _happen(
         self,
         event: Event,
-        records: dict[tuple[str, str], dict[str, Any]],
+        records: dict[Key, dict[str, Any]],
         lines: list[bytes],
         touched: set[str],
     ) -> Outcome:
@@ -300,11 +301,11 @@ class Session:
 
     def _known(self, event: Event) -> Outcome | None:
         """Give the answer of an event that has happened already."""
-        begin = self._answers.get((event.person or "", event.id)) if event.id else None
-        return None if begin is None else _same(event, self._journal.at(begin))
+        record = self._answered.find((event.person or "", event.id)) if event.id else None
+        return None if record is None else _same(event, record)
 
     def _commit(
-        self, outcomes: list[Any], lines: list[bytes], answered: list[tuple[tuple[str, str], int]], touched: set[str]
+        self, outcomes: list[Any], lines: list[bytes], answered: list[tuple[Key, int]], touched: set[str]
     ) -> list[Outcome]:
         if lines:
             try:
@@ -312,7 +313,8 @@ class Session:
             except JournalError as error:
                 self._resume()  # what is not on the disk has not happened
                 return [outcome if isinstance(outcome, Exception) else error for outcome in outcomes]
-            self._answers.update((key, begins[number]) for key, number in answered)
+            for key, number in answered:
+                self._answered.add(key, begins[number])
             if self.changed is not None:
                 self.changed(touched)
         return outcomes
