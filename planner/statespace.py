@@ -1,13 +1,13 @@
 """Every reachable state of a task, numbered, and what each action leads to.
 
 A `StateSpace` is what a sweep finds: how many states there are, which number each has, and, only when asked
-for, the choices of all of them. How states are numbered is behind the `Numbering` that it holds: `Listed`
-here keeps the packed states themselves, in breadth-first order; `sweep` has a more compact one.
+for, the choices of all of them. How states are numbered is behind the `Numbering` that it holds: `listing`
+keeps the packed states themselves, in the order in which they are found; `sweep` has a more compact one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -15,9 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .fast_downward import LimitError
-from .reports import Progress
-from .successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
+from .successors import Ints, Packing, Successors, Transitions
 from .task import Fact, Task
 
 
@@ -152,114 +150,3 @@ class StateSpace:
                 )
             at = options[action]
         return at
-
-
-@dataclass(frozen=True)
-class Listed:
-    """States numbered breadth first, layers in the order of their keys.
-
-    Attributes
-    ----------
-    packing : Packing
-    states : uint64 array, shape (n, words)
-    rows : Transitions
-    """
-
-    packing: Packing
-    states: Words
-    rows: Transitions
-
-    @cached_property
-    def _sorted(self) -> tuple[NDArray[np.generic], Ints]:
-        keys = self.packing.keys(self.states)
-        order = np.argsort(keys, kind="stable")
-        return keys[order], order
-
-    def numbers(self, values: Ints) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
-        sizes = np.left_shift(1, self.packing.bits)
-        legal = np.all((values >= 0) & (values < sizes), axis=1)
-        wanted = self.packing.keys(self.packing.pack(np.where(legal[:, None], values, 0)))
-        keys, order = self._sorted
-        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        return np.where(legal & (keys[at] == wanted), order[at], -1)
-
-    def values(self, numbers: Ints) -> Ints:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
-        return self.packing.unpack(self.states[numbers])
-
-    def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
-        return holds(self.states, *self.packing.condition(facts))
-
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Give the choices of all states."""
-        assert (len(self.states), len(self.rows.actions)) == (states, transitions)
-        return self.rows
-
-
-BLOCK = 1 << 14
-"""States whose transitions are worked out at a time, between two checks of limits."""
-
-
-def explore(
-    task: Task,
-    *,
-    max_states: int | None = None,
-    check: Callable[[int, int], None] = lambda _states, _transitions: None,
-    progress: Progress = lambda *_: None,
-) -> StateSpace:
-    """Enumerate the reachable states of any task, breadth first, with all transitions in memory.
-
-    Parameters
-    ----------
-    task : Task
-    max_states : int, optional
-        The largest number of states that may be stored.
-    check : callable, optional
-        Called before each `BLOCK` states with how many states and how many transitions there are; it may raise
-        `LimitError`.
-    progress : callable, optional
-        Called after each layer with "states" and how many there are by then.
-
-    Raises
-    ------
-    LimitError
-        More states than `max_states`.
-    """
-    packing = Packing.of(task)
-    successors = Successors(task, packing)
-    layer = successors.derive(packing.pack([task.initial]))
-    layers = [layer]
-    seen = packing.keys(layer)  # sorted
-    edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
-    first = transitions = 0  # the number of a block's first state, and of the transitions before
-    while len(layer):
-        fresh: list[tuple[NDArray[np.generic], Words]] = []
-        for start in range(0, len(layer), BLOCK):
-            check(len(seen), transitions)
-            block = layer[start : start + BLOCK]
-            rows, actions, after = successors.edges(block)
-            edges.append((rows + first, actions, after))
-            first, transitions = first + len(block), transitions + len(rows)
-            keys, places = np.unique(packing.keys(after), return_index=True)
-            at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
-            new = seen[at] != keys
-            fresh.append((keys[new], after[places[new]]))
-        keys, places = np.unique(np.concatenate([own for own, _ in fresh]), return_index=True)
-        layer = np.concatenate([own for _, own in fresh])[places]
-        seen = np.sort(np.concatenate([seen, keys]))
-        if max_states is not None and len(seen) > max_states:
-            raise LimitError(f"more than {max_states} states")
-        layers.append(layer)
-        progress("states", len(seen), None)
-
-    states = np.concatenate(layers)
-    keys = packing.keys(states)
-    order = np.argsort(keys, kind="stable")
-    sources, actions, after = (np.concatenate([edge[part] for edge in edges]) for part in range(3))
-    kept = distinct(sources, actions)
-    targets = order[np.searchsorted(keys[order], packing.keys(after[kept]))]
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(sources[kept], minlength=len(states)))]).astype(np.int64)
-    numbering = Listed(packing, states, Transitions(offsets, actions[kept], targets))
-    return StateSpace(task, len(states), 0, len(kept), numbering)

@@ -4,7 +4,7 @@
 (`searches`), and numbers them; the *number* of a state is its rank among the indices of all states.
 
 Tasks with derived variables, with indices beyond 62 bits, or with operators that split into very many moves
-take a slower way: all transitions in memory (`statespace.explore`).
+take a slower way: a list of packed states, and all transitions in memory (`listing`).
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from . import kernels, reached
 from .budget import Budget, available_memory
 from .checkpoint import Checkpoint
 from .coding import choose
-from .costtogo import Table, backward, compact
+from .costtogo import Table
+from .listing import enumerated, settled
 from .moves import split_operators
 from .reached import States
 from .reports import Progress
 from .searches import Searches
-from .statespace import StateSpace, explore
-from .successors import Ints, Packing, Transitions
+from .statespace import StateSpace
+from .successors import Ints, Transitions
 from .task import Fact, Task
 from .trie import build_tests
 
@@ -127,13 +128,13 @@ def sweep(
         threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     told = progress or (lambda *_: None)
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        return _slow_sweep(task, budget, "it has derived variables", told)
+        return _listed(task, budget, threads, "it has derived variables", told)
     moves = split_operators(task)
     if moves is None:
-        return _slow_sweep(task, budget, "its operators split into very many moves", told)
+        return _listed(task, budget, threads, "its operators split into very many moves", told)
     coding, moves = choose(task, moves, partial(budget.check_time, 1))
     if coding is None:
-        return _slow_sweep(task, budget, "its states take more than 62 bits each", told)
+        return _listed(task, budget, threads, "its states take more than 62 bits each", told)
     searches = Searches(
         coding,
         build_tests(moves, coding, task.costs),
@@ -149,16 +150,10 @@ def sweep(
     return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance)
 
 
-def _slow_sweep(task: Task, budget: Budget, why: str, progress: Progress) -> Table:
-    """Sweep with all transitions in memory, which does for every task; the table's note says why."""
-    words = Packing.of(task).words
-
-    def check(states: int, transitions: int) -> None:
-        budget.check_time(states)
-        budget.check_memory(64 * words * states + (72 + 24 * words) * transitions)
-
-    space = explore(task, max_states=budget.max_states, check=check, progress=progress)
-    progress("cost-to-go", 0, None)
-    distance = backward(space.transitions.targets, space.sources, space.costs, space.goal, check=budget.check_time)
-    note = f"swept with all transitions in memory, which is some hundred times slower than without: {why}"
-    return Table(space, compact(distance), note)
+def _listed(task: Task, budget: Budget, threads: int, why: str, progress: Progress) -> Table:
+    """List the states, which does for every task; the table's note says why."""
+    listing = enumerated(task, budget, threads, progress)
+    distance = settled(task, listing, budget, progress)
+    note = f"swept without an index, which takes some ten times as long as with one: {why}"
+    space = StateSpace(task, len(distance), 0, len(listing.targets), listing.found)
+    return Table(space, distance, note)

@@ -15,7 +15,8 @@ from .candidates import NO_CANDIDATES, candidates
 from .coding import Coding
 from .kernels import Tests
 from .moves import Move
-from .successors import Ints
+from .packed import Trie
+from .successors import Ints, Packing
 from .task import Fact
 
 FEW = 3
@@ -25,8 +26,8 @@ FEW = 3
 class _Trie:
     """Tests as they are laid out."""
 
-    def __init__(self, coding: Coding) -> None:
-        self.coding = coding
+    def __init__(self, packing: Packing) -> None:
+        self.packing = packing
         self.word: list[int] = []
         self.mask: list[int] = []
         self.value: list[int] = []
@@ -77,7 +78,7 @@ class _Trie:
             if len(present) <= FEW:
                 most[v] = max(most[v], self.below(taken(best)))
                 continue
-            packing = self.coding.packing
+            packing = self.packing
             field = (1 << int(packing.bits[v])) - 1
             switch = self.test(int(packing.word[v]), 0, 1, int(packing.shift[v]), field)
             begin = len(self.jump)
@@ -99,7 +100,7 @@ class _Trie:
     def below(self, inside: Sequence[tuple[frozenset[Fact], int]]) -> int:
         """Test what some moves have in common, and below it what is left of each."""
         shared = frozenset.intersection(*(facts for facts, _ in inside))
-        masks, values = self.coding.packing.condition(sorted(shared))
+        masks, values = self.packing.condition(sorted(shared))
         words = np.flatnonzero(masks) if shared else [0]
         tests = [self.test(int(w), int(masks[w]), int(values[w])) for w in words]
         most = self.build([(facts - shared, number) for facts, number in inside])
@@ -112,7 +113,7 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
     """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
     changes = [coding.change(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
-    trie = _Trie(coding)
+    trie = _Trie(coding.packing)
     chosen = candidates([moves[number] for number in possible], coding)
     if chosen is None:
         chosen = NO_CANDIDATES
@@ -169,4 +170,25 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
         np.array([move.action for move in ordered], np.int32),
         np.array([costs[move.action] for move in ordered], np.int64),
         most,
+    )
+
+
+def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> Trie:
+    """Arrange operators by their preconditions, which do not contradict themselves."""
+    trie = _Trie(packing)
+    trie.test(0, 0, 0)  # it always holds
+    most = trie.build([(facts, number) for number, facts in enumerate(conditions)])
+    trie.skip[0] = len(trie.word)
+    trie.first.append(len(trie.order))
+    return Trie(
+        np.array(trie.word, np.int64),
+        np.array(trie.mask, np.uint64),
+        np.array(trie.value, np.uint64),
+        np.array(trie.skip, np.int64),
+        np.array(trie.shift, np.uint64),
+        np.array(trie.field, np.uint64),
+        np.array(trie.jump, np.int64),
+        np.array(trie.first, np.int64),
+        np.array(trie.order, np.int64),
+        max(1, most),
     )

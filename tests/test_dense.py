@@ -10,6 +10,7 @@ import pytest
 from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from plain import explore
 from test_sweep import check, module, random_task, searches
 
 from planner import Effect, Operator, Task, Variable, instance, load
@@ -18,7 +19,6 @@ from planner.coding import Coding
 from planner.invariants import PRIME, determined, invariants
 from planner.moves import split_operators
 from planner.mutexes import Mutexes
-from planner.statespace import explore
 
 Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
 """Domain sizes, an initial state, and operators: what must hold, and what then holds."""

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plain import explore
 from scipy import stats
 
 from assist.people.choices import Choices, keys_of
 from assist.people.human import Population
 from assist.people.misconception import Misconception, standard_normal
 from planner import OnDemand, Table
-from planner.statespace import explore
 
 MANY = np.arange(40_000, dtype=np.uint64)
 

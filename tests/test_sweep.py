@@ -10,18 +10,17 @@ import time
 import numpy as np
 import pytest
 from conftest import KITTING
+from plain import explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
 from planner.coding import Coding
 from planner.costtogo import backward, compact
 from planner.errors import DamagedFileError
 from planner.moves import exactly_one, split_operators
-from planner.statespace import explore
 
 module = importlib.import_module("planner.sweep")
 candidates = importlib.import_module("planner.candidates")
 searches = importlib.import_module("planner.searches")
-statespace = importlib.import_module("planner.statespace")
 moves_module = importlib.import_module("planner.moves")
 sweep = module.sweep
 
@@ -154,13 +153,6 @@ def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatc
         check(random_task(rng, costs=costs))
 
 
-def test_random_tasks_explored_three_states_at_a_time(monkeypatch):
-    monkeypatch.setattr(statespace, "BLOCK", 3)
-    rng = random.Random("blocks")
-    for _ in range(25):
-        check(random_task(rng))
-
-
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_where_memory_is_short(costs, monkeypatch):
     monkeypatch.setattr(searches, "CLOSED", 0)
@@ -185,13 +177,28 @@ def test_the_plain_sweep_can_be_stopped():
         sweep(task, stop=stop)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_random_tasks_the_slow_way(seed, monkeypatch):
+@pytest.fixture
+def listed(monkeypatch):
+    """Tasks have no index."""
     monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
     monkeypatch.setattr(moves_module, "MANY_EACH", 0)
-    rng = random.Random(seed)
+
+
+@pytest.mark.usefixtures("listed")
+@pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
+def test_random_tasks_without_an_index(costs, monkeypatch):
+    monkeypatch.setattr("planner.listing.BLOCK", 3)
+    rng = random.Random(f"listed {costs}")
     for _ in range(20):
-        check(random_task(rng, costs=range(3)))
+        check(random_task(rng, costs=costs))
+
+
+@pytest.mark.usefixtures("listed")
+def test_a_list_of_states_grows():
+    table = sweep(counter(15))
+    numbers = np.arange(len(table))
+    np.testing.assert_array_equal(table.h, len(table) - 1.0 - table.values(numbers) @ (1 << np.arange(15)))
+    np.testing.assert_array_equal(table.numbers(table.values(numbers)), numbers)
 
 
 def test_random_tasks_turn_from_hash_table_to_bitmap(monkeypatch):
@@ -348,7 +355,7 @@ def test_a_task_without_operators():
     assert check(Task(task.instance, "", task.variables, (), (), (), (), task.initial, task.goal)).dead_end.all()
 
 
-def test_limits(kitting, monkeypatch):
+def test_limits(kitting):
     with pytest.raises(LimitError, match="more than 1000 states"):
         sweep(kitting, max_states=1000)
     for memory in (0.1, 1.0, 2.0):
@@ -358,8 +365,10 @@ def test_limits(kitting, monkeypatch):
         sweep(kitting, deadline=time.monotonic())
     with pytest.raises(LimitError, match="MB"):
         sweep(kitting, memory_limit_mb=20).space.transitions  # noqa: B018
-    monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
-    monkeypatch.setattr(moves_module, "MANY_EACH", 0)
+
+
+@pytest.mark.usefixtures("listed")
+def test_limits_of_a_list(kitting):
     with pytest.raises(LimitError, match="more than 100 states"):
         sweep(kitting, max_states=100)
     with pytest.raises(LimitError, match="MB"):

@@ -1,0 +1,265 @@
+"""The reachable states of any task as a list, and their exact cost-to-go: for what has no index.
+
+Tasks with derived variables, with operators that split into very many moves, or whose indices take too many bits have
+none: packed states are numbered as they are found, forward from the initial state, and what every action leads to is
+kept until the search back from the goal is done. Blocks are expanded on several threads; their states are numbered in
+order, so that numbers do not depend on how many there are.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import packed
+from .budget import Budget
+from .costtogo import UNREACHED, compact
+from .fast_downward import LimitError
+from .packed import Rulebook, Rules
+from .reports import Progress
+from .successors import Ints, Packing, Successors, Transitions, Words, holds
+from .task import Fact, Task
+from .trie import trie_of
+
+BLOCK = 1 << 12
+"""States that are expanded at a time."""
+
+FULL = 0.7
+"""Share of the slots that may be taken."""
+
+MOST = np.iinfo(np.int32).max
+"""So many states can be numbered."""
+
+
+def rulebook(task: Task, packing: Packing) -> Rulebook:
+    """Lay out a task's transition function."""
+    successors = Successors(task, packing)
+    possible = [n for n, o in enumerate(task.operators) if len(dict(o.preconditions)) == len(set(o.preconditions))]
+    order = sorted(possible, key=lambda number: (task.operators[number].action, number))
+    conditions = [frozenset(task.operators[number].preconditions) for number in order]
+    nothing = np.zeros(packing.words, dtype=np.uint64)
+    defaults = [(nothing, nothing, *successors.defaults)]
+    return Rulebook(
+        trie_of(conditions, packing),
+        np.array([task.operators[number].action for number in order], dtype=np.int64),
+        _rules([successors.effects[number] for number in order]),
+        _rules([defaults, *successors.layers] if successors.layers else []),
+    )
+
+
+def _rules(groups: Sequence[Sequence[tuple[Words, Words, Words, Words]]]) -> Rules:
+    """Lay out rules: of each group, the mask and bits that are needed, and those that are cleared and set."""
+    begin, tests, writes = [0], [0], [0]
+    needed: list[tuple[int, int, int]] = []
+    written: list[tuple[int, int, int]] = []
+    for group in groups:
+        for mask, value, cleared, assigned in group:
+            needed += [(int(w), int(mask[w]), int(value[w])) for w in np.flatnonzero(mask)]
+            written += [(int(w), int(~cleared[w]), int(assigned[w])) for w in np.flatnonzero(cleared)]
+            tests.append(len(needed))
+            writes.append(len(written))
+        begin.append(len(tests) - 1)
+    return Rules(np.array(begin), np.array(tests), *_columns(needed), np.array(writes), *_columns(written))
+
+
+def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
+    """Give the columns of rows of a word's number and two words."""
+    number, first, second = zip(*rows, strict=True) if rows else ((), (), ())
+    return np.array(number, np.int64), np.array(first, np.uint64), np.array(second, np.uint64)
+
+
+@dataclass(frozen=True)
+class Found:
+    """The states that have been found, in the order in which they were.
+
+    Attributes
+    ----------
+    packing : Packing
+    book : Rulebook
+    states : uint64 array, shape (n, words)
+    slots : uint64 array
+        The hash table from a state to its number.
+    """
+
+    packing: Packing
+    book: Rulebook
+    states: Words
+    slots: Words
+
+    def numbers(self, values: Ints) -> Ints:
+        """Give the states with values of shape (n, variables), -1 where there is none."""
+        sizes = np.left_shift(1, self.packing.bits)
+        legal = np.all((values >= 0) & (values < sizes), axis=1)
+        numbers = np.empty(len(values), dtype=np.int64)
+        packed.look_up(self.slots, self.states, self.packing.pack(np.where(legal[:, None], values, 0)), numbers)
+        return np.where(legal, numbers, -1)
+
+    def values(self, numbers: Ints) -> Ints:
+        """Give the values, shape (n, variables), of states of shape (n,)."""
+        return self.packing.unpack(self.states[numbers])
+
+    def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
+        """Tell of every state, shape (states,), whether facts hold."""
+        return holds(self.states, *self.packing.condition(facts))
+
+    def transitions(self, states: int, transitions: int) -> Transitions:
+        """Build the choices of all states; the arguments are how many there are of both."""
+        rows = Transitions(
+            np.zeros(states + 1, dtype=np.int64),
+            np.empty(transitions, dtype=np.int32),
+            np.empty(transitions, dtype=np.int32),
+        )
+        first = row = 0
+        for counts, actions, after in _expanded(self.book, self.states):
+            rows.actions[row : row + len(actions)] = actions
+            packed.look_up(self.slots, self.states, after, rows.targets[row : row + len(actions)])
+            rows.offsets[first + 1 : first + 1 + len(counts)] = row + np.cumsum(counts)
+            first, row = first + len(counts), row + len(actions)
+        return rows
+
+
+def _expanded(book: Rulebook, states: Words) -> Iterator[tuple[NDArray[np.int32], NDArray[np.int32], Words]]:
+    """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
+    stop = 0
+    room = 8 * BLOCK + book.trie.most
+    while stop < len(states):
+        counts = np.empty(len(states) - stop, dtype=np.int32)
+        actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
+        start = stop
+        stop, filled = packed.expand(book, states, start, counts, actions, after)
+        yield counts[: stop - start], actions[:filled], after[:filled]
+
+
+class _Growing:
+    """Rows that are appended to; the memory grows by a third at a time, without a second copy where the system can."""
+
+    def __init__(self, dtype: Any, *width: int) -> None:
+        self.rows = np.zeros((1 << 12, *width), dtype=dtype)
+
+    def make_room(self, rows: int) -> None:
+        """Have at least so many rows; views of the old ones must not be in use any more."""
+        if rows > len(self.rows):
+            self.rows.resize((max(rows, len(self.rows) * 4 // 3), *self.rows.shape[1:]), refcheck=False)
+
+    def trimmed(self, rows: int) -> NDArray[Any]:
+        """Give the rows, of which so many are in use."""
+        self.rows.resize((rows, *self.rows.shape[1:]), refcheck=False)
+        return self.rows
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What the search forward has found.
+
+    Attributes
+    ----------
+    found : Found
+    counts : int32 array, shape (n,)
+        Transitions of each state.
+    targets : int32 array, shape (transitions,)
+        What they lead to, in the order of the states.
+    kinds : unsigned integer array, shape (transitions,)
+        Which of the task's different costs each has; empty where all cost the same.
+    """
+
+    found: Found
+    counts: NDArray[np.int32]
+    targets: NDArray[np.int32]
+    kinds: NDArray[np.unsignedinteger]
+
+
+def enumerated(task: Task, budget: Budget, threads: int, progress: Progress) -> Listing:
+    """Find the states that a task can reach, breadth first."""
+    packing = Packing.of(task)
+    book = rulebook(task, packing)
+    initial = packing.pack([task.initial])
+    packed.derive(book.axioms, initial[0])
+    costs, kind_of = np.unique(task.costs, return_inverse=True)
+    states, targets = _Growing(np.uint64, packing.words), _Growing(np.int32)
+    counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)
+    slots = np.zeros(1 << 14, dtype=np.uint64)
+    numbers = np.empty(1, dtype=np.int32)
+    held = packed.insert(slots, states.rows, 0, initial, numbers)
+    done = given = transitions = 0
+    waiting: deque[Future[list[tuple[NDArray[np.int32], NDArray[np.int32], Words]]]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            while done < held:
+                while given < held and len(waiting) <= threads:
+                    # A copy: the rows move as they grow.
+                    block = states.rows[given : min(given + BLOCK, held)].copy()
+                    waiting.append(pool.submit(lambda own: list(_expanded(book, own)), block))
+                    given += len(block)
+                for block_counts, actions, after in waiting.popleft().result():
+                    more = len(after)
+                    for rows, size in ((states, held + more), (targets, transitions + more), (counts, held + more)):
+                        rows.make_room(size)
+                    if held + more > FULL * len(slots):
+                        slots = np.zeros(1 << int((held + more) / FULL * 2).bit_length(), dtype=np.uint64)
+                        packed.fill_slots(slots, states.rows, 0, held)
+                    held = packed.insert(
+                        slots, states.rows, held, after, targets.rows[transitions : transitions + more]
+                    )
+                    if len(costs) > 1:
+                        kinds.make_room(transitions + more)
+                        kinds.rows[transitions : transitions + more] = kind_of[actions]
+                    counts.rows[done : done + len(block_counts)] = block_counts
+                    done, transitions = done + len(block_counts), transitions + more
+                budget.check_states(held)
+                budget.check_time(held)
+                per_state, per_transition = 8 * packing.words + 24, 8 + 4 * (len(costs) > 1)
+                budget.check_memory(slots.nbytes + per_state * held + per_transition * transitions)
+                if held > MOST:
+                    raise LimitError(f"more than {MOST} states without an index")
+                progress("states", held, None)
+        finally:
+            for future in waiting:
+                future.cancel()
+    found = Found(packing, book, states.trimmed(held), slots)
+    kept = transitions if len(costs) > 1 else 0
+    return Listing(found, counts.trimmed(held), targets.trimmed(transitions), kinds.trimmed(kept))
+
+
+def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:
+    """Find the distance of all states from the goal, in the order of the distances (Dial 1969).
+
+    The type's largest value marks dead ends.
+    """
+    states = len(listing.counts)
+    progress("cost-to-go", 0, None)
+    into = np.zeros(states + 2, dtype=np.int64)
+    sources, kinds = np.empty_like(listing.targets), np.empty_like(listing.kinds)
+    packed.turn_round(listing.counts, listing.targets, listing.kinds, into, sources, kinds)
+    costs = np.unique(task.costs).astype(np.int64) if task.costs else np.zeros(1, dtype=np.int64)
+    distance = np.full(states, UNREACHED, dtype=np.int64)
+    goal = np.flatnonzero(listing.found.where(task.goal)).astype(np.int32)
+    distance[goal] = 0
+    room = max(BLOCK, int(np.diff(into[:-1]).max(initial=1)))
+    waiting = {0: [goal]}
+    order = [0]
+    while order:
+        d = order[0]
+        if d not in waiting:
+            heapq.heappop(order)
+            continue
+        for block in waiting.pop(d):
+            stop = 0
+            while stop < len(block):
+                budget.check_time(states)
+                out, through = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int64)
+                stop, filled = packed.relax(into, sources, kinds, costs, block, stop, d, distance, out, through)
+                out, through = out[:filled], through[:filled]
+                for value in np.unique(through).tolist() if len(costs) > 1 else [d + int(costs[0])]:
+                    if value not in waiting:
+                        waiting[value] = []
+                        if value != d:
+                            heapq.heappush(order, value)
+                    waiting[value].append(out[through == value] if len(costs) > 1 else out.copy())
+    return compact(distance)

@@ -1,0 +1,89 @@
+"""The plainest enumeration of a task's states, in numpy: what the sweep is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.statespace import StateSpace
+from planner.successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
+from planner.task import Fact, Task
+
+
+@dataclass(frozen=True)
+class Listed:
+    """States numbered breadth first, layers in the order of their keys.
+
+    Attributes
+    ----------
+    packing : Packing
+    states : uint64 array, shape (n, words)
+    rows : Transitions
+    """
+
+    packing: Packing
+    states: Words
+    rows: Transitions
+
+    @cached_property
+    def _sorted(self) -> tuple[NDArray[np.generic], Ints]:
+        keys = self.packing.keys(self.states)
+        order = np.argsort(keys, kind="stable")
+        return keys[order], order
+
+    def numbers(self, values: Ints) -> Ints:
+        """Give the states with values of shape (n, variables), -1 where there is none."""
+        sizes = np.left_shift(1, self.packing.bits)
+        legal = np.all((values >= 0) & (values < sizes), axis=1)
+        wanted = self.packing.keys(self.packing.pack(np.where(legal[:, None], values, 0)))
+        keys, order = self._sorted
+        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        return np.where(legal & (keys[at] == wanted), order[at], -1)
+
+    def values(self, numbers: Ints) -> Ints:
+        """Give the values, shape (n, variables), of states of shape (n,)."""
+        return self.packing.unpack(self.states[numbers])
+
+    def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
+        """Tell of every state, shape (states,), whether facts hold."""
+        return holds(self.states, *self.packing.condition(facts))
+
+    def transitions(self, states: int, transitions: int) -> Transitions:
+        """Give the choices of all states."""
+        assert (len(self.states), len(self.rows.actions)) == (states, transitions)
+        return self.rows
+
+
+def explore(task: Task) -> StateSpace:
+    """Enumerate the reachable states of any task, breadth first, with all transitions in memory."""
+    packing = Packing.of(task)
+    successors = Successors(task, packing)
+    layer = successors.derive(packing.pack([task.initial]))
+    layers = [layer]
+    seen = packing.keys(layer)  # sorted
+    edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
+    first = 0  # the number of a layer's first state
+    while len(layer):
+        rows, actions, after = successors.edges(layer)
+        edges.append((rows + first, actions, after))
+        first += len(layer)
+        keys, places = np.unique(packing.keys(after), return_index=True)
+        at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
+        new = seen[at] != keys
+        layer = after[places[new]]
+        seen = np.sort(np.concatenate([seen, keys[new]]))
+        layers.append(layer)
+
+    states = np.concatenate(layers)
+    keys = packing.keys(states)
+    order = np.argsort(keys, kind="stable")
+    sources, actions, after = (np.concatenate([edge[part] for edge in edges]) for part in range(3))
+    kept = distinct(sources, actions)
+    targets = order[np.searchsorted(keys[order], packing.keys(after[kept]))]
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(sources[kept], minlength=len(states)))]).astype(np.int64)
+    numbering = Listed(packing, states, Transitions(offsets, actions[kept], targets))
+    return StateSpace(task, len(states), 0, len(kept), numbering)
