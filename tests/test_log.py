@@ -406,6 +406,22 @@ def test_every_line_that_fits_no_action_is_reported(tiny: Table) -> None:
     ]
 
 
+def test_the_log_of_another_task_is_told_in_a_few_lines(tiny: Table) -> None:
+    rows = [
+        row for n in range(30) for row in lines(f"(drive van-{n})", "(drive van)", f"(fetch box-{n})", episode=f"{n}")
+    ]
+    _, faults = replay(log_of(rows), tiny)
+    assert len(faults) == len(rows)
+    found = told(faults, "log")
+    assert [line.partition(";")[0].partition("out: ")[2] for line in found[:3]] == [
+        "step 0: (drive van-0): no action of the task is called 'drive'",
+        "step 1: (drive van): no action of the task is called 'drive' (and so 29 more, to line 89)",
+        "step 0: (drive van-1): no action of the task is called 'drive'",
+    ]
+    assert found[3] == "log:7: 28 more of this kind, to line 88"
+    assert (len(found), found[7]) == (8, "log:12: 27 more of this kind, to line 90")
+
+
 def test_malformed_logs_through_the_command(tmp_path: Path) -> None:
     bad, line, message = MALFORMED[0]
     file = write_log(tmp_path / "log.jsonl", [*GOOD, *bad], tail='{"person": "bob", "epi')

@@ -292,7 +292,7 @@ def test_limits_stop_the_search() -> None:
         assert solution.value_always < solution.lower < solution.upper < solution.value_qmdp
         assert solution.backups > 0
     assert stopped["time"].seconds < 5
-    with pytest.raises(LimitError, match=r"first bounds on a problem of 128 states.*about \d+ MB.*1 MB are allowed"):
+    with pytest.raises(LimitError, match=r"first bounds on 128 states take about \d+ MB.*1 MB are allowed"):
         solve(pomdp, memory_limit_mb=1)
 
 

@@ -29,6 +29,9 @@ COLUMNS = ("person", "episode", "step", "action", "suggestion", "executed")
 NEEDED = COLUMNS[:4]
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
+EXAMPLES = 3
+"""Faults of a kind that are told one by one."""
+
 Names = tuple[str, str]
 """A person and one of their episodes."""
 
@@ -156,14 +159,24 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False) -> Log:
 
 
 def told(faults: Iterable[Fault], name: object) -> list[str]:
-    """Give a line for each fault, as compilers do; what is wrong with many lines is said once."""
-    alike: dict[str, list[Fault]] = {}
+    """Give a line for each fault, as compilers do.
+
+    What is wrong with many lines is said once, and of what differs in names and numbers only `EXAMPLES` are given: the
+    log of another task has hardly a line that fits.
+    """
+    kinds: dict[str, dict[str, list[Fault]]] = {}
     for fault in faults:
-        alike.setdefault(fault.message, []).append(fault)
+        kind = re.sub(r"\d+|\([^()]*\)|'[^']*'|;.*", "", fault.message)
+        kinds.setdefault(kind, {}).setdefault(fault.message, []).append(fault)
     lines = []
-    for first, *others in alike.values():
-        also = f" (and so {len(others)} more, to line {others[-1].line})" if others else ""
-        lines.append(f"{name}:{first.line}: {first}{also}")
+    for alike in kinds.values():
+        several = list(alike.values())
+        for first, *others in several[:EXAMPLES]:
+            also = f" (and so {len(others)} more, to line {others[-1].line})" if others else ""
+            lines.append(f"{name}:{first.line}: {first}{also}")
+        rest = [fault.line for faults in several[EXAMPLES:] for fault in faults]
+        if rest:
+            lines.append(f"{name}:{min(rest)}: {len(rest):,} more of this kind, to line {max(rest)}")
     return lines
 
 

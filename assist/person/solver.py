@@ -212,9 +212,8 @@ def solve(
     needed = first_bounds_bytes(pomdp) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
-            f"the first bounds on a problem of {len(pomdp.robot_actions):,} states, {pomdp.prior.size} hidden pairs "
-            f"and up to {pomdp.suggested.shape[1]} robot actions take about {needed:,.0f} MB of memory, and "
-            f"{memory_limit_mb:,.0f} MB are allowed; expected a smaller region of states, a coarser grid or more memory"
+            f"the first bounds on {len(pomdp.robot_actions):,} states take about {needed:,.0f} MB of memory, and "
+            f"{memory_limit_mb:,.0f} MB are allowed; expected fewer states, a coarser grid or more memory"
         )
     load_compiled(pomdp)
     start = time.perf_counter()
