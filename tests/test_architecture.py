@@ -30,8 +30,8 @@ ROOMS = {
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
-    "assist.live": """advice problem roster assistant course journal answered session pictures access simulated service limits
-        description messages admission routes watching browser web server client""",
+    "assist.live": """advice problem roster assistant course journal answered session pictures access simulated service
+        limits description messages admission routes watching browser web server client""",
     "assist.userstudy": """assignment questionnaires plan group cohort session tables effects summary report export
         service rehearsal routes serving""",
     "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
