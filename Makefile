@@ -3,6 +3,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
+# Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo live test test-all coverage lint bench bench-smallest study docs wheel-check clean
 
 # Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one

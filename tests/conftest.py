@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from functools import cache
+from itertools import islice
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,28 @@ LARGE = {
     "four-boxes", "five-items", "six-items", "eight-items", "nine-items",
 }  # fmt: skip
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Two more than processors: about as many wait for a service, a browser or the end of something at any time."""
+    return len(os.sched_getaffinity(0)) + 2
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let files with long tests come first, so that nobody is left alone with one of them in the end.
+
+    At first every worker is given an equal part of the list (what is left of it may go to others later); so each part
+    begins with its share of such files.
+    """
+    workers = getattr(config, "workerinput", {"workercount": 1})["workercount"]
+    long = list(dict.fromkeys(item.path for item in items if item.get_closest_marker("long")))
+    others, ordered = iter([item for item in items if item.path not in long]), list[pytest.Item]()
+    for worker in range(workers):
+        first = [item for item in items if item.path in long[worker::workers]]
+        part = (len(items) - len(ordered)) // (workers - worker)
+        ordered += [*first, *islice(others, max(0, part - len(first)))]
+    items[:] = ordered
 
 
 @cache

@@ -415,7 +415,7 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
     huge = KITTING / "ladder-4x10.pddl"
     actions = [FETCH, "(place hammer slot-3 box-a)", "(remove hammer)"]
     file = write_log(tmp_path / "log.jsonl", lines(*actions))
-    command = ["fit", huge, file, "--cache", tmp_path / "cache", "--json"]
+    command = ["fit", huge, file, "--max-states", 1000, "--cache", tmp_path / "cache", "--json"]
     program = [str(Path(sys.executable).with_name("kitassist")), *map(str, command)]
     process = subprocess.Popen(program, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     task = load(huge)

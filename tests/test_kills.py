@@ -14,6 +14,7 @@ from kills import DOMAINS, Figures, kill_and_resume, small_batch, survival, unin
 from planner.processes import guarded_group
 
 
+@pytest.mark.long
 def test_killed_batches_leave_nothing_and_lose_nothing(tmp_path: Path) -> None:
     duration, reference = uninterrupted(batch := small_batch(), tmp_path / "whole")
     shares = [(0.5, signal.SIGKILL, False), (0.7, signal.SIGTERM, True), (0.6, signal.SIGINT, False)]

@@ -22,7 +22,10 @@ from planner import Instance, Table
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra `test`, is not installed")
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`"),
+    pytest.mark.long,
+]
 
 PAPER = KITTING / "paper.pddl"
 PATIENCE = 20_000  # milliseconds until something is taken not to come

@@ -136,6 +136,7 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
         assert back["study"]["kind"] == "consent"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
 def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     chromium: Any, tmp_path: Path, tiny: Table
