@@ -145,20 +145,15 @@ class Teams:
         """
         there = np.zeros(self.x.shape, dtype=bool)
         there[rows] = ~self.finished[rows]
-        slot, spent, charged = np.full(self.x.size, NOTHING), np.zeros(self.x.size), np.zeros(self.x.size)
-        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
-        people = People(
-            x=self.x.reshape(-1), robot=robot.reshape(-1), who=self.who.reshape(-1), theta=self.theta.reshape(-1),
-            luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent,
-            erred=self.erred.reshape(-1),
-        )  # fmt: skip
+        charged = np.zeros(self.x.size)
+        people = People.of_teams(self.x, robot, self.who, self.theta, luck, self.belief, self.erred)
         for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
             group = self.groups[number]
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]
             act(at, people, group.minds, group.arrays)
             self.finished.reshape(-1)[at] = group.arrays.goal[people.x[at]]
         self.clock[rows] += 1
-        return slot.reshape(self.x.shape), (spent + charged).reshape(self.x.shape)
+        return people.slot.reshape(self.x.shape), (people.cost + charged).reshape(self.x.shape)
 
 
 class Sight:

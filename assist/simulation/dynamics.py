@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.compiled import heed, moved
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from ..person.qmdp import Arrays
 
 
@@ -51,6 +51,21 @@ class People(NamedTuple):
     slot: NDArray[np.int64]
     cost: Floats
     erred: NDArray[np.bool_]
+
+    @classmethod
+    def of_teams(
+        cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats, luck: Floats,
+        belief: Floats | None, erred: NDArray[np.bool_],
+    ) -> People:  # fmt: skip
+        """Give teams' people one after the other; arrays of shape (N, K, ...) in C order, of which these are views.
+
+        Who has done nothing yet has spent nothing.
+        """
+        return cls(
+            x.reshape(-1), robot.reshape(-1), who.reshape(-1), theta.reshape(-1), luck.reshape(-1, 2),
+            np.empty((0, 1, 1)) if belief is None else belief.reshape(-1, *belief.shape[2:]),
+            np.full(x.size, NOTHING), np.zeros(x.size), erred.reshape(-1),
+        )  # fmt: skip
 
 
 class Minds(NamedTuple):

@@ -102,23 +102,17 @@ class Run:
         view = self.ground.heard(view, robot)
         before = view.x.copy() if self.trace is not None else view.x
         theta_before = self.theta.copy() if self.trace is not None else self.theta
-        slot, spent = np.full(self.x.size, NOTHING), np.zeros(self.x.size)
         luck = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             luck[running, :, kind - 1] = self.luck.draw(kind, running)
-        # Views: people are changed in place.
-        belief = np.empty((0, 1, 1)) if self.belief is None else self.belief.reshape(-1, *self.belief.shape[2:])
-        people = People(
-            x=view.x.reshape(-1), robot=robot.reshape(-1), who=view.who.reshape(-1), theta=self.theta.reshape(-1),
-            luck=luck.reshape(-1, 2), belief=belief, slot=slot, cost=spent, erred=self.erred.reshape(-1),
-        )  # fmt: skip
+        people = People.of_teams(view.x, robot, view.who, self.theta, luck, self.belief, self.erred)
         for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
             group = view.groups[number]
             act(rows, people, group.minds, group.arrays)
-            to = view.x.reshape(-1)[rows]
+            to = people.x[rows]
             self.finished.reshape(-1)[rows] = group.ends[to]
             self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
-        cost = spent.reshape(self.x.shape)
+        slot, cost = people.slot, people.cost.reshape(self.x.shape)
         reward = -charged - cost
         self.discounted += self.pool.setting.gamma**step * reward.sum(axis=1)
         self.actions += slot.reshape(self.x.shape) >= 0
