@@ -224,22 +224,29 @@ class Coding:
         return self.packing.unpack(words)
 
 
-def choose(task: Task, moves: list[Move], check: Callable[[], None] = lambda: None) -> tuple[Coding | None, list[Move]]:
-    """Choose the coding of a task, and leave out moves that can never be applied; no coding if 63 bits do not do.
+def plain(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
+    """Give the coding by single variables, if 62 bits do, and leave out moves that can never be applied.
+
+    Where there is none, or one of more than `MANY` indices, `denser` may find a better one.
+    """
+    groups, possible = exactly_one(task, moves)
+    return Coding.of(task, groups, possible), possible
+
+
+def denser(
+    task: Task, coding: Coding | None, moves: list[Move], check: Callable[[], None] = lambda: None
+) -> tuple[Coding | None, list[Move]]:
+    """Look for a coding of fewer indices than one that is there, and leave out more moves.
 
     `check` is called again and again, and may raise `LimitError`.
     """
-    groups, possible = exactly_one(task, moves)
-    coding = Coding.of(task, groups, possible)
-    if coding is not None and coding.size <= MANY:
-        return coding, possible
     check()
-    mutexes = Mutexes.of(task, possible)
+    mutexes = Mutexes.of(task, moves)
     check()
-    denser = None if mutexes is None else Coding.dense(task, mutexes, check)
-    if mutexes is None or denser is None or (coding is not None and denser.size >= coding.size):
-        return coding, possible
-    return denser, mutexes.moves
+    found = None if mutexes is None else Coding.dense(task, mutexes, check)
+    if mutexes is None or found is None or (coding is not None and found.size >= coding.size):
+        return coding, moves
+    return found, mutexes.moves
 
 
 def _joined(

@@ -9,6 +9,7 @@ order, so that numbers do not depend on how many there are.
 from __future__ import annotations
 
 import heapq
+import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -175,8 +176,8 @@ class Listing:
     kinds: NDArray[np.unsignedinteger]
 
 
-def enumerated(task: Task, budget: Budget, threads: int, progress: Progress) -> Listing:
-    """Find the states that a task can reach, breadth first."""
+def enumerated(task: Task, budget: Budget, threads: int, progress: Progress, most: float = math.inf) -> Listing | None:
+    """Find the states that a task can reach, breadth first; None if they have `most` transitions or more."""
     packing = Packing.of(task)
     book = rulebook(task, packing)
     initial = packing.pack([task.initial])
@@ -212,6 +213,8 @@ def enumerated(task: Task, budget: Budget, threads: int, progress: Progress) -> 
                         kinds.rows[transitions : transitions + more] = kind_of[actions]
                     counts.rows[done : done + len(block_counts)] = block_counts
                     done, transitions = done + len(block_counts), transitions + more
+                if transitions >= most:
+                    return None
                 budget.check_states(held)
                 budget.check_time(held)
                 per_state, per_transition = 8 * packing.words + 24, 8 + 4 * (len(costs) > 1)

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from . import kernels, reached
 from .budget import Budget, available_memory
 from .checkpoint import Checkpoint
-from .coding import choose
+from .coding import MANY, denser, plain
 from .costtogo import Table
-from .listing import enumerated, settled
+from .listing import Listing, enumerated, settled
 from .moves import split_operators
 from .reached import States
 from .reports import Progress
@@ -33,6 +33,9 @@ from .statespace import StateSpace
 from .successors import Ints, Transitions
 from .task import Fact, Task
 from .trie import build_tests
+
+FEW = 64
+"""Transitions for each move that are listed before a dense index is looked for, which takes longer than that."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,12 @@ def sweep(
     moves = split_operators(task)
     if moves is None:
         return _listed(task, budget, threads, "its operators split into very many moves", told)
-    coding, moves = choose(task, moves, partial(budget.check_time, 1))
+    coding, moves = plain(task, moves)
+    if coding is None or coding.size > MANY:
+        few = enumerated(task, budget, threads, told, FEW * len(moves))
+        if few is not None:
+            return _settled(task, few, budget, told, None)
+        coding, moves = denser(task, coding, moves, partial(budget.check_time, 1))
     if coding is None:
         return _listed(task, budget, threads, "its states take more than 62 bits each", told)
     searches = Searches(
@@ -153,7 +161,13 @@ def sweep(
 def _listed(task: Task, budget: Budget, threads: int, why: str, progress: Progress) -> Table:
     """List the states, which does for every task; the table's note says why."""
     listing = enumerated(task, budget, threads, progress)
-    distance = settled(task, listing, budget, progress)
+    assert listing is not None
     note = f"swept without an index, which takes some ten times as long as with one: {why}"
+    return _settled(task, listing, budget, progress, note)
+
+
+def _settled(task: Task, listing: Listing, budget: Budget, progress: Progress, note: str | None) -> Table:
+    """Find the distances of states that are listed."""
+    distance = settled(task, listing, budget, progress)
     space = StateSpace(task, len(distance), 0, len(listing.targets), listing.found)
     return Table(space, distance, note)

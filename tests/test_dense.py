@@ -169,15 +169,18 @@ def test_the_tasks_have_what_is_looked_for() -> None:
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
-@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
-def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool) -> None:
+@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), *[st.booleans()] * 2)
+def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool, few: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Coding, "of", classmethod(lambda *_: None))  # only the dense coding is left
+        if not few:  # these are listed before it is looked for
+            patch.setattr(module, "FEW", -1)
         if hashed:
             patch.setattr(searches, "SMALL_BITMAP", 0)
             patch.setattr(searches, "SPARSE", 0)
         table = check(composed(seed, costs=costs))
-        assert len(table.space.numbering.searches.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
+        if not few:
+            assert len(table.space.numbering.searches.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
         check(random_task(random.Random(seed), costs=costs))
 
 
@@ -185,7 +188,7 @@ def test_a_counted_task_has_a_dense_index() -> None:
     """41 thousand states of a product of 4e9: the index leaves little out."""
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.coding.MANY", 1 << 20)
+        patch.setattr(module, "MANY", 1 << 20)
         table = module.sweep(task)
     assert len(table) == 41_472
     assert table.space.numbering.searches.coding.size < 64 * len(table)
