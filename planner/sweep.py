@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels, reached
-from .budget import Budget, available_memory
+from .budget import Budget, MemoryLimitError, available_memory
 from .checkpoint import Checkpoint
 from .coding import MANY, denser, plain
 from .costtogo import Table
@@ -34,8 +35,11 @@ from .successors import Ints, Transitions
 from .task import Fact, Task
 from .trie import build_tests
 
-FEW = 64
+FEW = 128
 """Transitions for each move that are listed before a dense index is looked for, which takes longer than that."""
+
+HUGE = 1 << 38
+"""Indices of which no bitmap is made: a list takes less time than a hash table of them, but more memory."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,9 @@ def sweep(
         coding, moves = denser(task, coding, moves, partial(budget.check_time, 1))
     if coding is None:
         return _listed(task, budget, threads, "its states take more than 62 bits each", told)
+    if coding.size > HUGE:
+        with suppress(MemoryLimitError, MemoryError):
+            return _listed(task, budget, threads, None, told)
     searches = Searches(
         coding,
         build_tests(moves, coding, task.costs),
@@ -158,12 +165,12 @@ def sweep(
     return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance)
 
 
-def _listed(task: Task, budget: Budget, threads: int, why: str, progress: Progress) -> Table:
-    """List the states, which does for every task; the table's note says why."""
+def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:
+    """List the states, which does for every task; the table's note says why, if there is a reason."""
     listing = enumerated(task, budget, threads, progress)
     assert listing is not None
     note = f"swept without an index, which takes some ten times as long as with one: {why}"
-    return _settled(task, listing, budget, progress, note)
+    return _settled(task, listing, budget, progress, None if why is None else note)
 
 
 def _settled(task: Task, listing: Listing, budget: Budget, progress: Progress, note: str | None) -> Table:

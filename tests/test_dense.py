@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Iterator
 
@@ -175,6 +176,7 @@ def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool, few: b
         patch.setattr(Coding, "of", classmethod(lambda *_: None))  # only the dense coding is left
         if not few:  # these are listed before it is looked for
             patch.setattr(module, "FEW", -1)
+            patch.setattr(module, "HUGE", math.inf)
         if hashed:
             patch.setattr(searches, "SMALL_BITMAP", 0)
             patch.setattr(searches, "SPARSE", 0)
