@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from .atomics import exchange_free, fetch_min, fetch_or, lowest_bit, prefetch
 from .compiled import njit
-from .reached import ask_for, close_one, find_slot, first_slot, is_closed, number_of
+from .reached import ask_for, find_slot, first_slot, number_of
 from .successors import Ints, Words
 
 PENDING = 256
@@ -391,60 +391,6 @@ def mark(decoder, block, masks, values, marks):
         for w in range(len(masks)):
             met &= words[w] & masks[w] == values[w]
         marks[i] = met
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def relax(tests, decoder, states, closed, block, start, d, distance, out, through, filled):
-    """Push the predecessors whose distance falls by way of the states of distance `d`, and their new distance.
-
-    Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which
-    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty.
-
-    Returns
-    -------
-    stop : int
-        `block[start:stop]` is done.
-    filled : int
-    """
-    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
-    pending = np.empty(PENDING + tests.most, dtype=np.int64)
-    values = np.empty(len(pending), dtype=np.int64)
-    numbers = np.empty(len(pending), dtype=np.int64)
-    i = start
-    while i < len(block):
-        waiting, begun = 0, i
-        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
-            index = block[i]
-            i += 1
-            if distance[number_of(states, index)] != d:
-                continue  # it has been reached on a cheaper way since it was pushed
-            close_one(closed, index)
-            for place in range(applicable(tests, decoder, index, cursor, moves)):
-                move = moves[place]
-                target = after(tests, cursor.words, move, index)
-                if target >= 0:
-                    if len(closed):
-                        prefetch(closed, target >> 6)
-                    pending[waiting], values[waiting] = target, d + tests.cost[move]
-                    waiting += 1
-        if i == begun:
-            break
-        asked = 0
-        for j in range(waiting):  # without a branch, which nobody could predict
-            open_, pending[asked], values[asked] = not is_closed(closed, pending[j]), pending[j], values[j]
-            asked += open_
-        for j in range(asked):
-            ask_for(states, pending[j])
-        for j in range(asked):
-            numbers[j] = number_of(states, pending[j])
-            if numbers[j] >= 0:
-                prefetch(distance, numbers[j])
-        for j in range(asked):
-            number = numbers[j]
-            if number >= 0 and values[j] < distance[number] and values[j] < fetch_min(distance, number, values[j]):
-                out[filled], through[filled] = pending[j], values[j]
-                filled += 1
-    return i, filled
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

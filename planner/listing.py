@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import packed
+from . import packed, relaxing
 from .budget import Budget
 from .costtogo import UNREACHED, compact
 from .fast_downward import LimitError
@@ -242,9 +242,9 @@ def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) ->
     packed.turn_round(listing.counts, listing.targets, listing.kinds, into, sources, kinds)
     costs = np.unique(task.costs).astype(np.int64) if task.costs else np.zeros(1, dtype=np.int64)
     distance = np.full(states, UNREACHED, dtype=np.int64)
-    goal = np.flatnonzero(listing.found.where(task.goal)).astype(np.int32)
+    goal = np.flatnonzero(listing.found.where(task.goal))
     distance[goal] = 0
-    room = max(BLOCK, int(np.diff(into[:-1]).max(initial=1)))
+    room = max(16 * BLOCK, int(np.diff(into[:-1]).max(initial=1)))
     waiting = {0: [goal]}
     order = [0]
     while order:
@@ -256,13 +256,15 @@ def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) ->
             stop = 0
             while stop < len(block):
                 budget.check_time(states)
-                out, through = np.empty(room, dtype=np.int32), np.empty(room, dtype=np.int64)
-                stop, filled = packed.relax(into, sources, kinds, costs, block, stop, d, distance, out, through)
-                out, through = out[:filled], through[:filled]
-                for value in np.unique(through).tolist() if len(costs) > 1 else [d + int(costs[0])]:
+                out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+                stop, filled = packed.relax(into, sources, kinds, costs, distance, block, stop, d, out, through)
+                begin, ordered = np.zeros(len(costs) + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
+                relaxing.by_kind(out[:filled], through[:filled], begin, ordered)
+                for kind in np.flatnonzero(np.diff(begin[:-1])).tolist():
+                    value = d + int(costs[kind])
                     if value not in waiting:
                         waiting[value] = []
                         if value != d:
                             heapq.heappush(order, value)
-                    waiting[value].append(out[through == value] if len(costs) > 1 else out.copy())
+                    waiting[value].append(ordered[begin[kind] : begin[kind + 1]])
     return compact(distance)

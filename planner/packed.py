@@ -304,8 +304,8 @@ def turn_round(counts, targets, kinds, into, sources, source_kinds):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def relax(into, sources, kinds, costs, block, start, d, distance, out, through):
-    """Push the predecessors whose distance falls by way of the states of distance `d`, and their new distance.
+def relax(into, sources, kinds, costs, distance, block, start, d, out, through):
+    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
 
     Returns
     -------
@@ -320,9 +320,10 @@ def relax(into, sources, kinds, costs, block, start, d, distance, out, through):
         if distance[state] != d:
             continue  # it has been reached on a cheaper way since it was pushed
         for row in range(into[state], into[state + 1]):
-            value = d + costs[kinds[row] if len(kinds) else 0]
+            kind = np.int64(kinds[row]) if len(kinds) else 0
+            value = d + costs[kind]
             if value < distance[sources[row]]:
                 distance[sources[row]] = value
-                out[filled], through[filled] = sources[row], value
+                out[filled], through[filled] = sources[row], kind
                 filled += 1
     return i, filled

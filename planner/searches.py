@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from . import kernels, reached
+from . import kernels, reached, relaxing
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .coding import Coding
@@ -176,7 +176,13 @@ class Searches:
         """
         if len(frontier) == 1 and len(frontier[0]) <= BLOCK:
             return deque([frontier.pop()])
-        self.budget.check_memory(in_use + 16 * sum(map(len, frontier)))
+        indices = sum(map(len, frontier))
+        self.budget.check_memory(in_use + 16 * indices)
+        if indices <= BLOCK:  # too few to start threads for
+            layer = np.concatenate(frontier)
+            frontier.clear()
+            layer.sort()
+            return deque([layer])
         runs = [frontier[start :: self.threads] for start in range(min(self.threads, len(frontier)))]
         frontier.clear()
 
@@ -369,13 +375,14 @@ class Searches:
         work: type[np.unsignedinteger] = np.uint32 if largest * total < np.iinfo(np.uint32).max else np.uint64
         in_use = sum(array.nbytes for array in states) + total * (np.dtype(work).itemsize + 4)
         self.budget.check_memory(in_use)
+        costs, kinds = np.unique(self.backward.cost, return_inverse=True)
         unreached = np.iinfo(work).max
         distance = np.full(total, unreached, dtype=work)
-        size = max(BLOCK, 4 * self.backward.most)
         for block in frontier:
             reached.label(states, distance, 0, block)
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
+        relax = partial(relaxing.relax, self.backward, self.coding.decoder, states, closed, kinds, costs, distance)
         self.progress("cost-to-go", 0, None)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
@@ -391,6 +398,7 @@ class Searches:
             held -= sum(map(len, blocks))
 
             def settle(_: int, d: int = d, blocks: deque[Ints] = blocks) -> list[tuple[Ints, Ints]]:
+                size = max(BLOCK, 4 * self.backward.most)
                 out, through = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
                 pushed: list[tuple[Ints, Ints]] = []
                 while blocks:
@@ -401,31 +409,23 @@ class Searches:
                     self.budget.check_time(total)
                     stop = 0
                     while stop < len(block):
-                        stop, filled = kernels.relax(
-                            self.backward,
-                            self.coding.decoder,
-                            states,
-                            closed,
-                            block,
-                            stop,
-                            d,
-                            distance,
-                            out,
-                            through,
-                            0,
-                        )
-                        pushed.append((out[:filled].copy(), through[:filled].copy()))
+                        stop, filled = relax(block, stop, d, out, through)
+                        begin = np.zeros(len(costs) + 2, dtype=np.int64)
+                        ordered = np.empty(filled, dtype=np.int64)
+                        relaxing.by_kind(out[:filled], through[:filled], begin, ordered)
+                        pushed.append((ordered, begin))
                 return pushed
 
             parts = self._share(settle, range(min(self.threads, len(blocks))))
-            for targets, values in (pair for part in parts for pair in part):
-                held += len(targets)
-                for value in np.unique(values).tolist():
+            for ordered, begin in (pair for part in parts for pair in part):
+                held += len(ordered)
+                for kind in np.flatnonzero(np.diff(begin[:-1])).tolist():
+                    value = d + int(costs[kind])
                     if value not in waiting:
                         waiting[value] = []
                         if value != d:
                             heapq.heappush(order, value)
-                    waiting[value].append(targets[values == value])
+                    waiting[value].append(ordered[begin[kind] : begin[kind + 1]])
         found = distance != unreached
         dtype = smallest_type(int(distance[found].max(initial=0)))
         result = np.full(total, np.iinfo(dtype).max, dtype=dtype)

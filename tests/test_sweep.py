@@ -137,6 +137,7 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
 @pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))])
 def test_random_tasks(seed, costs, hashed, monkeypatch):
+    monkeypatch.setattr(searches, "BLOCK", 64)  # what is less is left to one thread
     if hashed:
         monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
         monkeypatch.setattr(searches, "SPARSE", 0)
@@ -242,7 +243,8 @@ def test_the_number_of_threads_does_not_matter(kitting):
         np.testing.assert_array_equal(table.distance, tables[0].distance)
 
 
-def test_a_task_of_many_blocks(smaller):
+def test_a_task_of_many_blocks(smaller, monkeypatch):
+    monkeypatch.setattr(searches, "BLOCK", 256)
     check(smaller)
 
 
