@@ -18,7 +18,8 @@ def relax(tests, decoder, states, closed, kinds, costs, distance, block, start, 
     """Push the predecessors whose distance falls by way of the states of distance `d`, and the kinds of those moves.
 
     Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which
-    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty. `kinds` are those of the moves, `through` are those pushed.
+    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty. `kinds`
+    are those of the moves, `through` are those pushed.
 
     Returns
     -------
