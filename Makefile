@@ -102,3 +102,8 @@ $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
 $(VENV)/.docs: $(VENV)/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots,study,web,docs]'
 	@touch $@
+
+# All of these at once, which takes hardly longer than one.
+$(VENV)/.all: $(VENV)/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots,study,web,test,docs]'
+	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.test $(VENV)/.docs $@

@@ -10,7 +10,6 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
@@ -29,6 +28,7 @@ from .reached import States
 from .reports import Progress
 from .successors import Ints, Words
 from .task import Fact
+from .threads import on_threads
 
 BLOCK = 1 << 16
 """Indices in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
@@ -163,11 +163,7 @@ class Searches:
 
     def _share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
         """Do a piece of work for each part, on all threads."""
-        listed = list(parts)
-        if self.threads == 1 or len(listed) < 2:
-            return [work(part) for part in listed]
-        with ThreadPoolExecutor(min(self.threads, len(listed))) as pool:
-            return list(pool.map(work, listed))
+        return on_threads(work, parts, self.threads)
 
     def _ascending(self, frontier: list[Ints], in_use: int) -> deque[Ints]:
         """Put a layer into blocks of ascending indices; empties the list.

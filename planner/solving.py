@@ -31,6 +31,7 @@ from .reports import Progress
 from .source import Source
 from .storage import atomic
 from .task import Effect, Operator, Task, Variable, ground
+from .threads import NO_MORE_THREADS
 
 if TYPE_CHECKING:
     from .costtogo import Table
@@ -172,6 +173,10 @@ def solve_instance(
         record = _out_of_memory(instance, options)
     except (FastDownwardError, MismatchError, InvalidPlanError) as error:
         record = unsolved(instance, "invalid", str(error))
+    except RuntimeError as error:
+        if str(error) != NO_MORE_THREADS:
+            raise
+        record = _out_of_memory(instance, options)
     except OSError as error:
         if error.errno == errno.ENOMEM:  # another program found no room to begin
             record = _out_of_memory(instance, options)

@@ -1,10 +1,12 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
 import subprocess
 import sys
+import threading
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -77,18 +79,28 @@ def no_line_comes_between() -> None:
     task.compiling_line = solving.compiling_line = lambda: lambda: None
 
 
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of all processes that run tests."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
 @pytest.fixture(scope="session", autouse=True)
-def the_same_texts_are_grounded_once() -> None:
-    """In this process, where nothing is limited: the translator is a program of its own, which takes time to start."""
-    translate, grounded = fast_downward.translate, dict[tuple[str, str], str]()
+def the_same_texts_are_grounded_once(shared: Path) -> None:
+    """Where nothing is limited: the translator is a program of its own, which takes time to start."""
+    translate = fast_downward.translate
 
     def once(source: Source, limits: Limits = fast_downward.NO_LIMITS) -> str:
         if limits != fast_downward.NO_LIMITS:
             return translate(source, limits)
-        texts = source.domain_text, source.problem_text
-        if texts not in grounded:
-            grounded[texts] = translate(source)
-        return grounded[texts]
+        texts = json.dumps([source.domain_text, source.problem_text])
+        grounded = shared / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
+        if not grounded.exists():
+            part = grounded.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
+            part.write_text(translate(source))
+            part.replace(grounded)
+        return grounded.read_text()
 
     fast_downward.translate = once
 
@@ -119,15 +131,14 @@ def pool(tiny_choices: Choices) -> Pool:
 
 
 @pytest.fixture(scope="session")
-def small_study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, Path, dict]:
+def small_study(shared: Path) -> tuple[Study, Path, dict]:
     """A study that was carried out by the command with one worker: the study, its folder, and what was printed.
 
     It takes seconds, and so is made once for all processes that run tests.
     """
     from studies import write  # which imports this file
 
-    own = tmp_path_factory.getbasetemp()
-    folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "small-study"
+    folder = shared / "small-study"
     folder.mkdir(exist_ok=True)
     printed = folder / "printed.json"
     with (folder / "lock").open("w") as lock:

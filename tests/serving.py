@@ -33,12 +33,12 @@ class Served:
 
     def ask(self, method: str, path: str, person: str | None = None, **more: Any) -> httpx.Response:
         headers = {"Authorization": f"Bearer {self.token(person)}"}
-        return httpx.request(method, self.url + path, headers=headers, timeout=30, **more)
+        return httpx.request(method, self.url + path, headers=headers, timeout=120, **more)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
         """End it; give its exit code and what it said on stderr."""
         self.process.send_signal(number)
-        _, said = self.process.communicate(timeout=30)
+        _, said = self.process.communicate(timeout=120)
         return self.process.returncode, said
 
 

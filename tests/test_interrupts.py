@@ -138,6 +138,7 @@ def test_handlers_are_given_back() -> None:
         (MemoryError(), 1, "out of memory"),
         (Interrupted(signal.SIGHUP), 129, "interrupted"),
         (KeyboardInterrupt(), 130, "interrupted"),
+        (RuntimeError("can't start new thread"), 1, "out of memory: can't start new thread"),
     ],
 )
 def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int, words: str) -> None:

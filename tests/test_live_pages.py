@@ -28,7 +28,7 @@ pytestmark = [
 ]
 
 PAPER = KITTING / "paper.pddl"
-PATIENCE = 20_000  # milliseconds until something is taken not to come
+PATIENCE = 60_000  # milliseconds until something is taken not to come
 LAST = re.compile(r"^(?:Put|Fetch|Return|Take) ")
 
 

@@ -70,7 +70,7 @@ def test_cost_to_go_equals_scipys_dijkstra(instance: Instance) -> None:
 def test_plan_read_off_the_table_reaches_the_goal_at_its_cost(instance: Instance) -> None:
     table = table_of(instance)
     finite = np.flatnonzero(~table.dead_end)
-    for state in np.random.default_rng(2).choice(finite, min(20, len(finite)), replace=False):
+    for state in np.random.default_rng(2).choice(finite, min(6, len(finite)), replace=False):
         plan = table.optimal_plan(int(state))
         assert plan is not None
         assert table.space.task.plan_cost(plan) == table[int(state)]

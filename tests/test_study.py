@@ -55,7 +55,7 @@ def test_a_killed_study_resumes_to_the_same_bytes(small_study: tuple[Study, Path
     assert drawn == {name: (whole / "figures" / name).read_bytes() for name in drawn}
 
 
-@pytest.mark.usefixtures("one_picture")
+@pytest.mark.usefixtures("one_picture", "in_this_process")
 def test_repeats_can_be_added_and_another_study_is_refused(
     small_study: tuple[Study, Path, dict], tmp_path: Path
 ) -> None:

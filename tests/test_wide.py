@@ -50,8 +50,8 @@ WAYS: list[tuple[Any, dict[str, Any]]] = [
     ("priority", {"world": "model"}),
 ]
 CASES = [
-    pytest.param(task, *way, marks=[pytest.mark.slow] if task == "costs/ways" and way not in WAYS[2:4] else [])
-    for task in ("sealed", "costs/ways")
+    pytest.param(task, *way, marks=[] if way in quick else [pytest.mark.slow])
+    for task, quick in (("sealed", [WAYS[1], *WAYS[3:]]), ("costs/ways", WAYS[2:4]))
     for way in WAYS
 ]
 

@@ -13,6 +13,7 @@ import click
 from planner import InstanceError, LimitError, PDDLError
 from planner.errors import DamagedFileError, MissingExtraError, ResultsExistError
 from planner.fast_downward import FastDownwardError
+from planner.threads import NO_MORE_THREADS
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -39,6 +40,10 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
         fail(str(error), EXIT_FAILED)
     except MemoryError as error:
         fail(f"out of memory{f': {error}' if str(error) else ''}", EXIT_FAILED)
+    except RuntimeError as error:
+        if str(error) != NO_MORE_THREADS:
+            raise
+        fail(f"out of memory: {error}", EXIT_FAILED)
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:
             raise  # nobody reads on; click ends without a word
