@@ -4,6 +4,7 @@ import fcntl
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -34,6 +35,7 @@ LARGE = {
     "balls-13", "blocks-7", "blocks-8", "two-walls", "rush", "five-parcels", "two-vans", "three-benches",
     "four-boxes", "five-items", "six-items", "eight-items", "nine-items",
 }  # fmt: skip
+PROGRESS = re.compile(r"^.+, \d+ s(: [\d,]+(,| of) .+)?\n", re.M)
 SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
 
 
@@ -160,10 +162,13 @@ def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:
-    """Run the command as a user does; that something is compiled first, which depends on the past, is left out."""
+    """Run the command as a user does.
+
+    That something is compiled first, which depends on the past, and how far it is, on the machine's load, are left out.
+    """
     command = [str(Path(sys.executable).with_name("kitassist")), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=240, check=check)
-    done.stderr = done.stderr.replace(f"{progress.COMPILING_LINE}\n", "")
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=600, check=check)
+    done.stderr = PROGRESS.sub("", done.stderr.replace(f"{progress.COMPILING_LINE}\n", ""))
     return done
 
 
