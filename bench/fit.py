@@ -1,6 +1,6 @@
 """What is recovered of people from their recorded actions: simulated people whose parameters are known.
 
-    python bench/fit.py COMMAND [--help]
+    python bench/fit.py COMMAND [--record FILE [--more]] [--help]
 
 `recover` estimates people with known parameters and counts how many intervals cover them, `information` says how
 well anybody could estimate them, `misconceptions` estimates sigma, `time` runs the command on large tasks.
@@ -11,14 +11,18 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
 from rich.console import Console
 from rich.table import Table as Grid
 from scipy.stats import spearmanr
-from simulated_people import People, observed, record
+from simulated_people import People, observed
+from simulated_people import record as recorded
+from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.learning import (
     Method,
@@ -35,6 +39,40 @@ from planner.storage import write_records
 
 ROOT = Path(__file__).resolve().parent.parent
 KITTING = ROOT / "domains" / "kitting"
+
+
+def joined(name: str) -> Callable[[dict[str, Any]], str]:
+    """Show what every seed has of one thing."""
+    return lambda row: ", ".join(row[name])
+
+
+SEEDS: Columns = {
+    "instance": cell("instance"), "beta": cell("distribution"), "seed": cell("seed"),
+    "beta covered": cell("beta covered"), "rank correlation": cell("rank corr."), "at best": cell("at best"),
+    "not bounded above": cell("not bounded"), "theta covered": cell("theta covered"),
+}  # fmt: skip
+INSTANCES: Columns = {
+    "instance": cell("instance"), "actions of a person": joined("each"), "rank correlation": joined("rank corr."),
+    "at best": joined("at best"),
+}  # fmt: skip
+POPULATION: Columns = {
+    "beta": cell("distribution"), "": cell("what"), "bias of mean, rms": cell("mean"),
+    "bias of spread, rms": cell("spread"), "both within 10 %": cell("near"),
+}  # fmt: skip
+INFORMATION: Columns = {
+    "instance": cell("instance"), "smallest mistake": cell("smallest mistake"),
+    "mistakes of their own, beta 5": cell("own mistakes, beta 5"), "Cramér-Rao bound, beta 1": cell("error, beta 1"),
+    **{name: cell(f"error, beta {name}") for name in ("2", "3", "5")},
+    "best rank correlation, uniform": cell("uniform"), "log-uniform": cell("log-uniform"),
+}  # fmt: skip
+MISCONCEPTIONS: Columns = {
+    **{name: cell(name) for name in ("episodes", "sigma", "plain beta", "beta", "sigma found", "sigma covered")},
+    "correlation of found and true h - h*": cell("corr. of h"),
+    "check p < 0.05": cell("check p < 0.05"),
+}
+
+BETA_MOMENTS = ("mean", "of these", "true", "spread", "of these ", "true ")
+THETA_MOMENTS = ("theta mean", "true theta mean", "theta spread", "true theta spread")
 
 
 def uniform(rng: np.random.Generator, low: float, high: float, count: int, distribution: str) -> np.ndarray:
@@ -106,10 +144,16 @@ def main() -> None:
 @click.option("--largest-beta", type=float)
 @click.option("--seeds", type=int, default=1, show_default=True)
 @click.option("--first-seed", type=int, default=0, show_default=True)
+@click.option(
+    "--rows", "kind", type=click.Choice(["seeds", "instance", "population"]), default="seeds", show_default=True,
+    help="What --record has rows of.",
+)  # fmt: skip
+@record_option
+@more_option
 def recover(
     instance: str, count: int, episodes: int, distribution: str, beta: tuple[float, float],
     theta: tuple[float, float], sigma: float, suggest: float, eta: float | None, largest_beta: float | None, seeds: int,
-    first_seed: int,
+    first_seed: int, kind: str, record: Path | None, more: bool,
 ) -> None:  # fmt: skip
     """Estimate people whose parameters are known, and say how many intervals cover them.
 
@@ -118,24 +162,15 @@ def recover(
     """
     table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
     method = Method(eta=eta, largest_beta=largest_beta)
-    shown = Grid(
-        title=f"{instance}: {count} people, {episodes} episodes, beta {distribution} in {beta}, sigma {sigma:g}"
-    )
-    for name in (
-        "seed", "actions", "seconds", "beta covered", "rank corr.", "at best", "not bounded", "theta covered",
-        "eta covered", "family", "mean", "of these", "true", "spread", "of these", "true", "theta mean", "true",
-        "spread", "true",
-    ):  # fmt: skip
-        shown.add_column(name, justify="right")
     drawn_from = moments(*beta, distribution)
-    found = []
+    name, found, rows = f"`{instance.removeprefix('kitting/')}`", [], []
     for seed in range(first_seed, first_seed + seeds):
         rng = np.random.default_rng(seed)
         people = People(
             uniform(rng, *beta, count, distribution), rng.uniform(*theta, count),
             noise=sigma * rng.standard_normal((count, len(table))) if sigma else None,
         )  # fmt: skip
-        observations = observed(table, record(table, people, episodes=episodes, rng=rng, suggest=suggest, most=2000))
+        observations = observed(table, recorded(table, people, episodes=episodes, rng=rng, suggest=suggest, most=2000))
         start = time.perf_counter()
         fits = maximum_likelihood(observations, method)
         seconds = time.perf_counter() - start
@@ -151,38 +186,65 @@ def recover(
             return f"{100 * ((low <= true) & (true <= high)).mean():.1f} %"
 
         told = all(f.theta is not None for f in fits)
-        shown.add_row(
-            str(seed),
-            f"{sum(map(len, observations)):,}",
-            f"{seconds:.1f}",
-            covered(people.beta, [f.beta.interval for f in fits]),
-            f"{spearmanr(people.beta, [f.beta.value for f in fits])[0]:.3f}",
-            f"{best:.3f}",
-            f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
-            covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
-            covered(np.full(count, people.eta), [f.eta.interval for f in fits]) if told and eta is None else "-",
-            found_population.beta.family,
-            *(f"{x:.2f}" for x in np.array(found[-1]).T.ravel()),
-            *(
-                ["-"] * 4
-                if theta_of is None
-                else (f"{x:.2f}" for x in (theta_of.mean, people.theta.mean(), theta_of.spread, people.theta.std()))
-            ),
-        )
-    Console(width=220).print(shown)
+        rows.append({
+            "instance": name, "distribution": distribution, "seed": str(seed),
+            "actions": f"{sum(map(len, observations)):,}", "each": f"{sum(map(len, observations)) / count:.0f}",
+            "seconds": f"{seconds:.1f}",
+            "beta covered": covered(people.beta, [f.beta.interval for f in fits]),
+            "rank corr.": f"{spearmanr(people.beta, [f.beta.value for f in fits])[0]:.3f}",
+            "at best": f"{best:.3f}",
+            "not bounded": f"{100 * np.mean([f.beta.open_above for f in fits]):.0f} %",
+            "theta covered": covered(people.theta, [f.theta.interval for f in fits]) if told else "-",
+            "eta covered": covered(np.full(count, people.eta), [f.eta.interval for f in fits])
+            if told and eta is None
+            else "-",
+            "family": found_population.beta.family,
+            **dict(zip(BETA_MOMENTS, (f"{x:.2f}" for x in np.array(found[-1]).T.ravel()), strict=True)),
+            **dict.fromkeys(THETA_MOMENTS, "-"),
+        })  # fmt: skip
+        if theta_of is not None:
+            values = theta_of.mean, people.theta.mean(), theta_of.spread, people.theta.std()
+            rows[-1] |= {name: f"{x:.2f}" for name, x in zip(THETA_MOMENTS, values, strict=True)}
+    show(
+        rows, f"{instance}: {count} people, {episodes} episodes, beta {distribution} in {beta}, sigma {sigma:g}",
+        ("instance", "distribution", "each"),
+    )  # fmt: skip
     fitted, of_these, true = np.array(found).swapaxes(0, 1)
-    for name, values, against in (
-        ("population against the distribution", fitted, drawn_from),
-        ("population against the people drawn", fitted, true),
-        ("these people against the people drawn", of_these, true),
+    errors = []
+    for what, values, against in (
+        ("`mean`, `spread` against the distribution", fitted, drawn_from),
+        ("`mean`, `spread` against the people drawn", fitted, true),
+        ("`recorded` against the people drawn", of_these, true),
         ("the people drawn against the distribution", true, drawn_from),
     ):
         error = 100 * (values / against - 1)
         rms, bias = np.sqrt((error**2).mean(axis=0)), error.mean(axis=0)
+        near = f"{(np.abs(error) <= 10).all(axis=1).sum()} of {seeds}"
         print(
-            f"{name}: mean {bias[0]:+.1f} % (rms {rms[0]:.1f}), spread {bias[1]:+.1f} % (rms {rms[1]:.1f}); "
-            f"both within 10 % in {(np.abs(error) <= 10).all(axis=1).sum()} of {seeds}"
+            f"{what}: mean {bias[0]:+.1f} % (rms {rms[0]:.1f}), spread {bias[1]:+.1f} % (rms {rms[1]:.1f}); "
+            f"both within 10 % in {near}"
         )
+        moment = {key: f"{bias[at]:.1f}, {rms[at]:.1f}" for at, key in enumerate(("mean", "spread"))}
+        errors.append({"distribution": distribution, "what": what, "near": near, **moment})
+    match kind:
+        case "seeds":
+            write_record(record, SEEDS, rows, more=more)
+        case "population":
+            write_record(record, POPULATION, errors[:-1], more=more)
+        case "instance":
+            together = {key: [row[key] for row in rows] for key in ("each", "rank corr.", "at best")}
+            write_record(record, INSTANCES, [{"instance": name, **together}], more=more)
+
+
+def show(rows: list[dict[str, Any]], title: str, without: tuple[str, ...] = ()) -> None:
+    """Print rows as a table, but for some of their entries."""
+    shown = Grid(title=title)
+    names = [name for name in rows[0] if name not in without]
+    for name in names:
+        shown.add_column(name, justify="right")
+    for row in rows:
+        shown.add_row(*(row[name] for name in names))
+    Console(width=260).print(shown)
 
 
 @main.command()
@@ -190,65 +252,59 @@ def recover(
 @click.option("--people", "count", type=int, default=200, show_default=True)
 @click.option("--episodes", type=int, default=3, show_default=True)
 @click.option("--suggest", type=float, default=0.5, show_default=True)
-def information(instances: tuple[str, ...], count: int, episodes: int, suggest: float) -> None:
+@record_option
+@more_option
+def information(
+    instances: tuple[str, ...], count: int, episodes: int, suggest: float, record: Path | None, more: bool
+) -> None:
     """Say how well anybody could estimate beta in [0.1, 5] on INSTANCES (kitting/paper), whatever the method.
 
     The standard errors are the Cramer-Rao bounds for people of that beta. Rank correlations are those that no estimator
     exceeds on average. People's own mistakes are those that nobody suggested to them, in all episodes.
     """
-    shown = Grid(title=f"{count} people, {episodes} episodes")
-    betas = (1.0, 2.0, 3.0, 5.0)
-    for name in (
-        "instance", "smallest mistake", "actions, beta 5", *(f"error, beta {b:g}" for b in betas),
-        "own mistakes, beta 5", "uniform", "log-uniform",
-    ):  # fmt: skip
-        shown.add_column(name, justify="right")
+    rows, betas = [], (1.0, 2.0, 3.0, 5.0)
     for instance in instances or ("kitting/paper",):
         table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
 
         def simulated(beta: np.ndarray, table: Table = table) -> tuple[list[Observations], People]:
             rng = np.random.default_rng(len(beta))
             people = People(beta, rng.uniform(0.3, 0.95, len(beta)))
-            return observed(table, record(table, people, episodes=episodes, rng=rng, suggest=suggest)), people
+            return observed(table, recorded(table, people, episodes=episodes, rng=rng, suggest=suggest)), people
 
         errors = []
         for beta in betas:
             observations, people = simulated(np.full(count, beta))
             errors.append(f"{standard_error(observations, people):.2f}")
-        ranks = []
+        own = np.mean([((o.regret > 0) & (o.chosen != o.suggested)).sum() for o in observations])
+        rows.append({
+            "instance": f"`{instance.removeprefix('kitting/')}`",
+            "smallest mistake": f"{10 / largest_beta(observations, Method()):g}",
+            "actions, beta 5": f"{np.mean([len(o) for o in observations]):.0f}",
+            **{f"error, beta {beta:g}": error for beta, error in zip(betas, errors, strict=True)},
+            "own mistakes, beta 5": f"{own:.2f}",
+        })  # fmt: skip
         for distribution in ("uniform", "log-uniform"):
             drawn = uniform(np.random.default_rng(0), 0.1, 5.0, 5 * count, distribution)
-            ranks.append(f"{best_correlation(*simulated(drawn), 0.1, 5.0, distribution):.3f}")
-        shown.add_row(
-            instance,
-            f"{10 / largest_beta(observations, Method()):g}",
-            f"{np.mean([len(o) for o in observations]):.0f}",
-            *errors,
-            f"{np.mean([((o.regret > 0) & (o.chosen != o.suggested)).sum() for o in observations]):.2f}",
-            *ranks,
-        )
-    Console(width=150).print(shown)
+            rows[-1][distribution] = f"{best_correlation(*simulated(drawn), 0.1, 5.0, distribution):.3f}"
+    show(rows, f"{count} people, {episodes} episodes")
+    write_record(record, INFORMATION, rows, more=more)
 
 
 @main.command()
 @click.option("--instance", default="kitting/paper", show_default=True)
 @click.option("--people", "count", type=int, default=10, show_default=True)
 @click.option("--episodes", "numbers", type=int, multiple=True, default=(3, 10, 30), show_default=True)
-def misconceptions(instance: str, count: int, numbers: tuple[int, ...]) -> None:
+@record_option
+def misconceptions(instance: str, count: int, numbers: tuple[int, ...], record: Path | None) -> None:
     """Estimate sigma and h of people whose misconceptions are known."""
     table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
-    shown = Grid(title=f"{instance}: {count} people each, beta 2, medians")
-    for name in (
-        "episodes", "sigma", "plain beta", "beta", "sigma found", "sigma covered", "corr. of h", "check p < 0.05",
-        "seconds each",
-    ):  # fmt: skip
-        shown.add_column(name, justify="right")
+    rows = []
     for episodes in numbers:
         for sigma in (0.0, 0.5, 1.0):
             rng = np.random.default_rng(1)
             noise = sigma * rng.standard_normal((count, len(table)))
             people = People(np.full(count, 2.0), np.full(count, 0.6), noise=noise)
-            fits = maximum_likelihood(observed(table, record(table, people, episodes=episodes, rng=rng, most=500)))
+            fits = maximum_likelihood(observed(table, recorded(table, people, episodes=episodes, rng=rng, most=500)))
             start = time.perf_counter()
             found = [fit_misconception(f) for f in fits]
             seconds = (time.perf_counter() - start) / count
@@ -258,18 +314,19 @@ def misconceptions(instance: str, count: int, numbers: tuple[int, ...]) -> None:
                 if sigma and m.sigma > 0
             ]
             p = np.array([c.p for c in (check(f, rng) for f in fits) if c.p is not None])
-            shown.add_row(
-                str(episodes),
-                f"{sigma:g}",
-                f"{np.median([f.beta.value for f in fits]):.2f}",
-                f"{np.median([m.beta for m in found]):.2f}",
-                f"{np.median([m.sigma for m in found]):.2f}",
-                f"{100 * np.mean([m.interval[0] <= sigma <= m.interval[1] for m in found]):.0f} %",
-                f"{np.mean(alike):.2f}" if alike else "-",
-                f"{(p < 0.05).sum()} of {len(p)}",
-                f"{seconds:.1f}",
-            )
-    Console(width=120).print(shown)
+            rows.append({
+                "episodes": str(episodes),
+                "sigma": f"{sigma:g}",
+                "plain beta": f"{np.median([f.beta.value for f in fits]):.2f}",
+                "beta": f"{np.median([m.beta for m in found]):.2f}",
+                "sigma found": f"{np.median([m.sigma for m in found]):.2f}",
+                "sigma covered": f"{100 * np.mean([m.interval[0] <= sigma <= m.interval[1] for m in found]):.0f} %",
+                "corr. of h": f"{np.mean(alike):.2f}" if alike else "-",
+                "check p < 0.05": f"{(p < 0.05).sum()} of {len(p)}",
+                "seconds each": f"{seconds:.1f}",
+            })  # fmt: skip
+    show(rows, f"{instance}: {count} people each, beta 2, medians")
+    write_record(record, MISCONCEPTIONS, rows)
 
 
 def first_actions(rows: list[dict], actions: int) -> list[dict]:
@@ -319,7 +376,7 @@ def timing(instance: str, count: int, actions: int, huge: bool, out: Path) -> No
     middle = ROOT / "domains" / f"{instance}.pddl"
     table = sweep(load(middle))
     people = People(uniform(rng, 0.1, 3.0, count, "log-uniform"), rng.uniform(0.3, 0.95, count))
-    rows = record(table, people, episodes=6, rng=rng, suggest=0.3, most=actions)
+    rows = recorded(table, people, episodes=6, rng=rng, suggest=0.3, most=actions)
     write_records(out / "middle.jsonl", first_actions(rows, actions))
     size, chosen = len(table), first_actions(rows, actions)
     del table

@@ -34,6 +34,11 @@ record_option = click.option(
 )
 
 
+more_option = click.option(
+    "--more", is_flag=True, help="Add the rows to the record there, which another call has begun, instead of a new one."
+)
+
+
 def cell(name: str, form: str = "", error: str | None = None) -> Callable[[dict[str, Any]], str]:
     """Show one entry of a row in a format, with that of its standard error if there is one."""
     if error is None:
@@ -41,12 +46,20 @@ def cell(name: str, form: str = "", error: str | None = None) -> Callable[[dict[
     return lambda row: f"{row[name]:{form}} ± {row[error]:{form}}"
 
 
-def write_record(file: Path | None, columns: Columns, rows: Iterable[dict[str, Any]], **more: Any) -> None:
-    """Write what a benchmark has found as a record; nothing without a file."""
+def write_record(
+    file: Path | None, columns: Columns, rows: Iterable[dict[str, Any]], *, more: bool = False, **rest: Any
+) -> None:
+    """Write what a benchmark has found as a record, or add it to one of the same columns; nothing without a file."""
     if file is None:
         return
-    table = [list(columns), *([show(row) for show in columns.values()] for row in rows)]
-    save(file, {"commands": [_command()], "made": _now(), **more, "table": table})
+    commands, table = [], [list(columns)]
+    if more:
+        begun = json.loads(file.read_text(encoding="utf-8"))
+        if begun["table"][0] != table[0]:
+            raise click.UsageError(f"--more: {file} has other columns; expected {', '.join(columns)}")
+        commands, table = begun["commands"], begun["table"]
+    table += [[show(row) for show in columns.values()] for row in rows]
+    save(file, {"commands": [*commands, _command()], "made": _now(), **rest, "table": table})
 
 
 def save(file: Path, record: dict[str, Any]) -> None:
@@ -80,6 +93,7 @@ def _command() -> str:
     if "--record" in arguments:
         place = arguments.index("--record")
         del arguments[place : place + 2]
+    arguments = [argument for argument in arguments if argument != "--more"]
     return " ".join(["python", f"bench/{Path(script).name}", *arguments])
 
 

@@ -6,7 +6,10 @@ import hashlib
 import sys
 from pathlib import Path
 
+from docutils import nodes
 from jupyter_client.manager import KernelManager
+from sphinx import addnodes
+from sphinx.application import Sphinx
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
@@ -42,3 +45,17 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # the docstrings say it
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
+
+
+def _anchors(_: object, document: nodes.document) -> None:
+    """Give what is described a second time, under the shorter name, the anchor of that name: sources link to it."""
+    for described in document.findall(addnodes.desc):
+        for signature in described.findall(addnodes.desc_signature):
+            name = f"{signature.get('module')}.{signature.get('fullname')}"
+            if described.get("no-index") and name not in signature["ids"]:
+                signature["ids"].append(name)
+
+
+def setup(app: Sphinx) -> None:
+    """Add to Sphinx what is done here."""
+    app.connect("doctree-read", _anchors)
