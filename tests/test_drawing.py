@@ -200,6 +200,8 @@ def test_a_wrong_drawing_toml_is_said_in_one_line(tmp_path: Path) -> None:
         "[types]\nslot = {shape = 'hexagon'}": "shape 'hexagon'; there are chip,",
         "[types]\nslot = {of = 'fits'}": "of = 'fits'; expected something like 'holds ?1'",
         "[marks]\nin-slot = '?1 in ?3'": "?3; the predicate has 2 arguments",
+        "[types]\nslot = 3": "types.slot: expected a table such as",
+        "[types]\nslot = {shape = 3}": "types.slot: 'shape = 3' is not expected; there are shape, title",
         "[colors]\n": "[colors] is not expected",
         "[words]\nfetch = 3": "words.fetch: 3; expected a text",
         "[hide]\npredicates = 3": "hide: 'predicates = 3' is not expected; there is a list, predicates",

@@ -273,6 +273,12 @@ def test_sarsops_policy_is_read(tiny_choices: Choices) -> None:
         ("<Vector", "<Vektor", 4, "expected <Policy>"),
         ('vectorLength="6"', 'vectorLength="60"', 3, "hidden pairs"),
         ('numObsValue="21"', 'numObsValue="836"', 3, "the problem has 21 states"),
+        (
+            '<AlphaVector vectorLength="6" numObsValue="21" numVectors="101">',
+            "<Policy>",
+            4,
+            "<Vector> outside of <AlphaVector>",
+        ),
         ('numVectors="101"', 'numVectors="102"', 105, "102 are announced"),
         ('obsValue="0"', 'obsValue="21"', 4, "expected 0 to 20"),
         ('action="0"', 'action="-1"', 4, "expected 0 to 2"),

@@ -6,38 +6,48 @@ import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import pytest
-from conftest import KITTING, write_instance
-from teams import state
+from conftest import KITTING, invoke, write_instance
+from recorded import log_of
+from teams import equal, run, state
 
+from assist.drawing.frames import FramesError, episode_frames
+from assist.drawing.picture import Artist
 from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.interop.teams import Teams
 from assist.learning import comparison, population, weighing
 from assist.learning.actions import Matcher, UnmatchedError
 from assist.learning.estimates import Method
+from assist.learning.people import fit
+from assist.live import limits
 from assist.live.access import Access
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.course import Course
+from assist.live.client import Client
+from assist.live.course import Course, Event, InapplicableError
 from assist.people import own
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Mixture, Population
 from assist.people.misconception import Misconception
+from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
+from assist.simulation.luck import BLOCK
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
-from planner import OnDemand, PDDLError, Table, load
+from assist.userstudy.questionnaires import FORMS, Item
+from planner import OnDemand, PDDLError, Table, budget, load
 from planner.engine import Engine
 from planner.storage import writable
 from planner.task import from_sas
@@ -83,6 +93,22 @@ def comes_back_to_another(given: Given) -> None:
     desk = Assistant(given.table, people=["ann"])
     desk.leave("ann")
     desk.join("ann", given.table)
+
+
+ACTIONS: list[dict[str, Any]] = [
+    {"person": "ann", "episode": "1", "step": step, "action": action}
+    for step, action in enumerate(("(fetch box-a)", "(place hammer slot-2 box-a)", "(return box-a)"))
+]
+
+
+def learned(table: Table, rows: list[dict[str, Any]], **options: Any) -> Any:
+    return fit(table, log_of(rows), **options)
+
+
+def happen(table: Table, *events: Event) -> None:
+    course = Course({"tiny": table})
+    for event in events:
+        course.happen(event, 0.0)
 
 
 def in_utf_16(folder: Path) -> None:
@@ -178,7 +204,38 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),
         UnmatchedError, "(go) is not applicable; here one can only stand still, (wait)",
     ),
+    "misconceptions and terms": (
+        lambda g: learned(g.table, ACTIONS, misconceptions=True, terms=True),
+        ValueError, "misconceptions and terms: expected one of them",
+    ),
+    "another family": (
+        lambda g: learned(g.table, ACTIONS, terms=True).distribution(family="uniform"),
+        ValueError, "family 'uniform': expected log-normal, which beta is taken to be where terms are",
+    ),
+    "no model of that name": (
+        lambda _: comparison.Comparison((), np.zeros(0, dtype=np.int64), ())["goals"], KeyError, "goals",
+    ),
+    "vectors in disorder": (
+        lambda g: VectorPolicy(
+            g.pool.policies[0].pomdp, np.zeros((0, *g.pool.policies[0].pomdp.grid.shape)), np.zeros(0, dtype=np.int64),
+            np.ones(len(g.choices) + 1, dtype=np.int64),
+        ),
+        ValueError, "first: expected ascending offsets from 0 to 0",
+    ),
     # The live assistant.
+    "back to another task by an event": (
+        lambda g: happen(g.table, Event("joined", "ann"), Event("left", "ann"), Event("joined", "ann", task="tiny")),
+        InapplicableError, "ann comes back to the task that they left",
+    ),
+    "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
+    "the operator's link": (
+        lambda _: Client("http://127.0.0.1:9/operator/secret").see(),
+        ValueError, "expected a person, as the link is the operator's",
+    ),
+    "a long answer": (
+        lambda _: replace(FORMS["text"], items=(Item("why", "Why?"),)).check({"why": "x" * 100_000}),
+        ValueError, "answers.why: expected a text of up to",
+    ),
     "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),
     "secret": (
         lambda g: Access.kept(says("short", g.folder), "http://x"),
@@ -214,6 +271,59 @@ def test_what_cannot_be_is_refused(given: Given, what: str) -> None:
     call, kind, words = REFUSED[what]
     with pytest.raises(kind, match=re.escape(words)):
         call(given)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("solve kitting/tiny --resume", "--resume needs --out"),
+        ("draw kitting/tiny --plan tiny.plan --trace t.jsonl --out a.svg", "--plan and --trace: expected one of them"),
+        ("slove kitting/tiny", "No such command 'slove'"),
+    ],
+)
+def test_words_of_a_command_that_do_not_go_together(words: str, message: str, tmp_path: Path) -> None:
+    for name in ("tiny.plan", "t.jsonl"):
+        (tmp_path / name).touch()
+    result = invoke(*(str(tmp_path / word) if (tmp_path / word).is_file() else word for word in words.split()))
+    assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
+
+
+def test_the_memory_that_a_container_may_take_is_all_that_there_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {"/proc/meminfo": tmp_path / "meminfo", "/sys/fs/cgroup": tmp_path}
+    monkeypatch.setattr(budget, "Path", files.__getitem__)
+    assert budget.available_memory() > 1e6  # what the system says where there is no such file
+    (tmp_path / "meminfo").write_text("MemTotal: 9000 kB\nMemAvailable:    8000 kB\n")
+    assert budget.available_memory() == pytest.approx(0.9 * 8000 * 1024)
+    (tmp_path / "memory.max").write_text("max\n")
+    assert budget.available_memory() == pytest.approx(0.9 * 8000 * 1024)
+    (tmp_path / "memory.max").write_text("5000000\n")
+    (tmp_path / "memory.current").write_text("1000000\n")
+    assert budget.available_memory() == pytest.approx(0.9 * 4e6)
+
+
+def test_a_service_forgets_who_has_not_called_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever has used up what they may call waits, unless so many others have come that nobody knows any more."""
+    monkeypatch.setattr(limits, "MOST_CALLERS", 2)
+    allowance = limits.Allowance(rate=1.0, burst=1.0, clock=lambda: 0.0)
+    assert [allowance.wait(caller) for caller in ("ann", "ann", "bob", "ann", "cat", "dan", "ann")] == [
+        0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0,
+    ]  # fmt: skip
+
+
+def test_episodes_in_threads_are_the_same(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(import_module("assist.simulation.simulate"), "TOGETHER", 1)
+    alone = run(pool, "reactive", 2, 3 * BLOCK, 5)
+    assert equal(run(pool, "reactive", 2, 3 * BLOCK, 5, jobs=2), alone)
+
+
+def test_stations_see_beliefs_unless_they_are_not_to(pool: Pool) -> None:
+    for beliefs in (True, False):
+        env = parallel_env(pool, 2, beliefs=beliefs)
+        seen, _ = env.reset(seed=1)
+        assert all(("belief" in seen[agent]) == beliefs for agent in env.agents)
+        assert all(env.observation_space(agent).contains(seen[agent]) for agent in env.agents)
 
 
 DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()
