@@ -62,7 +62,7 @@ CASES = {
     "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100"),
     "wide": ("--instance kitting/ladder-3x5 --episodes 2000", "--instance kitting/tiny --people 2 --episodes 20"),
 }
-NEED_DATA = {"collection", "covered", "live_pictures", "symbolic"}
+NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}
 """Scripts that nobody can run without other people's files or programs, or without a browser."""
 
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
