@@ -91,9 +91,12 @@ def _close(needs, gains, keeps, variable, together, possible):
             if not possible[m]:
                 can = True
                 for i in range(needs.shape[1]):
+                    if needs[m, i] < 0 or not can:
+                        break
                     for j in range(i + 1):
-                        if needs[m, i] >= 0 and not together[needs[m, i], needs[m, j]]:
+                        if not together[needs[m, i], needs[m, j]]:
                             can = False
+                            break
                 if not can:
                     continue
                 possible[m] = change = True
@@ -108,20 +111,26 @@ def _close(needs, gains, keeps, variable, together, possible):
                         if keeps[m, j] >= 0:
                             together[a, keeps[m, j]] = together[keeps[m, j], a] = True
             for i in range(needs.shape[1]):
-                if needs[m, i] >= 0:
-                    fixed[variable[needs[m, i]]] = True
+                if needs[m, i] < 0:
+                    break
+                fixed[variable[needs[m, i]]] = True
             for f in range(facts):
                 if fixed[variable[f]] or not together[f, f]:
                     continue
                 fresh = False
                 for i in range(gains.shape[1]):
-                    if gains[m, i] >= 0 and not together[gains[m, i], f]:
+                    if gains[m, i] < 0:
+                        break
+                    if not together[gains[m, i], f]:
                         fresh = True
+                        break
                 if not fresh:
                     continue
                 beside = True
                 for i in range(needs.shape[1]):
-                    if needs[m, i] >= 0 and not together[needs[m, i], f]:
+                    if needs[m, i] < 0:
+                        break
+                    if not together[needs[m, i], f]:
                         beside = False
                         break
                 if beside:
@@ -130,8 +139,9 @@ def _close(needs, gains, keeps, variable, together, possible):
                         if gains[m, i] >= 0:
                             together[gains[m, i], f] = together[f, gains[m, i]] = True
             for i in range(needs.shape[1]):
-                if needs[m, i] >= 0:
-                    fixed[variable[needs[m, i]]] = False
+                if needs[m, i] < 0:
+                    break
+                fixed[variable[needs[m, i]]] = False
 
 
 @njit(cache=True)
