@@ -276,7 +276,7 @@ COLUMNS: Columns = {
     "actions": cell("actions", ","),
     "from post to push: median, 95 %, slowest, ms": lambda r: " / ".join(f"{one:.0f}" for one in r["pushed"]),
     "processor time per action, ms": cell("processor", ".1f"),
-    "memory at first, at most, at last, MB": lambda r: " / ".join(f"{one:.0f}" for one in r["memory"]),
+    "memory since the last start, in quarters of the time, MB": lambda r: " / ".join(f"{one:.0f}" for one in r["memory"]),
     "from a kill until ready, at most, s": lambda r: f"{r['starting']:.1f}" if r["kills"] else "",
     "then until everybody had acted, at most, s": lambda r: f"{r['resumed']:.1f}" if r["kills"] else "",
     "lost, doubled": cell("wrong"),
@@ -305,7 +305,7 @@ def main(
             "wrong": f"{seen.lost}, {seen.doubled}",
             "pushed": [*(_milliseconds(seen.latencies, share) for share in (0.5, 0.95, 1.0))],
             "processor": 1e3 * seen.processor / len(seen.answers),
-            "memory": [seen.memory[0], max(seen.memory), seen.memory[-1]],
+            "memory": [seen.memory[round(at)] for at in np.linspace(0, len(seen.memory) - 1, 5)],
             "starting": max(seen.starting, default=0.0), "resumed": max(seen.resumed, default=0.0),
         })  # fmt: skip
         for name, show in COLUMNS.items():
