@@ -276,7 +276,7 @@ COLUMNS: Columns = {
     "actions": cell("actions", ","),
     "from post to push: median, 95 %, slowest, ms": lambda r: " / ".join(f"{one:.0f}" for one in r["pushed"]),
     "processor time per action, ms": cell("processor", ".1f"),
-    "memory since the last start, in quarters of the time, MB": lambda r: " / ".join(f"{one:.0f}" for one in r["memory"]),
+    "memory since the last start, by quarters, MB": lambda r: " / ".join(f"{one:.0f}" for one in r["memory"]),
     "from a kill until ready, at most, s": lambda r: f"{r['starting']:.1f}" if r["kills"] else "",
     "then until everybody had acted, at most, s": lambda r: f"{r['resumed']:.1f}" if r["kills"] else "",
     "lost, doubled": cell("wrong"),
