@@ -112,6 +112,15 @@ def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
     assert web.ask("GET", "/api/team").status_code == 200
 
 
+def test_whoever_conducts_a_study_sees_which_orders_are_drawn(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path, PLAN.replace("seed = 3", 'seed = 3\ndesign = "within"'))
+    with web.client:
+        found = web.ask("GET", "/api/study").json()
+    assert found["design"] == "within"
+    rows = [(row["name"], row["policy"]) for row in found["conditions"]]
+    assert sorted(rows) == [("attention > none",) * 2, ("none > attention",) * 2]
+
+
 def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

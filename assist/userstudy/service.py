@@ -139,7 +139,7 @@ class StudyService(Service):
         return {
             "title": study.title, "join": self.join_url(), "places": study.participants, "taken": cohort.taken,
             "stages": [stage.name for stage in cohort.stages], "participants": people, "events": cohort.count,
-            "fault": cohort.fault,
+            "fault": cohort.fault, "design": study.design,
             "conditions": [
                 {
                     "name": name, "policy": " > ".join(policies[one] for one in order), "counting": counts[name],

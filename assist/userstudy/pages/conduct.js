@@ -55,10 +55,15 @@ function show(study) {
   const done = participants.filter((one) => one.status === "done").length;
   at("count").textContent = `${participants.length} came, ${here} under way, ${done} done${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
   at("join").value = study.join;
+  const within = study.design === "within";  // then an order of all conditions is drawn
+  at("conditions-title").textContent = within ? "Orders of the conditions" : "Conditions";
+  for (const head of document.querySelectorAll("[data-condition]")) head.textContent = within ? "Order" : "Condition";
   at("conditions").replaceChildren(...conditions.map((one) => row([cell(one.name), cell(one.policy), cell(one.begun, "count"), cell(one.counting, "count"), cell(one.done, "count")])));
   const counts = conditions.map((one) => one.counting);
   const apart = Math.max(...counts) - Math.min(...counts);
-  at("balance").textContent = `The largest and the smallest condition differ by ${apart}. A condition is drawn when somebody's first task begins.`;
+  at("balance").textContent = within
+    ? `The fullest and the emptiest order differ by ${apart}. An order is drawn when somebody's first task begins.`
+    : `The largest and the smallest condition differ by ${apart}. A condition is drawn when somebody's first task begins.`;
   at("flow").replaceChildren(...stages.map((name, number) => row([
     cell(name),
     cell(participants.filter((one) => one.number > number).length, "count"),
