@@ -1,15 +1,22 @@
-"""The pictures of pages in `docs/live.md`: a service with four people, of whom two are simulated, seen in a browser.
+"""The pictures of pages in `docs/live.md` and `docs/userstudy.md`, seen in a browser.
 
-    python bench/live_pictures.py [--out docs/figures]
+A service has four people, of whom two are simulated. A study has been rehearsed, and then somebody takes part in it.
+
+    python bench/live_pictures.py [--only live|study] [--out docs/figures]
 
 Needs Chromium, and the extra `test`.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +24,7 @@ import click
 from live_load import PAPER, Service
 from PIL import Image
 from playwright.sync_api import sync_playwright
+from tables import ROOT
 
 from assist.live.client import Client
 from planner import Table, cost_to_go, load
@@ -25,6 +33,9 @@ OPTIONS = ("--simulate", "2", "--pace", "0.4", "--c-move", "0.05", "--beta", "0.
 MISTAKES = ("(fetch box-a)", "(place pliers slot-1 box-a)", *("(return box-a)", "(fetch box-a)") * 6)
 SIZES = {"desk": (1280, 800), "phone": (390, 844), "tablet": (820, 1000)}
 COLOURS = 160
+STUDY = ROOT / "docs" / "examples" / "kitting-study.toml"
+TINY = PAPER.with_name("tiny.pddl")
+SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustration")
 
 
 class Camera:
@@ -50,7 +61,70 @@ class Camera:
         file = self.out / f"live_{name}.png"
         page.screenshot(path=file)
         context.close()
-        Image.open(file).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+        shrink(file)
+
+    def participant(self, link: str, tables: dict[str, Table]) -> None:
+        """Take pictures of what somebody sees who takes part in the study, on the way to its end."""
+        page = self.browser.new_page(viewport={"width": 820, "height": 640})
+
+        def shot(name: str, width: int, height: int, *, dark: bool = False) -> None:
+            page.set_viewport_size({"width": width, "height": height})
+            page.emulate_media(color_scheme="dark" if dark else "light")
+            page.evaluate("document.activeElement?.blur(); window.scrollTo(0, 0)")
+            page.wait_for_timeout(300)
+            page.screenshot(path=self.out / f"userstudy_{name}.png")
+            shrink(self.out / f"userstudy_{name}.png")
+
+        def work(heading: str, table: Table) -> None:
+            page.wait_for_selector(f'h1:text("{heading}")')
+            for action in table.optimal_plan(table.initial) or ():
+                page.click(f'#actions button[data-action="{action}"]:not([disabled])')
+            page.click("#onward:not([hidden])")
+
+        page.goto(link)
+        page.wait_for_selector("text=I agree and take part")
+        shot("consent", 760, 460)
+        page.click("text=I agree and take part")
+        page.click('h2:text("What you will do") ~ form >> button')
+        work("Practice", tables["tiny"])
+        work("Your task", tables["paper"])
+        page.wait_for_selector('[id="item mental"]')
+        page.locator('[id="item mental"] input').fill("70")
+        page.locator('[id="item physical"] input').fill("15")
+        shot("tlx", 820, 680)
+        for name in SCALES[2:]:
+            page.locator(f'[id="item {name}"] input').fill("40")
+        page.click('button:text("Continue")')
+        page.wait_for_selector('[name="item rely"]')
+        for name in ("rely", "understand"):
+            page.locator(f'[name="item {name}"]').nth(5).check()
+        shot("phone", 300, 583)
+        shot("dark", 760, 766, dark=True)
+        page.close()
+
+
+def shrink(file: Path) -> None:
+    """Leave few colours, of which pages have few."""
+    Image.open(file).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+
+
+@contextmanager
+def study(data: Path) -> Iterator[dict[str, Any]]:
+    """Serve the study; give what it says when it is ready."""
+    command = [str(Path(sys.executable).with_name("kitassist")), "serve", "--study", str(STUDY), "--port", "0"]
+    process = subprocess.Popen([*command, "--data", str(data)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        yield json.loads(process.stdout.readline())
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def rehearse(data: Path) -> None:
+    """Let simulated people take all places of the study."""
+    command = [str(Path(sys.executable).with_name("kitassist")), "serve", "--study", str(STUDY), "--rehearse", "24"]
+    subprocess.run([*command, "--data", str(data)], check=True, stdout=subprocess.DEVNULL)
 
 
 def finish(table: Table, ann: Client, operator: Client) -> None:
@@ -64,8 +138,35 @@ def finish(table: Table, ann: Client, operator: Client) -> None:
 
 @click.command()
 @click.option("--out", type=Path, default=Path("docs/figures"), show_default=True)
-def main(out: Path) -> None:
+@click.option("--only", type=click.Choice(["live", "study"]), help="The pages of one of both.")
+def main(out: Path, only: str | None) -> None:
     """Write the pictures."""
+    if only != "study":
+        live(out)
+    if only != "live":
+        studied(out)
+
+
+def studied(out: Path) -> None:
+    """Look at the pages of a study."""
+    tables = {file.stem: cost_to_go(load(file)) for file in (PAPER, TINY)}
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        camera = Camera(browser, out)
+        with study(Path(name) / "alone") as said:
+            camera.participant(said["join"]["everybody"], tables)
+        rehearse(Path(name) / "rehearsed")
+        with study(Path(name) / "rehearsed") as said:
+            page = browser.new_page(viewport={"width": 800, "height": 764})
+            page.goto(said["operator"])
+            page.wait_for_selector("#people tr")
+            page.screenshot(path=out / "userstudy_operator.png")
+            shrink(out / "userstudy_operator.png")
+        browser.close()
+
+
+def live(out: Path) -> None:
+    """Look at the pages of people at work."""
     table = cost_to_go(load(PAPER))
     assert isinstance(table, Table)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:

@@ -41,6 +41,10 @@ CASES = {
     "live_load": ("--people 50 --seconds 30", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),
     "live_timing": ("--episodes 30", "--instance domains/kitting/tiny.pddl --humans 1 --episodes 2"),
     "methods": ("kitting/tiny kitting/paper depot/nine-items --repeat 1 --limit 10", "kitting/tiny --repeat 1"),
+    "mutants": (
+        "assist/team/attention.py --sample 4 --only reactive",
+        "assist/team/attention.py --sample 1 --only reactive",
+    ),
     "on_demand": ("--states 10", "--states 2"),
     "people tower": ("--made-up 20 --quick", "--made-up 4 --quick"),
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),

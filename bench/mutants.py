@@ -1,0 +1,369 @@
+"""Whether tests notice when a program says something else: mutants, each with one small change, and who kills them.
+
+    python bench/mutants.py [MODULE]... [--sample N] [--seed S] [--only TESTS] [--record FILE]
+
+A change is another comparison or sign, a number that is one larger, a condition the other way round, an argument or a
+statement left out. It is made in a function while the tests stand ready, in a process of its own that only runs those
+that call this function, the fastest first. It ends with the first that fails, or when it has used up several times the
+processor time of a run without a change. Left out are compiled functions, module-level code, words of errors, default
+values, and tests that are marked as long or slow.
+"""
+
+from __future__ import annotations
+
+import ast
+import copy
+import functools
+import importlib
+import os
+import pickle
+import random
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import types
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from _pytest.main import pytest_runtestloop as all_tests
+from hypothesis import Phase, settings
+from tables import ROOT, Columns, cell, record_option, write_record
+
+TESTS = {
+    "assist/people/human.py": "test_human test_people",
+    "assist/people/belief.py": "test_belief",
+    "assist/people/decision.py": "test_human test_equations test_misconception",
+    "planner/costtogo.py": "test_costtogo test_ondemand test_tables",
+    "assist/person/region.py": "test_region test_frontier",
+    "assist/team/attention.py": "test_policies test_assistant",
+    "assist/team/subproblem.py": "test_bounds test_policies",
+    "assist/certify/bound.py": "test_certify test_upper_bound",
+}
+"""The modules, and the tests that are to hold them."""
+
+COLUMNS: Columns = {
+    "module": lambda row: f"`{row['module']}`",
+    "mutants": cell("count"),
+    "of these run": cell("run"),
+    "killed": cell("killed"),
+    "share": lambda row: f"{100 * row['killed'] / max(1, row['run']):.0f} %",
+}
+SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Add: ast.Sub, ast.Sub: ast.Add,
+    ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.Pow: ast.Mult,
+    ast.And: ast.Or, ast.Or: ast.And, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+    ast.Break: ast.Continue, ast.Continue: ast.Break,
+}  # fmt: skip
+NAMES = {"min": "max", "any": "all", "argmin": "argmax", "minimum": "maximum", "zeros": "ones", "floor": "ceil"}
+NAMES |= {other: name for name, other in NAMES.items()}
+WRAPPED = ("__wrapped__", "__func__", "fget", "func")
+"""Where a function is in what decorators make of it."""
+MOST = 5  # times the processor time of the same tests without a change, and
+LEAST = 10  # seconds of it
+
+
+def others(node: ast.AST) -> Iterator[ast.AST]:
+    """Give what may stand instead of a node."""
+
+    def with_(**fields: Any) -> ast.AST:
+        other = copy.copy(node)
+        vars(other).update(fields)
+        return other
+
+    match node:
+        case ast.Compare(ops=ops):
+            for at, op in enumerate(ops):
+                yield with_(ops=[*ops[:at], SWAPPED[type(op)](), *ops[at + 1 :]])
+        case ast.BinOp(op=op) | ast.BoolOp(op=op) | ast.AugAssign(op=op) if type(op) in SWAPPED:
+            yield with_(op=SWAPPED[type(op)]())
+        case ast.UnaryOp(operand=operand):
+            yield operand
+        case ast.Constant(value=bool(value)):
+            yield with_(value=not value)
+        case ast.Constant(value=int(value) | float(value)):
+            yield with_(value=value + 1)
+        case ast.Name(id=name) if name in NAMES:
+            yield with_(id=NAMES[name])
+        case ast.Attribute(attr=name) if name in NAMES:
+            yield with_(attr=NAMES[name])
+        case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
+            yield with_(test=ast.UnaryOp(ast.Not(), test))
+        case ast.Break() | ast.Continue():
+            yield SWAPPED[type(node)]()
+        case ast.Call(keywords=keywords):
+            for at, keyword in enumerate(keywords):
+                if keyword.arg is not None:
+                    yield with_(keywords=[*keywords[:at], *keywords[at + 1 :]])
+    left_out = isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
+    kept = isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Subscript | ast.Attribute)
+    if left_out or kept or isinstance(node, ast.AugAssign):
+        yield ast.Pass()
+
+
+class Change(ast.NodeTransformer):
+    """Makes one of the changes of a function; all of them are counted, and told."""
+
+    def __init__(self, wanted: int | None = None) -> None:
+        self.wanted, self.count, self.told = wanted, 0, list[str]()
+
+    def visit(self, node: ast.AST) -> Any:
+        for other in others(node):
+            if self.count == self.wanted:
+                return ast.fix_missing_locations(ast.copy_location(other, node))
+            self.count += 1
+            self.told.append(f"line {node.lineno}: {shown(node)} -> {shown(other)}")  # type: ignore[attr-defined]
+        return self.generic_visit(node)
+
+    def visit_Raise(self, node: ast.Raise) -> ast.Raise:
+        return node
+
+    def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.JoinedStr:
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AnnAssign:
+        if node.value is not None:
+            node.value = self.visit(node.value)
+        return node
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.FunctionDef:
+        node.body = [self.visit(statement) for statement in node.body]
+        return node
+
+    def visit_arguments(self, node: ast.arguments) -> ast.arguments:
+        return node
+
+
+def shown(node: ast.AST) -> str:
+    """Give a node's first line."""
+    return ast.unparse(node).splitlines()[0][:100]
+
+
+class Mutant:
+    """One change of one function of a module, by the name that Python gives it."""
+
+    def __init__(self, tree: ast.Module, path: list[str], name: str, number: int, told: str) -> None:
+        self.tree, self.path, self.name, self.number, self.told = tree, path, name, number, told
+
+    def take_place(self, module: types.ModuleType) -> None:
+        """Let the module's function do what the changed one does."""
+        tree = copy.deepcopy(self.tree)
+        parent: Any = tree
+        for part in self.path:
+            parent = next(node for node in parent.body if getattr(node, "name", None) == part)
+        change = Change(self.number)
+        parent.body = [change.visit(statement) for statement in parent.body]
+        code = compile(ast.fix_missing_locations(tree), str(module.__file__), "exec")
+        function = function_of(module, self.path)
+        assert function is not None
+        function.__code__ = next(inner for inner in codes(code) if inner.co_qualname == self.name)
+
+
+def codes(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Give the code of all that is in it, too."""
+    yield code
+    for inner in code.co_consts:
+        if isinstance(inner, types.CodeType):
+            yield from codes(inner)
+
+
+def function_of(module: types.ModuleType, path: list[str]) -> types.FunctionType | None:
+    """Find what Python runs under a name in a module, below whatever is wrapped around it; None for compiled code."""
+    found: Any = module
+    for part in path:
+        found = vars(found)[part]
+    if hasattr(found, "py_func"):
+        return None
+    while inner := [getattr(found, name) for name in WRAPPED if getattr(found, name, None) is not None]:
+        found = inner[0]
+    return found if isinstance(found, types.FunctionType) else None
+
+
+def mutants_of(module: types.ModuleType) -> list[Mutant]:
+    """Give all mutants of the functions and methods of a module that Python runs."""
+    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+    found = []
+    places = [([node.name], node) for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+    for path, node in places:
+        if isinstance(node, ast.ClassDef):
+            places += [([*path, inner.name], inner) for inner in node.body if isinstance(inner, ast.FunctionDef)]
+        elif function_of(module, path) is not None:
+            counted = Change()
+            for statement in copy.deepcopy(node).body:
+                counted.visit(statement)
+            found += [Mutant(tree, path, ".".join(path), number, told) for number, told in enumerate(counted.told)]
+    return found
+
+
+class Run:
+    """As a plugin of pytest: when all tests are there, runs those that each mutant calls for."""
+
+    def __init__(self, file: str, sample: int | None, seed: int) -> None:
+        self.file, self.sample, self.seed = file, sample, seed
+        self.called: dict[str, dict[str, float]] | None = None  # by function: the tests that call it, with seconds
+        self.count, self.results = 0, list[tuple[Mutant, str]]()
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Instead of running the tests once."""
+        module = importlib.import_module(self.file.removesuffix(".py").replace("/", "."))
+        called = self.calls(session, module)
+        mutants = mutants_of(module)
+        self.count = len(mutants)
+        if self.sample is not None and self.sample < len(mutants):
+            mutants = sorted(random.Random(self.seed).sample(mutants, self.sample), key=lambda m: (m.path, m.number))
+        for mutant in mutants:
+            tests = called.get(mutant.name, {})
+            end = self.end_of(session, module, mutant, tests) if tests else "not reached"
+            self.results.append((mutant, end))
+            print(f"{self.file} {mutant.name}, {mutant.told}: {end}", flush=True)
+        return True
+
+    def calls(self, session: pytest.Session, module: types.ModuleType) -> dict[str, dict[str, float]]:
+        """Run all tests as they are; what is called while something is set up may be used by all of them."""
+
+        def work() -> dict[str, dict[str, float]] | None:
+            self.called, self.module_file = defaultdict(dict), str(module.__file__)
+            failed = run(session)
+            for name in self.called.pop("setup", {}):
+                self.called[name] = {item.nodeid: 1.0 for item in session.items} | self.called[name]
+            return None if failed else dict(self.called)
+
+        found = forked(work)
+        if found is None:
+            raise click.ClickException(f"{self.file}: its tests fail without a change")
+        return found
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        return (yield from self.watched("setup", item))
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
+        return (yield from self.watched("call", item))
+
+    def watched(self, phase: str, item: pytest.Item) -> Iterator[None]:
+        """Take note of the module's functions that are called meanwhile."""
+        if self.called is None:
+            return (yield)
+        names, begun = set[str](), time.process_time()
+
+        def called(frame: types.FrameType, event: str, _: Any) -> None:
+            if event == "call" and frame.f_code.co_filename == self.module_file:
+                names.add(frame.f_code.co_qualname.partition(".<locals>")[0])
+
+        sys.setprofile(called)
+        try:
+            return (yield)
+        finally:
+            sys.setprofile(None)
+            for name in names:
+                if phase == "setup":
+                    self.called["setup"][name] = 0.0
+                else:
+                    self.called[name][item.nodeid] = time.process_time() - begun
+
+    def end_of(self, session: pytest.Session, module: types.ModuleType, mutant: Mutant, tests: dict[str, float]) -> str:
+        """Tell what becomes of a mutant."""
+        if (child := os.fork()) == 0:
+            seconds = int(MOST * sum(tests.values()) + LEAST)
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+            signal.alarm(60 * seconds)  # it may wait for ever without using the processor
+            session.items[:] = sorted((i for i in session.items if i.nodeid in tests), key=lambda i: tests[i.nodeid])
+            mutant.take_place(module)
+            os._exit(run(session))
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        return "survived" if status == 0 else "killed" if status > 0 else "killed by time"
+
+
+def run(session: pytest.Session) -> int:
+    """Run the tests of a session in this process, without a word; give 1 if one fails."""
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    try:
+        all_tests(session)
+    except BaseException:  # noqa: BLE001 the first failure ends it
+        return 1
+    return int(session.testsfailed > 0)
+
+
+def forked(work: Callable[[], Any]) -> Any:
+    """Give what comes of some work in a process of its own, which leaves nothing else behind; None if it breaks off."""
+    reading, writing = os.pipe()
+    sys.stdout.flush()
+    if (child := os.fork()) == 0:
+        code = 1
+        try:
+            os.close(reading)
+            found = work()
+            with os.fdopen(writing, "wb") as stream:
+                pickle.dump(found, stream)
+            code = 0
+        except Exception:  # noqa: BLE001 said here, since nobody else is there to say it
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as stream:
+        content = stream.read()
+    return pickle.loads(content) if os.waitpid(child, 0)[1] == 0 else None
+
+
+def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[int, list[tuple[str, str]]]:
+    """Run the mutants of a module; count all there are, and tell what became of those that were run."""
+    plugin = Run(file, sample, seed)
+    tests = [str(ROOT / "tests" / f"{name}.py") for name in TESTS[file].split()]
+    with tempfile.TemporaryDirectory() as folder:
+        options = [
+            "-x",
+            "-s",
+            "-q",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "ignore::pytest.PytestAssertRewriteWarning",
+            "-m",
+            "not long and not slow",
+        ]
+        pytest.main([*tests, *options, *(["-k", only] if only else []), f"--basetemp={folder}/run"], plugins=[plugin])
+    return plugin.count, [(f"{mutant.name}, {mutant.told}", end) for mutant, end in plugin.results]
+
+
+@click.command()
+@click.argument("modules", nargs=-1, type=click.Choice(list(TESTS)))
+@click.option("--sample", type=click.IntRange(1), help="So many of a module's mutants, drawn at random; else all.")
+@click.option("--seed", default=0, show_default=True)
+@click.option("--only", help="The tests whose names match, as pytest's -k has it.")
+@record_option
+def main(modules: tuple[str, ...], sample: int | None, seed: int, only: str | None, record: Path | None) -> None:
+    """Make mutants of modules, and print what becomes of each."""
+    os.chdir(ROOT)
+    settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None)
+    settings.load_profile("mutants")
+    rows = []
+    for module in modules or TESTS:
+        found = forked(functools.partial(mutate, module, sample, seed, only))  # tests are collected anew for each
+        if found is None:
+            sys.exit(1)
+        count, results = found
+        killed = sum(end.startswith("killed") for _, end in results)
+        rows.append({"module": module, "count": count, "run": len(results), "killed": killed})
+        for told, end in results:
+            if not end.startswith("killed"):
+                print(f"{module} {told}: {end}")
+        for name, show in COLUMNS.items():
+            print(f"{name}: {show(rows[-1])}")
+    write_record(record, COLUMNS, rows)
+
+
+if __name__ == "__main__":
+    main()
