@@ -38,6 +38,9 @@ FULL = 0.7
 MOST = np.iinfo(np.int32).max
 """So many states can be numbered."""
 
+Masks = tuple[Words, Words, Words, Words]
+"""Mask and bits of what a rule needs, then the bits that it clears and those that it sets."""
+
 
 def rulebook(task: Task, packing: Packing) -> Rulebook:
     """Lay out a task's transition function."""
@@ -46,16 +49,34 @@ def rulebook(task: Task, packing: Packing) -> Rulebook:
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
     nothing = np.zeros(packing.words, dtype=np.uint64)
-    defaults = [(nothing, nothing, *successors.defaults)]
+    stages: list[tuple[Sequence[Masks], bool]] = [([(nothing, nothing, *successors.defaults)], False)]
+    if not successors.layers:
+        stages.clear()
+    for layer in successors.layers:
+        stages += _stages(layer)
     return Rulebook(
         trie_of(conditions, packing),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
         _rules([successors.effects[number] for number in order]),
-        _rules([defaults, *successors.layers] if successors.layers else []),
+        _rules([rules for rules, _ in stages]),
+        np.array([again for _, again in stages], dtype=bool),
     )
 
 
-def _rules(groups: Sequence[Sequence[tuple[Words, Words, Words, Words]]]) -> Rules:
+def _stages(layer: Sequence[Masks]) -> Iterator[tuple[Sequence[Masks], bool]]:
+    """Order the rules of a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
+    left = list(layer)
+    while left:
+        open_ = np.bitwise_or.reduce([cleared for _, _, cleared, _ in left])
+        later = [bool((rule[0] & open_).any()) for rule in left]
+        if all(later):
+            yield left, True
+            return
+        yield [rule for rule, waits in zip(left, later, strict=True) if not waits], False
+        left = [rule for rule, waits in zip(left, later, strict=True) if waits]
+
+
+def _rules(groups: Sequence[Sequence[Masks]]) -> Rules:
     """Lay out rules: of each group, the mask and bits that are needed, and those that are cleared and set."""
     begin, tests, writes = [0], [0], [0]
     needed: list[tuple[int, int, int]] = []
@@ -181,7 +202,7 @@ def enumerated(task: Task, budget: Budget, threads: int, progress: Progress, mos
     packing = Packing.of(task)
     book = rulebook(task, packing)
     initial = packing.pack([task.initial])
-    packed.derive(book.axioms, initial[0])
+    packed.derive(book.axioms, book.again, initial[0])
     costs, kind_of = np.unique(task.costs, return_inverse=True)
     states, targets = _Growing(np.uint64, packing.words), _Growing(np.int32)
     counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .atomics import prefetch
 from .compiled import njit
@@ -27,7 +28,7 @@ class Rules(NamedTuple):
     Attributes
     ----------
     begin : int64 array, shape (n + 1,)
-        Rules `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th layer of axioms.
+        Rules `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
     tests : int64 array, shape (rules + 1,)
         Rows `tests[r]:tests[r + 1]` of the next three are what the r-th rule needs: `s[word] & mask == value`.
     test_word : int64 array
@@ -86,13 +87,16 @@ class Rulebook(NamedTuple):
     effects : Rules
         Of each operator.
     axioms : Rules
-        Of each layer; a first layer sets all derived variables to what they are by default.
+        In stages; the first sets all derived variables to what they are by default.
+    again : bool array, shape (stages,)
+        Whether rules of a stage lead to others of it, so that it is gone through until nothing changes.
     """
 
     trie: Trie
     action: Ints
     effects: Rules
     axioms: Rules
+    again: NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -117,16 +121,16 @@ def write(rules, rule, state):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derive(axioms, state):
-    """Set the derived variables of a state: layer by layer, each to its least fixed point."""
-    for layer in range(len(axioms.begin) - 1):
+def derive(axioms, again, state):
+    """Set the derived variables of a state: stage by stage, each to its least fixed point."""
+    for stage in range(len(again)):
         changed = True
         while changed:
             changed = False
-            for rule in range(axioms.begin[layer], axioms.begin[layer + 1]):
+            for rule in range(axioms.begin[stage], axioms.begin[stage + 1]):
                 if holds(axioms, rule, state):
                     changed |= write(axioms, rule, state)
-            changed &= layer > 0  # the first only sets the defaults
+            changed &= again[stage]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -186,7 +190,7 @@ def expand(book, states, start, counts, actions, after):
             for rule in range(book.effects.begin[operator], book.effects.begin[operator + 1]):
                 if holds(book.effects, rule, states[i]):
                     write(book.effects, rule, target)
-            derive(book.axioms, target)
+            derive(book.axioms, book.again, target)
             actions[filled] = book.action[operator]
             filled += 1
         i += 1

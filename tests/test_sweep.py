@@ -6,6 +6,7 @@ import importlib
 import random
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,6 +170,20 @@ def test_random_tasks_with_axioms(seed):
         task = random_task(rng, axioms=True, costs=range(3))
         check(task)
         assert "derived variables" in sweep(task).note
+
+
+def test_random_tasks_with_axioms_in_circles():
+    rng = random.Random("circles")
+    for _ in range(15):
+        task = random_task(rng, axioms=True)
+        derived = [v for v, variable in enumerate(task.variables) if variable.axiom_layer >= 0]
+        facts = [
+            (v, value) for v, size in enumerate(map(len, (v.facts for v in task.variables))) for value in range(size)
+        ]
+        facts = [(v, value) for v, value in facts if v not in derived or value == 0]  # derived facts are not negated
+        axioms = tuple(Effect(tuple(rng.sample(facts, 2)), v, 0) for v in derived for _ in range(3))
+        layers = [replace(v, axiom_layer=0) if v.axiom_layer >= 0 else v for v in task.variables]
+        check(replace(task, variables=tuple(layers), axioms=axioms))
 
 
 def test_the_plain_sweep_can_be_stopped():
