@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -112,6 +113,7 @@ def test_a_grounded_task_is_kept_by_content(tmp_path: Path, monkeypatch: pytest.
 def test_what_was_found_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 from pathlib import Path
+from types import SimpleNamespace
 import numpy as np
 from planner import Cache, OnDemand, load
 task = load({str(HUGE)!r})
@@ -173,19 +175,32 @@ def test_the_choice_of_the_method(tiny: Table) -> None:
         cost_to_go(load(HUGE), deadline=time.monotonic())
 
 
-def test_the_search_is_chosen_by_measurement(tmp_path: Path) -> None:
+def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = load(KITTING / "tiny.pddl")
     assert fastest_search(tiny, ["astar(no_such_heuristic())", ASTAR]) == ASTAR
     with pytest.raises(LimitError):
         fastest_search(tiny, ["astar(no_such_heuristic())"])
-    slow = load(HUGE)
-    assert fastest_search(slow, ["astar(hmax())", ASTAR], limits=Limits(seconds=3)) == ASTAR
     empty = write_instance(
         tmp_path,
         (KITTING / "domain.pddl").read_text(),
         (KITTING / "tiny.pddl").read_text().split("(:goal")[0] + "(:goal (and)))",
     )
     assert fastest_search(load(empty)) == ASTAR_WITH_AXIOMS
+
+    takes, clock, allowed = {"slow": 3.0, "fast": 1.0, "between": 2.0}, [0.0], list[float | None]()
+
+    def optimal_plan(_: str, *, search: str, limits: Limits) -> list[str]:
+        allowed.append(limits.seconds)
+        clock[0] += min(takes[search], limits.seconds or np.inf)
+        if limits.seconds is not None and takes[search] > limits.seconds:
+            raise LimitError("out of time")
+        return []
+
+    monkeypatch.setattr("planner.ondemand.fast_downward.optimal_plan", optimal_plan)
+    monkeypatch.setattr("planner.ondemand.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    assert fastest_search(tiny, ["slow", "fast", "between"]) == "fast"
+    assert allowed == [None, 3.0, 1.0]  # nobody gets longer than the best so far
+    assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)) == "between"
 
 
 def test_values_that_no_variable_has_are_refused(tiny: Table) -> None:
