@@ -220,6 +220,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
     instance = task.instance
     record = empty_record(instance, "solved", None)
     notes = [task.note] if task.note else []
+    unswept: list[str] = []
     table: Table | None = None
     if not task.decided_by_translator:
         memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
@@ -235,6 +236,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             )
         if isinstance(answers, OnDemand):
             notes.append(f"solved on demand: {answers.reason}")
+            unswept.append(f"not swept: {answers.reason}")
         else:
             table = answers
             notes += [table.note] if table.note else []
@@ -263,7 +265,10 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             cost, plan = table[table.initial], table.optimal_plan()
     else:
         with phases.phase("search", "A* from the initial state"):
-            cost, plan = astar(task, limits=phases.limits())
+            try:
+                cost, plan = astar(task, limits=phases.limits())
+            except LimitError as error:
+                raise type(error)("; ".join([str(error), *unswept])) from None
         record.update(method="on-demand", verified=1)
     if plan is not None:
         with phases.phase("validate"):

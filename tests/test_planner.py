@@ -22,12 +22,14 @@ from planner import (
     Packing,
     Table,
     astar,
+    instance,
     load,
     sweep,
     verify,
 )
 from planner.checking import read
 from planner.fast_downward import with_initial_state
+from planner.solving import SolveOptions, solve_instance
 from planner.task import Task, Variable
 
 WITH_STATES = solvable(SMALL)
@@ -275,3 +277,13 @@ def test_packing_is_invertible_and_its_keys_distinguish_states(domains: list[int
     packed = packing.pack(values)
     np.testing.assert_array_equal(packing.unpack(packed), values)
     assert len(np.unique(packing.keys(packed))) == len(np.unique(values, axis=0))
+
+
+def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def slow(*_: object, **__: object) -> None:
+        raise LimitError("Fast Downward ran out of time (1 s)")
+
+    monkeypatch.setattr("planner.costtogo.astar", slow)
+    record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(max_states=5))
+    assert record["status"] == "limit"
+    assert record["error"]["message"] == "Fast Downward ran out of time (1 s); not swept: more than 5 states"
