@@ -116,9 +116,9 @@ class Change(ast.NodeTransformer):
 
     def visit(self, node: ast.AST) -> Any:
         for other in others(node):
-            if self.count == self.wanted:
-                return ast.fix_missing_locations(ast.copy_location(other, node))
             self.count += 1
+            if self.count - 1 == self.wanted:
+                return ast.fix_missing_locations(ast.copy_location(other, node))
             self.told.append(f"line {node.lineno}: {shown(node)} -> {shown(other)}")  # type: ignore[attr-defined]
         return self.generic_visit(node)
 
