@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from conftest import KITTING
 from unified_planning.engines import OptimalityGuarantee, PlanGenerationResultStatus
 from unified_planning.environment import Environment, get_environment
 from unified_planning.exceptions import UPUsageError
@@ -100,6 +101,15 @@ def test_what_it_does_not_support_it_says() -> None:
         planner.error_on_failed_checks = True
         with pytest.raises(UPUsageError, match="kitassist"):
             planner.solve(problem)
+
+
+def test_what_cannot_be_solved_is_proven_so() -> None:
+    from unified_planning.io import PDDLReader
+
+    problem = PDDLReader().parse_problem(str(KITTING / "domain.pddl"), str(KITTING / "unsolvable.pddl"))
+    with Engine() as engine, pytest.warns(UserWarning, match="kitassist does not use the heuristic that it was given"):
+        result = engine.solve(problem, heuristic=lambda _: 0.0)
+    assert (result.status, result.plan) == (PlanGenerationResultStatus.UNSOLVABLE_PROVEN, None)
 
 
 def test_a_time_that_is_too_short_is_said() -> None:

@@ -16,6 +16,7 @@ import pytest
 from conftest import KITTING, invoke, write_instance
 from recorded import log_of
 from teams import equal, run, state
+from test_qmdp import make
 
 from assist.drawing.frames import FramesError, episode_frames
 from assist.drawing.picture import Artist
@@ -25,7 +26,8 @@ from assist.interop.teams import Teams
 from assist.learning import comparison, population, weighing
 from assist.learning.actions import Matcher, UnmatchedError
 from assist.learning.estimates import Method
-from assist.learning.people import fit
+from assist.learning.log import Log
+from assist.learning.people import LogError, fit
 from assist.live import limits
 from assist.live.access import Access
 from assist.live.advice import Advice
@@ -40,6 +42,7 @@ from assist.people.human import Mixture, Population
 from assist.people.misconception import Misconception
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
 from assist.simulation.luck import BLOCK
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
@@ -111,8 +114,8 @@ def happen(table: Table, *events: Event) -> None:
         course.happen(event, 0.0)
 
 
-def in_utf_16(folder: Path) -> None:
-    (folder / "task.pddl").write_text("(define (problem p))", encoding="utf-16")
+def in_bytes(folder: Path, content: bytes) -> None:
+    (folder / "task.pddl").write_bytes(content)
     load(folder / "task.pddl", KITTING / "domain.pddl")
 
 
@@ -212,6 +215,9 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: learned(g.table, ACTIONS, terms=True).distribution(family="uniform"),
         ValueError, "family 'uniform': expected log-normal, which beta is taken to be where terms are",
     ),
+    "no episode": (
+        lambda g: fit(g.table, Log((), people=frozenset({"ann"}))), LogError, "no episode can be used",
+    ),
     "no model of that name": (
         lambda _: comparison.Comparison((), np.zeros(0, dtype=np.int64), ())["goals"], KeyError, "goals",
     ),
@@ -251,6 +257,20 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         comes_back_to_another,
         ValueError, "ann comes back to the task that they left; `begin` gives",
     ),
+    "another grid": (
+        lambda g: Assistant(g.table, people=["ann"]).join("bob", qmdp(make(g.choices))),
+        ValueError, "bob: a belief of shape (2, 3); expected (6, 10), as in others",
+    ),
+    "a next task on another grid": (
+        lambda g: Assistant(g.table, people=["ann"]).begin("ann", qmdp(make(g.choices))),
+        ValueError, "ann: the next task distinguishes other values of beta and theta; expected the same",
+    ),
+    "habits on a task of any size": (
+        lambda g: Assistant(
+            OnDemand(g.table.task), people=["ann"], population=Population(weights={"goals": (0.0, 1.0)})
+        ),
+        ValueError, "people who remember what they did: expected a task of at most",
+    ),
     # Tasks.
     "options of the engine": (lambda _: Engine(speed=3), TypeError, "speed: this engine has no such options"),
     "counting what costs": (
@@ -262,7 +282,14 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "SAS text: expected 'begin_version', found 'begin_variable'",
     ),
     "output": (lambda g: writable(g.folder), OSError, "is a folder, not a file"),
-    "encoding": (lambda g: in_utf_16(g.folder), PDDLError, "task.pddl:1: this is UTF-16; save it as UTF-8"),
+    "old encoding": (
+        lambda g: in_bytes(g.folder, b"(define (problem p\xe4))"),
+        PDDLError, "task.pddl:1: not a text file in UTF-8",
+    ),
+    "encoding": (
+        lambda g: in_bytes(g.folder, "(define)".encode("utf-16")),
+        PDDLError, "task.pddl:1: this is UTF-16; save it as UTF-8",
+    ),
 }  # fmt: skip
 
 

@@ -27,6 +27,8 @@ def test_the_bootstrap_of_a_saving_is_scipys_and_is_paired() -> None:
         (with_it, without), lambda a, b, axis=-1: 100 * (1 - a.mean(axis) / b.mean(axis)), paired=True,
         vectorized=True, method="BCa", n_resamples=20_000, rng=np.random.default_rng(2),
     ).confidence_interval  # fmt: skip
+    alike = statistics.saving(np.full(30, 3.0), np.full(30, 4.0), np.random.default_rng(1))
+    assert (alike.low, alike.value, alike.high) == (25.0, 25.0, 25.0)
     width = theirs.high - theirs.low
     assert estimate.low == pytest.approx(theirs.low, abs=0.08 * width)
     assert estimate.high == pytest.approx(theirs.high, abs=0.08 * width)

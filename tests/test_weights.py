@@ -175,6 +175,10 @@ def test_the_rate_of_trust_is_the_one_that_fits_best(monkeypatch: pytest.MonkeyP
     assert sum(done) == len(rates)
     assert with_rate(likelihood, Method(eta=0.1)) is likelihood
     assert with_rate(alone(), Method()) is alone()
+    near = np.array([[4.0, 0.4, *WEIGHTS]])
+    low, high, value = intervals(found, near, 0.95)
+    assert (low <= high).all()
+    assert value >= found.log_probability(near).sum()
 
 
 def test_folds_are_apart_and_whoever_is_predicted_was_not_seen() -> None:

@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 from .choices import Choices, mix
 
 Noise = Literal["state", "action"]
-Keys = NDArray[np.uint64]
 
 
 def standard_normal(seed: int, keys: ArrayLike) -> NDArray[np.float64]:

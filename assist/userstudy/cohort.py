@@ -28,7 +28,6 @@ from .group import Group
 from .plan import Stage, UserStudy
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
-OVER = {DECLINED, WITHDREW, DONE}
 
 KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned"}
 """What may happen."""
