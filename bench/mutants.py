@@ -152,15 +152,19 @@ class Mutant:
     def __init__(self, tree: ast.Module, path: list[str], name: str, number: int, told: str) -> None:
         self.tree, self.path, self.name, self.number, self.told = tree, path, name, number, told
 
-    def take_place(self, module: types.ModuleType) -> None:
-        """Let the module's function do what the changed one does."""
+    def program(self) -> ast.Module:
+        """Give the module with the change."""
         tree = copy.deepcopy(self.tree)
         parent: Any = tree
         for part in self.path:
             parent = next(node for node in parent.body if getattr(node, "name", None) == part)
         change = Change(self.number)
         parent.body = [change.visit(statement) for statement in parent.body]
-        code = compile(ast.fix_missing_locations(tree), str(module.__file__), "exec")
+        return ast.fix_missing_locations(tree)
+
+    def take_place(self, module: types.ModuleType) -> None:
+        """Let the module's function do what the changed one does."""
+        code = compile(self.program(), str(module.__file__), "exec")
         function = function_of(module, self.path)
         assert function is not None
         function.__code__ = next(inner for inner in codes(code) if inner.co_qualname == self.name)

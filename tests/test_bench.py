@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 
 import click
 import pytest
 from conftest import ROOT
+
+from assist.team import attention
 
 RUN = importlib.import_module("run")
 CASES: dict[str, tuple[str, str]] = RUN.CASES
@@ -32,3 +35,12 @@ def test_a_benchmark_has_the_options_it_is_run_with(name: str) -> None:
     for arguments in CASES[name]:
         with command.make_context(name, arguments.split()):
             pass
+
+
+def test_a_mutant_differs_in_one_place() -> None:
+    mutants = importlib.import_module("mutants").mutants_of(attention)
+    lines = ast.unparse(mutants[0].tree).splitlines()
+    assert len(mutants) > 30
+    for mutant in mutants:
+        changed = ast.unparse(mutant.program()).splitlines()
+        assert sum(one != other for one, other in zip(lines, changed, strict=True)) == 1, mutant.told
