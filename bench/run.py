@@ -27,7 +27,7 @@ CASES = {
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),
-    "fit misconceptions": ("--people 2", "--people 1 --instance kitting/tiny --episodes 2"),
+    "fit misconceptions": ("--people 2 --episodes 3 --episodes 10", "--people 1 --instance kitting/tiny --episodes 2"),
     "fit_figures": ("", "--instance kitting/tiny"),
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
