@@ -118,7 +118,7 @@ def test_a_time_limit_holds_and_disturbs_nobody() -> None:
 
 def test_a_memory_limit_holds() -> None:
     names = [KITTING / "ladder-4x9.pddl", KITTING / "tiny.pddl"]
-    result = kitassist("solve", *names, "--memory-limit", 500, "--time-limit", 60, "--max-states", 10**9, "--json")
+    result = kitassist("solve", *names, "--memory-limit", 500, "--time-limit", 600, "--max-states", 10**9, "--json")
     assert result.returncode == 0
     big, small = json.loads(result.stdout)
     assert (big["status"], big["cost"], big["method"], big["states"]) == ("solved", 17, "on-demand", None)

@@ -74,7 +74,7 @@ def run(command: str) -> tuple[int, str, str, str]:
             raise result.exception
         return result.exit_code, result.stdout, result.stderr, result.output
     environment = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
-    done = subprocess.run(command, shell=True, capture_output=True, text=True, env=environment, timeout=120)
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, env=environment, timeout=600)
     return done.returncode, done.stdout, done.stderr, done.stdout + done.stderr
 
 

@@ -21,9 +21,9 @@ def test_a_camera_reports_and_a_robot_asks_where_to_go() -> None:
         )
         camera = subprocess.run(
             [sys.executable, EXAMPLES / "vision.py", service.operator, "person-1"],
-            capture_output=True, text=True, timeout=120, check=True,
+            capture_output=True, text=True, timeout=600, check=True,
         )  # fmt: skip
-        said, _ = robot.communicate(timeout=60)
+        said, _ = robot.communicate(timeout=300)
         log = Client(service.operator).log()
     assert robot.returncode == 0
     seen = camera.stdout.splitlines()

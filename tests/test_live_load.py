@@ -36,7 +36,7 @@ def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: s
         "--max-examples", "5", "--phases", "examples,coverage,fuzzing", "--no-color", "--seed", "1",
         "--header", f"Authorization: Bearer {service.token()}", *only,
     ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=folder)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=900, cwd=folder)
     assert done.returncode == 0, done.stdout
     assert service.ask("GET", "/api/health").json()["status"] == "ok"
 
