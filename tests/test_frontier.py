@@ -220,6 +220,9 @@ def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None
     assert part.choices.h[part.frontier].tolist() == [np.inf]
     np.testing.assert_allclose(frontier.lower, np.full((1, 10), -5 / 0.1), rtol=1e-12)
     np.testing.assert_allclose(frontier.upper, -1 / 0.1, rtol=1e-12)
+    anybody = part.bounds_of_anybody(gamma=0.9, thetas=10)
+    np.testing.assert_allclose(anybody.lower, np.full((1, 10), -5 / 0.1), rtol=1e-12)
+    assert (anybody.floor, frontier.floor) == pytest.approx((-5 / 0.1,) * 2, rel=1e-12)
 
 
 def test_a_discount_that_cannot_be_is_refused() -> None:

@@ -72,6 +72,20 @@ def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
     assert switching(team).person.tolist() == [NOBODY]
 
 
+def test_attention_goes_nowhere_where_the_way_costs_what_it_saves(pool: Pool) -> None:
+    def score(x: int, c_move: float) -> float:
+        return float(AttentionSwitching().scores(at(x, c_move))[1][0, 0])
+
+    def at(x: int, c_move: float) -> TeamState:
+        return state(pool, [x], travel=Travel.of(1, c_move=c_move))
+
+    x = max(np.flatnonzero(~pool.choices(0).goal).tolist(), key=lambda x: score(x, 0.0))
+    saving = score(x, 0.0)
+    assert saving > 0
+    assert AttentionSwitching()(at(x, saving)).person.tolist() == [NOBODY]
+    assert AttentionSwitching()(at(x, saving * (1 - 1e-9))).person.tolist() == [0]
+
+
 def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
     goal = int(np.flatnonzero(pool.choices(0).goal)[0])
     action = AttentionSwitching()(state(pool, [goal, goal, goal]))
