@@ -294,12 +294,17 @@ def _converge(
     def one(b: int) -> bool:
         nonlocal last
         left = sweeps
+        # What is swept over lies together, so that more of it stays in the processor's cache.
+        own = value[:, b : b + 1].copy()
+        chosen, unsuggested = read_only(arrays.chosen[:, :, b : b + 1]), read_only(arrays.unsuggested[:, :, b : b + 1])
+        m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
         while errors[b] > tolerance and left and (now := time.perf_counter()) < deadline:
-            errors[b] = _sweep(value, order, robot, b, arrays) * arrays.gamma / (1 - arrays.gamma)
+            errors[b] = _sweep(own, order, robot, 0, m) * arrays.gamma / (1 - arrays.gamma)
             left -= 1
             if progress is not None and now > last + SECONDS_BETWEEN:
                 last = now
                 progress(float(errors.max()))
+        value[:, b] = own[:, 0]
         return bool(errors[b] <= tolerance)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -15,7 +15,7 @@ from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_mo
 from ..team.travel import Travel
 from .dynamics import People, act
 from .episodes import Episodes, Trace
-from .ground import Ground, Group, View, Whole, Wide, World
+from .ground import Ground, Ints, View, World
 from .luck import Luck, from_the_prior
 from .presence import Presence
 
@@ -37,7 +37,7 @@ class Run:
         world: World,
         trace: Trace | None,
         progress: Callable[[int], None] | None,
-        group_of: Callable[[int], Group],
+        ground: Callable[[Ints, Ints, Ints], Ground],
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
@@ -56,8 +56,7 @@ class Run:
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
-        known = self.model, self.people, self.mind
-        self.ground: Ground = Wide(pool, world, *known) if pool.wide else Whole(pool, group_of, world, *known)
+        self.ground = ground(self.model, self.people, self.mind)
         self.x = self.ground.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
 from typing import get_args
 
 import numpy as np
@@ -22,7 +22,7 @@ from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .episodes import Episodes, Trace
-from .ground import Group, World
+from .ground import Ground, Group, Whole, Wide, World
 from .luck import BLOCK
 from .presence import Presence
 from .run import Run
@@ -114,13 +114,15 @@ def simulate(
     luck = entropy(seed)
     if pool.wide:
         jobs = 1  # what has been met grows under one hand
-    group_of = cache(lambda number: Group.of_model(pool, number, world))
+        ground: Callable[..., Ground] = partial(Wide, pool, world, {})
+    else:
+        ground = partial(Whole, pool, cache(lambda number: Group.of_model(pool, number, world)), world)
 
     def run(start: int) -> Episodes:
         chunk = slice(start, start + together)
         return Run(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=luck, name=called,
-            travel=travel, presence=presence, world=world, trace=trace, progress=progress, group_of=group_of,
+            travel=travel, presence=presence, world=world, trace=trace, progress=progress, ground=ground,
         ).run()  # fmt: skip
 
     starts = range(0, count, together)

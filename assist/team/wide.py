@@ -160,6 +160,8 @@ class Around:
     count : int
     deep : bool
         Whether it is known what every suggestion in them would do to trust.
+    solved : dict
+        The problems with a robot that comes and goes that have been asked for, by the arguments of `visits`.
     """
 
     wide: WidePolicy
@@ -167,6 +169,7 @@ class Around:
     region: Region
     count: int
     deep: bool
+    solved: dict[tuple[float, ...], tuple[Visits, QMDP]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _policy(self) -> QMDP:
@@ -176,12 +179,15 @@ class Around:
 
     def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[Visits, QMDP]:
         """Give the problem with a robot that comes and goes, and the policy there; arguments as in `WidePolicy`."""
-        estimates = self.wide.visited(entry, entry_steps, longest, price)
-        visits = Visits.of(self.pomdp, entry, entry_steps, longest=longest)
-        layout = visits.layout
-        value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
-        here = np.flatnonzero(layout.x < self.count)
-        return visits, self._ahead(visits.at_price(price), value, here)
+        key = (entry, entry_steps, longest, price)
+        if key not in self.solved:
+            estimates = self.wide.visited(*key)
+            visits = Visits.of(self.pomdp, entry, entry_steps, longest=longest)
+            layout = visits.layout
+            value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
+            here = np.flatnonzero(layout.x < self.count)
+            self.solved[key] = visits, self._ahead(visits.at_price(price), value, here)
+        return self.solved[key]
 
     def _ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
         value[pomdp.model.choices.goal] = 0.0
