@@ -20,7 +20,8 @@ ROOMS = {
         checkpoint reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches listing
         sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
-    "assist.person": "archive pomdp region visited problem qmdp estimates alpha_vectors hsvi upper_hull solver",
+    "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
+        solver""",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
         diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem settings wide priority policies pool",

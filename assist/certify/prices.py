@@ -142,7 +142,7 @@ def _alone(pool: Pool, model: int) -> AssistPOMDP:
     Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
     """
     policy = pool.policies[model]
-    return policy.problem(policy.region) if isinstance(policy, WidePolicy) else policy.pomdp
+    return policy.bounded if isinstance(policy, WidePolicy) else policy.pomdp
 
 
 def _allow(pool: Pool, kinds: list[tuple[int, float, int]], window: int, limit_mb: float) -> None:

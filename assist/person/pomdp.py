@@ -47,8 +47,8 @@ class Frontier:
     states : int array, shape (m,)
     lower : float array, shape (m, T)
         What some policy gets at least, for each theta and whatever beta is.
-    upper : float array, shape (m,)
-        What no policy exceeds.
+    upper : float array, shape (m,) or (m, B)
+        What no policy exceeds; for each beta, if that is known.
     floor : float, optional
         What every policy gets at least that says nothing any more.
     """

@@ -165,7 +165,8 @@ def highest(pomdp: AssistPOMDP) -> Floats:
     if pomdp.frontier is not None:
         beyond = np.isinf(choices.h[pomdp.frontier.states])
         value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
-        value[pomdp.frontier.states] = pomdp.frontier.upper[:, None, None]
+        upper = pomdp.frontier.upper
+        value[pomdp.frontier.states] = upper[:, :, None] if upper.ndim == 2 else upper[:, None, None]
     return value
 
 

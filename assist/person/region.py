@@ -267,6 +267,19 @@ def _advised(
     return value
 
 
+def expected(human: Human, known: CostToGo, states: NDArray[np.int64], h: Floats) -> Floats:
+    """Give what a person takes for the cost-to-go of states, shape (N,), of which h is the exact one.
+
+    Where they are mistaken about single actions, that is the exact one, too: not in the same way about a state's.
+    """
+    ends = np.zeros((len(states), 1), dtype=np.int64)
+    nowhere = Choices(
+        h, known.is_goal(states), ends > 0, ends, ends, np.zeros(ends.shape), ends > 0, (), key=keys_of(known, states)
+    )
+    mine = human.expects(nowhere)
+    return mine if mine.ndim == 1 else h
+
+
 class _Growth:
     """A region while it grows: the state that is met most likely comes next."""
 
@@ -321,7 +334,7 @@ class _Growth:
         applicable[source, slot] = True
         best = q == q.min(axis=1, keepdims=True)
         if self.human is not None:
-            q[source, slot] = self.cost[actions] + self._expected(targets, after)
+            q[source, slot] = self.cost[actions] + expected(self.human, self.known, targets, after)
         alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
         weight = np.array(list(batch.values()))[source] * np.where(best, ADVISED, alone)[source, slot]
         local = self._meet(targets, weight)
@@ -329,17 +342,6 @@ class _Growth:
             self.rows[at] = actions[begin:end], local[begin:end]
         self.expanded += len(batch)
         return len(batch)
-
-    def _expected(self, targets: NDArray[np.int64], after: Floats) -> Floats:
-        """Give what the person takes for the cost-to-go of states, shape (N,), that it is of, shape (N,)."""
-        ends = np.zeros((len(targets), 1), dtype=np.int64)
-        nowhere = Choices(
-            after, self.known.is_goal(targets), ends > 0, ends, ends, np.zeros(ends.shape), ends > 0, (),
-            key=keys_of(self.known, targets),
-        )  # fmt: skip
-        assert self.human is not None
-        expected = self.human.expects(nowhere)
-        return expected if expected.ndim == 1 else after  # about single actions nobody is mistaken in the same way
 
     def region(self) -> Region:
         """Arrange what has been collected."""

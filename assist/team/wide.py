@@ -13,27 +13,32 @@ its arrays have a row for each of these states and for those that come next. Tea
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
+from planner import CostToGo, Table
 
 from ..people.belief import Grid
+from ..people.choice_model import boltzmann
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
+from ..person.compliance import at_most, mistaken_about_states
 from ..person.estimates import Estimates
 from ..person.pomdp import AssistPOMDP, Frontier
 from ..person.qmdp import QMDP, ahead
-from ..person.region import Region
+from ..person.region import SURVEYED, Region
 from ..person.visited import NONE, Visited
 from .settings import Setting
 from .subproblem import Visits
 
 REGION = {"sweep": 20_000, "on-demand": 200}
 """States that a policy is worked out on, by how the task's cost-to-go is come by."""
+
+BOUNDED = 300
+"""States of a region on which somebody's problem is bounded: with prices it is there once for each of their steps."""
 
 Tell = Callable[[float], None]
 
@@ -94,6 +99,26 @@ class WidePolicy:
 
     def _bounds(self, region: Region) -> Frontier:
         return region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
+
+    @cached_property
+    def bounded(self) -> AssistPOMDP:
+        """The problem of which a bound is wanted: on a region, with bounds of the whole task where it breaks off.
+
+        Of a table that can be swept over the region is small: from its frontier on people comply.
+        """
+        ground, human, setting = self.ground, self.human, self.setting
+        known = ground.known
+        chooses = ground.prior.typical is boltzmann and (human is None or mistaken_about_states(human))
+        if not (chooses and isinstance(known, Table) and len(known) <= SURVEYED):
+            return self.problem(self.region)
+        size = min(ground.size, BOUNDED)
+        region = Region.of(known, states=size, population=ground.prior, human=human)
+        upper = at_most(
+            known, human, self.grid.beta, gamma=setting.gamma, c_suggest=setting.c_suggest, lapse=setting.lapse,
+            optimal=setting.suggestions == "optimal",
+        )[region.states[region.frontier]]  # fmt: skip
+        frontier = replace(self._bounds(region), upper=upper)
+        return setting.problem(region.choices, human, ground.prior, frontier=frontier)
 
     @cached_property
     def grid(self) -> Grid:
