@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel, Population
+from assist.person import region
 from assist.person.pomdp import AssistPOMDP
 from assist.person.region import Region
 from assist.person.solver import solve
@@ -210,6 +211,21 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
         frontier = part.problem(eta=eta, lapse=0.0, **setting).frontier  # type: ignore[arg-type]
         assert frontier is not None
         np.testing.assert_allclose(frontier.lower, expected[part.states[frontier.states]], rtol=1e-5)
+
+
+@pytest.mark.parametrize("more", [[], [(2, 8, 1), (8, 9, 1), (9, 8, 1)]], ids=["a way from everywhere", "dead ends"])
+def test_what_is_too_much_to_look_through_is_bounded_with_care(
+    monkeypatch: pytest.MonkeyPatch, more: list[tuple[int, int, int]]
+) -> None:
+    ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
+    part = Region.of(sweep(graph_task(ladder + more, start=3)), states=2)
+    known = part.problem(gamma=0.9).frontier
+    monkeypatch.setattr(region, "SURVEYED", 1)
+    careful = part.problem(gamma=0.9).frontier
+    assert known is not None
+    assert careful is not None
+    assert (careful.lower <= known.lower + 1e-9).all()
+    assert more or (careful.lower > careful.floor + 0.1).any()
 
 
 def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
