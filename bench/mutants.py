@@ -241,7 +241,7 @@ class Run:
 
         found = forked(work)
         if found is None:
-            raise click.ClickException(f"{self.file}: its tests fail without a change")
+            raise pytest.UsageError(f"{self.file}: its tests fail without a change")
         return found
 
     @pytest.hookimpl(wrapper=True)
@@ -356,7 +356,7 @@ def main(modules: tuple[str, ...], sample: int | None, seed: int, only: str | No
     rows = []
     for module in modules or TESTS:
         found = forked(functools.partial(mutate, module, sample, seed, only))  # tests are collected anew for each
-        if found is None:
+        if found is None or not found[0]:
             sys.exit(1)
         count, results = found
         killed = sum(end.startswith("killed") for _, end in results)
