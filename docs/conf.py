@@ -48,12 +48,13 @@ numpydoc_class_members_toctree = False
 
 
 def _anchors(_: object, document: nodes.document) -> None:
-    """Give what is described a second time, under the shorter name, the anchor of that name: sources link to it."""
-    for described in document.findall(addnodes.desc):
-        for signature in described.findall(addnodes.desc_signature):
-            name = f"{signature.get('module')}.{signature.get('fullname')}"
-            if described.get("no-index") and name not in signature["ids"]:
-                signature["ids"].append(name)
+    """Give what `assist` has the anchor of its shortest name as well, to which pages of sources link."""
+    given = set()
+    for signature in document.findall(addnodes.desc_signature):
+        name = f"assist.{signature.get('fullname')}"
+        if str(signature.get("module")).startswith("assist") and name not in given:
+            signature["ids"].append(name)
+            given.add(name)
 
 
 def setup(app: Sphinx) -> None:
