@@ -39,7 +39,10 @@ CASES = {
     "honesty": ("--quick --time-limit 3", "--quick --instances paper-fixed --time-limit 1"),
     "live": ("--people 10 --people 1000 --steps 100", "--people 10 --steps 10 --instance domains/kitting/tiny.pddl"),
     "live_load": ("--people 50 --seconds 30", "--instance domains/kitting/tiny.pddl --people 2 --seconds 5"),
-    "live_timing": ("--humans 1 --humans 3 --episodes 20", "--instance domains/kitting/tiny.pddl --humans 1 --episodes 2"),
+    "live_timing": (
+        "--humans 1 --humans 3 --episodes 20",
+        "--instance domains/kitting/tiny.pddl --humans 1 --episodes 2",
+    ),
     "methods": ("kitting/tiny kitting/paper depot/nine-items --repeat 1 --limit 10", "kitting/tiny --repeat 1"),
     "mutants": (
         "assist/team/attention.py --sample 4 --only reactive",
