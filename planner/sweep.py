@@ -141,9 +141,10 @@ def sweep(
         return _listed(task, budget, threads, "its operators split into very many moves", told)
     coding, moves = plain(task, moves)
     if coding is None or coding.size > MANY:
-        few = enumerated(task, budget, threads, told, FEW * len(moves))
-        if few is not None:
-            return _settled(task, few, budget, told, None)
+        with suppress(MemoryLimitError, MemoryError):  # an index may take less
+            few = enumerated(task, budget, threads, told, FEW * len(moves))
+            if few is not None:
+                return _settled(task, few, budget, told, None)
         coding, moves = denser(task, coding, moves, partial(budget.check_time, 1))
     if coding is None:
         return _listed(task, budget, threads, "its states take more than 62 bits each", told)
