@@ -1,8 +1,8 @@
 """What simulated people stand on: their tasks as a whole, or in each step the little of it that the step needs.
 
 Of a task that is looked at whole everything is worked out once, and the rows of its arrays name its states. Of one that
-is not (`team.wide`) the problem around those states in which people are is made in every step, and forgotten: nothing
-but what has been looked up remains.
+is not (`team.wide`) the problem around those states in which people are is made when a step needs it. Some of that is
+kept, up to a limit, and the rest forgotten, so that little more remains than what has been looked up.
 """
 
 from __future__ import annotations
