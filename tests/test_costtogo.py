@@ -184,10 +184,11 @@ def test_a_wrong_table_is_noticed(table: Table, node: dict[int, int], wrong: int
         check_successors(Table(table.space, distance), 7, np.random.default_rng(0))
 
 
-def test_states_are_compared_with_their_successors(table: Table) -> None:
+def test_states_are_compared_with_their_successors(table: Table, tiny: Table) -> None:
     for count, compared in ((0, 1), (3, 3), (99, 7)):
         assert check_successors(table, count, np.random.default_rng(0)) == compared
     assert check_successors(table, 7, np.random.default_rng(0), seconds=0.0) == 1
+    assert check_successors(tiny, 99, np.random.default_rng(0)) == len(tiny)  # some with a part of the goal only
 
 
 @pytest.mark.parametrize("start", H)
