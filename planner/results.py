@@ -18,7 +18,7 @@ from typing import Any
 from . import fast_downward
 from .errors import DamagedFileError, ResultsExistError
 from .pddl import Instance
-from .solving import Record, SolveOptions, saved_files
+from .solving import Record, SolveOptions, begun_sweep, saved_files
 from .storage import append_record, read_records, remove_unfinished, write_records
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
@@ -104,6 +104,8 @@ class Results:
         remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
 
     def _holds(self, record: Record, line: dict[str, Any], current: str | None) -> bool:
+        if begun_sweep(self._folder / line["place"]).exists():
+            return False  # it was solved on demand for lack of time, and the sweep can go on
         is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
         return current is not None and all(line.get(name) == value for name, value in is_now.items())
 

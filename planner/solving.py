@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
+SWEEP_SHARE = 0.75
+"""Share of an instance's time in which all states are to be swept; what is left is for the initial one alone."""
+
 DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -94,6 +97,10 @@ class _Phases:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
+
+    def part(self, share: float) -> float | None:
+        """Give when a share of all the time is over."""
+        return None if self.deadline is None else self.start + share * (self.deadline - self.start)
 
     def limits(self) -> Limits:
         left = None if self.deadline is None else max(0.01, self.deadline - time.monotonic())
@@ -220,26 +227,32 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
     instance = task.instance
     record = empty_record(instance, "solved", None)
     notes = [task.note] if task.note else []
-    unswept: list[str] = []
+    unswept: str | None = None
     table: Table | None = None
     if not task.decided_by_translator:
         memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
         with phases.phase("search"):
-            answers = cost_to_go(
-                task,
-                max_states=options.max_states,
-                memory_limit_mb=memory,
-                deadline=phases.deadline,
-                jobs=options.threads,
-                progress=phases.progress,
-                checkpoint=None if place is None else place.with_name(f"{place.name}.sweep"),
-            )
-        if isinstance(answers, OnDemand):
-            notes.append(f"solved on demand: {answers.reason}")
-            unswept.append(f"not swept: {answers.reason}")
-        else:
-            table = answers
+            try:
+                answers = cost_to_go(
+                    task,
+                    max_states=options.max_states,
+                    memory_limit_mb=memory,
+                    deadline=phases.part(SWEEP_SHARE),
+                    jobs=options.threads,
+                    progress=phases.progress,
+                    checkpoint=None if place is None else begun_sweep(place),
+                )
+            except LimitError as error:
+                unswept = str(error)
+            else:
+                if isinstance(answers, OnDemand):
+                    unswept = answers.reason
+                else:
+                    table = answers
+        if table is not None:
             notes += [table.note] if table.note else []
+        else:
+            notes.append(f"solved on demand: {unswept}")
     if table is not None:
         finite = table.distance[~table.dead_end]
         record.update(
@@ -268,7 +281,7 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             try:
                 cost, plan = astar(task, limits=phases.limits())
             except LimitError as error:
-                raise type(error)("; ".join([str(error), *unswept])) from None
+                raise type(error)(f"{error}; not swept: {unswept}" if unswept else str(error)) from None
         record.update(method="on-demand", verified=1)
     if plan is not None:
         with phases.phase("validate"):
@@ -306,6 +319,11 @@ def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
 def saved_files(place: Path) -> tuple[Path, Path]:
     """Name the files of an instance's table and plan."""
     return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
+
+
+def begun_sweep(place: Path) -> Path:
+    """Name the folder of what a long sweep has found that is not over."""
+    return place.with_name(f"{place.name}.sweep")
 
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:

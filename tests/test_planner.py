@@ -287,3 +287,10 @@ def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.Mon
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(max_states=5))
     assert record["status"] == "limit"
     assert record["error"]["message"] == "Fast Downward ran out of time (1 s); not swept: more than 5 states"
+
+
+def test_where_a_sweep_takes_too_long_there_is_time_left_for_the_initial_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planner.solving.SWEEP_SHARE", 1e-9)  # it is over before the sweep begins
+    record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(time_limit=600))
+    assert (record["status"], record["method"], record["cost"]) == ("solved", "on-demand", 6)
+    assert record["note"].startswith("solved on demand: out of time")

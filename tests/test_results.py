@@ -16,7 +16,7 @@ from assist.cli import main
 from planner import Instance, batch, results
 from planner.batch import solve_batch
 from planner.results import Results
-from planner.solving import SolveOptions, solve_instance
+from planner.solving import SolveOptions, begun_sweep, solve_instance
 from planner.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
@@ -105,6 +105,13 @@ def test_damaged_tables_and_plans_are_made_again(ending: str, damage: str, tmp_p
         file.write_bytes(file.read_bytes()[:-1])
     assert kept(out, instance) == set()
     assert not list(out.rglob("problem.*"))  # nothing is left that no record stands for
+
+
+def test_a_long_sweep_that_was_cut_off_goes_on(tmp_path: Path, instance: Instance) -> None:
+    results = solved(tmp_path / "out", instance)
+    assert kept(tmp_path / "out", instance) == {str(instance.problem)}
+    begun_sweep(results.place(instance)).mkdir()  # it was then solved on demand
+    assert kept(tmp_path / "out", instance) == set()
 
 
 def test_results_of_other_instances_stay(tmp_path: Path, instance: Instance) -> None:
