@@ -79,7 +79,7 @@ $(VENV)/.warm: $(VENV)/.test $(VENV)/.compiled $(wildcard planner/*.py assist/*/
 	@touch $@
 
 clean:
-	rm -rf $(VENV) .coverage demo site
+	rm -rf $(VENV) .coverage demo jupyter_execute site
 
 # Which packages are installed, and from which versions, is fixed by pyproject.toml and constraints.txt.
 $(VENV)/bin/python:
