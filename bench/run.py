@@ -59,14 +59,14 @@ CASES = {
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
-    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1"),
+    "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 4000"),
     "team gap": (
         "--instance paper-fixed --gamma .95 --humans 2 --humans 100 --time-limit 10",
         "--instance tiny --gamma .95 --humans 2 --time-limit 1",
     ),
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
-    "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100"),
+    "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5"),
     "wide": ("--instance kitting/ladder-3x5 --episodes 2000", "--instance kitting/tiny --people 2 --episodes 20"),
 }
 NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}

@@ -211,9 +211,10 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | N
 @instance_option
 @click.option("--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="The median counts.")
 @click.option("--jobs", type=click.IntRange(min=1), default=os.cpu_count(), show_default=True, help="Threads.")
+@click.option("--people", type=click.IntRange(min=1), default=80_000, show_default=True, help="In all episodes.")
 @out_option
 @record_option
-def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path, record: Path | None) -> None:
+def rate(instances: tuple[str, ...], repeat: int, jobs: int, people: int, out: Path, record: Path | None) -> None:
     """Simulate teams of several sizes, belief updates included."""
     rows = []
     for name in instances:
@@ -226,9 +227,7 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, out: Path, record: 
                 rates, processor = [], []
                 for seed in range(repeat):
                     start, used = time.perf_counter(), time.process_time()
-                    run = simulate(
-                        pool, policy, humans=humans, episodes=max(128, 80_000 // humans), seed=seed, jobs=jobs
-                    )
+                    run = simulate(pool, policy, humans=humans, episodes=max(2, people // humans), seed=seed, jobs=jobs)
                     steps = run.actions.sum() / 1e6
                     rates.append(steps / (time.perf_counter() - start))
                     processor.append(steps / (time.process_time() - used))

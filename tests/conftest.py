@@ -82,14 +82,14 @@ def no_line_comes_between() -> None:
 
 
 @pytest.fixture(scope="session")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of all processes that run tests."""
     own = tmp_path_factory.getbasetemp()
     return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
 @pytest.fixture(scope="session", autouse=True)
-def the_same_texts_are_grounded_once(shared: Path) -> None:
+def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
     """Where nothing is limited: the translator is a program of its own, which takes time to start."""
     translate = fast_downward.translate
 
@@ -97,7 +97,7 @@ def the_same_texts_are_grounded_once(shared: Path) -> None:
         if limits != fast_downward.NO_LIMITS:
             return translate(source, limits)
         texts = json.dumps([source.domain_text, source.problem_text])
-        grounded = shared / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
+        grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"
         if not grounded.exists():
             part = grounded.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
             part.write_text(translate(source))
@@ -133,14 +133,14 @@ def pool(tiny_choices: Choices) -> Pool:
 
 
 @pytest.fixture(scope="session")
-def small_study(shared: Path) -> tuple[Study, Path, dict]:
+def small_study(shared_folder: Path) -> tuple[Study, Path, dict]:
     """A study that was carried out by the command with one worker: the study, its folder, and what was printed.
 
     It takes seconds, and so is made once for all processes that run tests.
     """
     from studies import write  # which imports this file
 
-    folder = shared / "small-study"
+    folder = shared_folder / "small-study"
     folder.mkdir(exist_ok=True)
     printed = folder / "printed.json"
     with (folder / "lock").open("w") as lock:
