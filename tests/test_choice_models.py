@@ -160,6 +160,7 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
     assert seen["chance"] == pytest.approx(1, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_bounds_with_memory_agree_with_another_solver(tiny: Table, tmp_path: Path) -> None:
     choices = remembered(tiny)
     population = Population()

@@ -46,6 +46,7 @@ def test_a_study_has_the_same_bytes(scheduler: str, small_study: tuple[Study, Pa
         assert (tmp_path / "out" / name).read_bytes() == (whole / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_command_hands_a_study_to_the_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def sent(*_: object, scheduler: str, **__: object) -> None:
         raise StudyError(f"sent to {scheduler}")

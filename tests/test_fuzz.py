@@ -6,9 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from conftest import ROOT
 
 
+@pytest.mark.slow
 def test_broken_inputs_are_refused(tmp_path: Path) -> None:
     command = [sys.executable, ROOT / "tests" / "fuzz.py", "15", "7", tmp_path, "solve,simulate,fit"]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -50,7 +50,7 @@ def test_the_interface_is_what_its_description_says(tmp_path: Path) -> None:
         )  # fmt: skip
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_interface_of_a_user_study_is_what_its_description_says(tmp_path: Path) -> None:
     file = written(tmp_path / "study.toml")
     with served("--study", file, "--data", tmp_path / "data", instance=None) as study:

@@ -30,7 +30,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("assist.study.runner.outcomes", here)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.usefixtures("one_picture")
 def test_a_killed_study_resumes_to_the_same_bytes(small_study: tuple[Study, Path, dict], tmp_path: Path) -> None:
     study, whole, _ = small_study

@@ -202,6 +202,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         for name in list(SCORES["nasa-tlx"])[3:]:
             page.locator(f'[id="item {name}"] input').press("Enter")
         second = context.new_page()  # of the same browser
+        second.set_default_timeout(PATIENCE)
         second.goto(study.links["everybody"])
         second.wait_for_selector('h2:text("How the task was")')
         page.click('button:text("Continue")')
@@ -223,9 +224,9 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         second.click('button:text("Begin as the next participant")')
         second.click("text=I agree and take part")
         second.click('h2:text("What you will do") ~ form >> button')
-        second.click("#leave:not([hidden]) a")  # in the middle of practice
+        second.click('#leave:not([hidden]) a[href*="?leave"]')  # in the middle of practice
         second.click("#stay")
-        second.click("#leave:not([hidden]) a")
+        second.click('#leave:not([hidden]) a[href*="?leave"]')
         second.click("#leave-now")
         second.wait_for_selector('h2:text("You have left the study")')
         second.goto(study.operator)

@@ -84,9 +84,9 @@ function showStudy(study) {
   at("person").textContent = study.kind === "practice" ? "Practice" : "Your task";
   document.title = at("person").textContent;
   at("undo").hidden = at("again").hidden = true;
+  at("leave").querySelector("a").href = `/part/${encodeURIComponent(person)}/${token}?leave`;
   at("onward").hidden = at("leave").hidden = false;
   at("onward").disabled = outbox.busy;
-  at("leave").querySelector("a").href = `/part/${encodeURIComponent(person)}/${token}?leave`;
 }
 
 function showAdvice() {
