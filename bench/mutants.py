@@ -1,6 +1,6 @@
 """Whether tests notice when a program says something else: mutants, each with one small change, and who kills them.
 
-    python bench/mutants.py [MODULE]... [--sample N] [--seed S] [--only TESTS] [--record FILE]
+    python bench/mutants.py [MODULE]... [--sample N] [--seed S] [--only TESTS] [--record FILE [--more]]
 
 A change is another comparison or sign, a number that is one larger, a condition the other way round, an argument or a
 statement left out. It is made in a function while the tests stand ready, in a process of its own that only runs those
@@ -34,7 +34,7 @@ import click
 import pytest
 from _pytest.main import pytest_runtestloop as all_tests
 from hypothesis import Phase, settings
-from tables import ROOT, Columns, cell, record_option, write_record
+from tables import ROOT, Columns, cell, more_option, record_option, write_record
 
 TESTS = {
     "assist/people/human.py": "test_human test_people",
@@ -45,6 +45,8 @@ TESTS = {
     "assist/team/attention.py": "test_policies test_assistant",
     "assist/team/subproblem.py": "test_bounds test_policies",
     "assist/certify/bound.py": "test_certify test_upper_bound",
+    "assist/certify/certificate.py": "test_certify",
+    "assist/certify/prices.py": "test_certify test_upper_bound",
 }
 """The modules, and the tests that are to hold them."""
 
@@ -53,7 +55,8 @@ COLUMNS: Columns = {
     "mutants": cell("count"),
     "of these run": cell("run"),
     "killed": cell("killed"),
-    "share": lambda row: f"{100 * row['killed'] / max(1, row['run']):.0f} %",
+    "survived": lambda row: f"{row['run'] - row['killed']}",
+    "share of killed": lambda row: f"{100 * row['killed'] / max(1, row['run']):.0f} %",
 }
 SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -120,7 +123,7 @@ class Change(ast.NodeTransformer):
             if self.count - 1 == self.wanted:
                 return ast.fix_missing_locations(ast.copy_location(other, node))
             self.told.append(f"line {node.lineno}: {shown(node)} -> {shown(other)}")  # type: ignore[attr-defined]
-        return self.generic_visit(node)
+        return super().visit(node)
 
     def visit_Raise(self, node: ast.Raise) -> ast.Raise:
         return node
@@ -348,7 +351,10 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
 @click.option("--seed", default=0, show_default=True)
 @click.option("--only", help="The tests whose names match, as pytest's -k has it.")
 @record_option
-def main(modules: tuple[str, ...], sample: int | None, seed: int, only: str | None, record: Path | None) -> None:
+@more_option
+def main(
+    modules: tuple[str, ...], sample: int | None, seed: int, only: str | None, record: Path | None, more: bool
+) -> None:
     """Make mutants of modules, and print what becomes of each."""
     os.chdir(ROOT)
     settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None)
@@ -366,7 +372,7 @@ def main(modules: tuple[str, ...], sample: int | None, seed: int, only: str | No
                 print(f"{module} {told}: {end}")
         for name, show in COLUMNS.items():
             print(f"{name}: {show(rows[-1])}")
-    write_record(record, COLUMNS, rows)
+    write_record(record, COLUMNS, rows, more=more)
 
 
 if __name__ == "__main__":

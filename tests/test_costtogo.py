@@ -136,6 +136,15 @@ def test_where_every_action_costs_something_any_of_several_plans_will_do() -> No
     assert table.optimal_choices().all()
 
 
+@pytest.mark.parametrize("start", [1, 2, 3])
+def test_a_plan_gets_out_of_a_circle_of_free_actions(start: int) -> None:
+    """From 1 and 2 one can go round for nothing; the way out is free as well, and the goal costs 1 wherever one is."""
+    table = sweep(graph_task([(1, 2, 0), (2, 1, 0), (1, 3, 0), (3, 0, 1)], start=start))
+    names = {1: ["(go 002)", "(go 003)"], 2: ["(go 001)", "(go 002)", "(go 003)"], 3: ["(go 003)"]}
+    assert table.optimal_plan() == names[start]
+    assert table.plan_lengths([table.initial]).tolist() == [len(names[start])]
+
+
 def test_a_task_without_actions() -> None:
     there, elsewhere = sweep(graph_task([], goal=1)), sweep(graph_task([(0, 2, 1)], goal=2))
     assert there.optimal_plan() == []
@@ -201,5 +210,7 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
     if start == 1:
         assert astar(table.task)[0] == 4
         assert astar(table.task, [1], search="astar(blind())")[0] == 4
+        with pytest.raises(fast_downward.FastDownwardError, match="of_no_kind"):
+            astar(table.task, [1], search="astar(of_no_kind())")
         with pytest.raises(LimitError, match="out of memory"):
             astar(table.task, [1], limits=Limits(memory_mb=1))

@@ -228,6 +228,49 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
     assert more or (careful.lower > careful.floor + 0.1).any()
 
 
+def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ladder of 6 with a way back at each rung, a corridor of 8, and the ladder with a way into dead ends."""
+    ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
+    drawn = {"ladder": ladder, "corridor": [(node, node - 1, 3) for node in range(1, 9)]}
+    drawn["dead ends"] = [*ladder, (2, 8, 1), (8, 9, 1), (9, 8, 1)]
+    tables = {name: sweep(graph_task(edges, start=6)) for name, edges in drawn.items()}
+    tables["corridor"] = sweep(graph_task(drawn["corridor"], start=8))
+
+    def found(name: str) -> tuple[int, int, float]:
+        survey = region._Survey.of(tables[name], Choices.of(tables[name]))
+        return survey.highest, survey.actions, survey.rise
+
+    for block in (1, 2, 5, region.BLOCK):
+        monkeypatch.setattr(region, "BLOCK", block)
+        assert found("ladder") == (6, 2, 1.0)
+        assert found("corridor") == (24, 1, 0.0)
+        assert found("dead ends") == (6, 3, np.inf)
+    monkeypatch.setattr(region, "SURVEYED", 6)
+    assert found("ladder") == (6, 12, 6.0)
+    assert found("dead ends") == (6, 15, np.inf)
+    asked = OnDemand(tables["corridor"].task)
+    part = region._Survey.of(asked, Region.of(tables["corridor"], start=4, states=2).choices)
+    assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
+
+
+def test_who_follows_for_nothing_pays_nothing() -> None:
+    """A goal that is a free step away: the bound comes as near to 0 as its sweeps do, from the worst there is."""
+    table = sweep(graph_task([(3, 2, 1), (2, 1, 0), (1, 0, 0)], start=3))
+    frontier = Region.of(table, states=1).problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
+    assert frontier is not None
+    assert (frontier.lower > -1e-4).all()
+    assert (frontier.lower <= 0).all()
+
+
+def test_standing_still_costs_1_where_all_else_is_free() -> None:
+    part = Region.of(sweep(graph_task([(1, 0, 0), (1, 2, 0), (2, 3, 0)])), states=1)
+    frontier, anybody = part.problem(gamma=0.9).frontier, part.bounds_of_anybody(gamma=0.9, thetas=10)
+    assert frontier is not None
+    for bounds in (frontier, anybody):
+        np.testing.assert_allclose(bounds.lower, np.full((1, 10), -1 / 0.1), rtol=1e-12)
+        np.testing.assert_array_equal(bounds.upper, [0.0])
+
+
 def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
     table = sweep(graph_task([(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]))
     part = Region.of(table, states=1)

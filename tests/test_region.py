@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, table_of
+from conftest import KITTING, graph_task, invoke, table_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.people.belief import Grid
 from assist.people.choices import Choices
-from assist.people.human import HumanModel
+from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.misconception import Misconception
+from assist.person import region
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
 from assist.person.region import Region
 from assist.person.solver import Solution, solve
-from planner import Instance, OnDemand, Table, load
+from planner import Instance, OnDemand, Table, load, sweep
 
 SETTING = {"gamma": 0.97, "c_suggest": 0.3}
 INSTANCES = {name: Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl") for name in ("paper-fixed", "sealed")}
@@ -91,6 +96,87 @@ def test_a_part_numbers_its_states_as_it_met_them() -> None:
     assert part.local(part.states[::-1]).tolist() == list(range(len(part.states)))[::-1]
     last = int(part.states.max())
     assert part.local(np.array([last, last + 1])).tolist() == [int(part.states.argmax()), -1]
+
+
+def looked_at(table: Table, human: Human | None = None) -> list[int]:
+    """Which nodes of a graph a part looks beyond, in order."""
+    nodes = table.values(np.arange(len(table)))[:, 0]
+    beyond = [set[int]()]
+    for count in range(1, len(table)):
+        part = Region.of(table, states=count, population=Population(beta=(1.0, 1.0)), human=human)
+        beyond.append(set(nodes[np.delete(part.states, part.frontier)].tolist()) - {0})
+    return [node for before, after in pairwise(beyond) for node in after - before]
+
+
+@pytest.fixture
+def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """States are looked at one at a time."""
+    monkeypatch.setitem(region.BATCH, "sweep", 1)
+
+
+@pytest.mark.usefixtures("one_by_one")
+def test_a_part_looks_at_the_states_that_are_met_most_likely() -> None:
+    """From 1 over 2 to the goal: 0.9. A step that costs 2 more than the best has a chance of 1 / (1 + e^2) = 0.12: over
+    3 from 1, over 4 from 2 (0.9 * 0.12), over 5 from 3 (0.12 * 0.12)."""
+    edges = [(3, 5, 1), (5, 0, 4), (1, 3, 1), (2, 4, 1), (1, 2, 1), (2, 0, 1), (3, 0, 3), (4, 0, 2)]
+    assert looked_at(sweep(graph_task(edges))) == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.usefixtures("one_by_one")
+def test_a_part_is_where_somebodys_mistakes_lead() -> None:
+    """Four wrong ways, which cost the same to everybody but to who is mistaken about where they lead."""
+    for prices in ((3, 3, 3, 3), (6, 5, 4, 3)):
+        ways = [(1, 2, 1), (2, 0, 1), *((1, node, 1) for node in range(3, 7))]
+        table = sweep(graph_task([*ways, *((node, 0, price) for node, price in enumerate(prices, start=3))]))
+        nodes = table.values(np.arange(len(table)))[:, 0].tolist()
+        for seed in range(3):
+            human = Human(1.0, 0.5, 2.0, Misconception(2.0, seed))
+            taken = dict(zip(nodes, human.expects(Choices.of(table)).tolist(), strict=True))
+            wrong = [node for node in looked_at(table, human) if node > 2]
+            assert wrong == sorted(range(3, 7), key=taken.__getitem__)
+        # Of whoever is mistaken about single actions nothing is known beforehand.
+        other = Human(1.0, 0.5, 2.0, Misconception(2.0, 0, "action"))
+        assert looked_at(table, other) == looked_at(table)
+    assert looked_at(table) == [1, 2, 6, 5, 4, 3]
+
+
+def test_people_are_the_same_in_a_part_as_in_the_whole() -> None:
+    table = table_of(INSTANCES["sealed"])
+    human, part = Human(1.0, 0.5, 1.0, Misconception(1.0, 5)), Region.of(table, states=30)
+    whole = human.expects(Choices.of(table))
+    np.testing.assert_array_equal(human.expects(part.choices), whole[part.states])
+    np.testing.assert_array_equal(region.expected(human, table, part.states, part.choices.h), whole[part.states])
+
+
+def test_a_part_begins_where_it_is_told_and_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    table, told = table_of(INSTANCES["paper-fixed"]), list[int]()
+    monkeypatch.setitem(region.BATCH, "sweep", 3)
+    part = Region.of(table, start=7, states=8, time_limit=1e9, progress=told.append)
+    assert (part.states[0], told[0], max(told), sum(told)) == (7, 1, 3, 8)
+    everything = Region.of(table, progress=told.append)
+    assert (len(everything.states), len(everything.frontier)) == (len(table), 0)
+    assert sum(told) == 8 + len(table) - table.space.goal.sum()
+    now = iter([0.0, 1.0, 5.0, 7.0])
+    monkeypatch.setattr(region, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    short = Region.of(table, time_limit=6.0)
+    assert len(short.states) - len(short.frontier) - short.choices.goal.sum() == 1 + 3
+
+
+def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
+    part = Region.of(table_of(INSTANCES["sealed"]), states=15)
+    some = Mixture((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
+    people = {"eta": 0.4, "lapse": 0.02, "utility_scale": 3.0}
+    prices = {"gamma": 0.9, "c_suggest": 0.3, "suggestions": "all"}
+    mine = Grid(np.array([0.1, 1.0, 2.0]), np.linspace(0, 1, 4))
+    for grid, population in ((None, None), (None, some), (mine, None), (mine, some)):
+        ours = part.problem(grid=grid, population=population, **people, **prices)  # type: ignore[arg-type]
+        model = HumanModel.exact(part.choices, **people)
+        theirs = AssistPOMDP.of(model, grid=grid, population=population, frontier=ours.frontier, **prices)  # type: ignore[arg-type]
+        assert (ours.gamma, ours.c_suggest, ours.model.lapse) == (0.9, 0.3, 0.02)
+        for name in ("prior", "robot_costs", "suggested", "chosen", "low", "weight"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        assert ours.frontier is not None
+        assert ours.frontier.lower.shape == (len(part.frontier), len(ours.grid.theta))
 
 
 def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
