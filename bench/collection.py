@@ -1,12 +1,15 @@
 """Other people's tasks: the first instance of each domain of the public collection `aibasel/downward-benchmarks`.
 
     DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--instance K] [--out FILE] [--busy N]
+                                                          [--compare SECONDS] [--count SECONDS]
 
-Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and memory;
-20 states of each that is swept are compared with Fast Downward's A*. The result is one line of JSON for each (status,
-method, states, seconds, what was said), and a table; with `--before FILE`, an earlier run's `--out`, the table has its
-figures beside. What `--out FILE` has already is not run again. On a machine that others use, `--busy N` allows N times
-as much time on the clock; processor time is limited in any case.
+Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and memory.
+Of each that is swept, 20 states are then compared with Fast Downward's A*, for `--compare` seconds at most; of the
+others the states are counted, for `--count` seconds at most, as far as `solve` would enumerate them. The result is one
+line of JSON for each (status, method, states, seconds, what was said), and a table; with `--before FILE`, an earlier
+run's `--out`, the table has its figures beside. What `--out FILE` has already is not run again. On a machine that
+others use, `--busy N` allows N times as much time on the clock; processor time is limited in any case. `--record FILE`
+writes the table for the documentation, and how many instances came to what into `FILE-outcomes.json`.
 
 Domains made for satisficing and agile tracks, and split ones, are left out.
 """
@@ -15,20 +18,26 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
-from tables import Columns, record_option, write_record
+from tables import Columns, cell, record_option, write_record
+
+from planner.budget import MAX_STATES
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may take to end by itself
-VERIFY = 20.0  # seconds in which 20 states are compared with Fast Downward's A*
+STATES = 20  # of each instance that are compared with Fast Downward's A*
+COUNT_MEMORY = 12e9  # bytes in which states are counted
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning: "
 
 
@@ -62,40 +71,119 @@ def read(domain: str, problem: str) -> dict[str, Any]:
     return {"status": "read", "said": task.note, "variables": len(task.variables), "operators": len(task.operators)}
 
 
-def solve(domain: str, problem: str, seconds: float, memory: float) -> dict[str, Any]:
-    from planner import instance
+def solve(domain: str, problem: str, seconds: float, memory: float, patience: float) -> dict[str, Any]:
+    import numpy as np
+
+    from planner import Limits, Table, instance, verify
+    from planner.costtogo import check_successors
     from planner.solving import SolveOptions, solve_instance
 
-    options = SolveOptions(time_limit=seconds, memory_limit=memory, verify_seconds=VERIFY / SolveOptions.verify)
-    record = solve_instance(instance(problem, domain), options)
+    compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}
+
+    def compare(table: Table) -> None:
+        before, generator = processor_seconds(resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN), np.random.default_rng
+        limits, jobs = Limits(patience, memory), os.cpu_count() or 1
+        compared["verified"] = verify(table, STATES, generator(0), seconds=patience, limits=limits, jobs=jobs)
+        compared["consistent"] = check_successors(table, STATES, generator(0), seconds=patience)
+        after = processor_seconds(resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        compared["compare_cpu"] = round(after - before, 2)
+
+    options = SolveOptions(time_limit=seconds, memory_limit=memory, verify=0)
+    record = solve_instance(instance(problem, domain), options, use=compare)
     said = record["error"]["message"] if record["error"] else record["note"]
-    kept = ("status", "method", "states", "cost", "verified", "peak_memory_mb")
-    return {**{key: record[key] for key in kept}, "search": record["seconds"].get("search"), "said": said}
+    kept = {key: record[key] for key in ("status", "method", "states", "cost", "peak_memory_mb")}
+    return {**kept, **compared, "search": record["seconds"].get("search"), "said": said}
 
 
-def run(domain: Path, problem: Path, *, only_read: bool, seconds: float, busy: float, memory: float) -> dict[str, Any]:
-    """Read or solve one instance in a new process."""
-    patience = seconds * busy
-    own = [sys.executable, __file__, "--one", str(domain), str(problem), "--seconds", str(seconds)]
-    own += ["--busy", str(busy), "--memory", str(memory)] + ["--read"] * only_read
-    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
+    """Count states, up to as many as `solve` enumerates."""
+    from planner import LimitError, instance, load
+    from planner.budget import Budget
+    from planner.listing import counted
+
+    found, task, why = 1, load(instance(problem, domain)), None
+
+    def told(_: str, states: int, __: int | None) -> None:
+        nonlocal found
+        found = states
+
     try:
-        done = subprocess.run(own, capture_output=True, text=True, timeout=patience + GRACE)
-    except subprocess.TimeoutExpired:
-        result: dict[str, Any] = {"status": "limit", "said": f"no end after {patience + GRACE:g} s"}
-    else:
-        if done.returncode == 0:
-            result = json.loads(done.stdout.splitlines()[-1])
-        elif done.returncode == -signal.SIGXCPU:
-            result = {"status": "limit", "said": f"out of processor time ({seconds + GRACE:g} s of each processor)"}
-        else:
-            result = {"status": "died", "said": (done.stderr.strip().splitlines() or ["nothing"])[-1]}
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), os.cpu_count() or 1, told)
+    except LimitError as error:
+        why = str(error)
+    return {"at_least": found, "counted": why is None, "count_said": why}
+
+
+def processor_seconds(*of: int) -> float:
+    """How long processors have worked so far, for this process or for those that it has started and that are over."""
+    return sum(used.ru_utime + used.ru_stime for used in map(resource.getrusage, of))
+
+
+@dataclass(frozen=True)
+class Limited:
+    """What an instance may take: seconds of each stage on an idle machine, how much slower this one is, and MB."""
+
+    seconds: float
+    compare: float
+    count: float
+    busy: float
+    memory: float
+
+    @property
+    def most(self) -> dict[str, float]:
+        """Give the seconds that each piece of work may take on the clock."""
+        compare = 3 * self.compare  # a search that begins as the time is over, and the comparison with what comes after
+        seconds = {"read": self.seconds, "solve": self.seconds + compare, "count": self.seconds + self.count}
+        return {what: one * self.busy + GRACE for what, one in seconds.items()}
+
+    def options(self) -> list[str]:
+        """Give them as a command's options."""
+        given = ("seconds", "compare", "count", "busy", "memory")
+        return [word for name in given for word in (f"--{name}", str(getattr(self, name)))]
+
+
+def done(what: str, domain: str, problem: str, limits: Limited) -> dict[str, Any]:
+    """Do a piece of work in this process."""
+    _, most = resource.getrlimit(resource.RLIMIT_CPU)
+    seconds = limits.most[what] if what != "solve" else limits.seconds + limits.compare + GRACE
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * (os.cpu_count() or 1)), most))
+    if what == "read":
+        return read(domain, problem)
+    if what == "count":
+        return count(domain, problem, limits.count * limits.busy)
+    return solve(domain, problem, limits.seconds * limits.busy, limits.memory, limits.compare * limits.busy)
+
+
+def run(domain: Path, problem: Path, limits: Limited, *, only_read: bool) -> dict[str, Any]:
+    """Read or solve one instance in a new process; count its states in another, if it is not swept."""
+    start, before = time.monotonic(), processor_seconds(resource.RUSAGE_CHILDREN)
+    result = started("read" if only_read else "solve", domain, problem, limits)
+    spent = time.monotonic() - start
+    cpu = processor_seconds(resource.RUSAGE_CHILDREN) - before - result.get("compare_cpu", 0.0)
     if result["said"]:
         result["said"] = result["said"].replace(f"{domain.parent}/", "").replace(f"{problem.parent}/", "")
-    spent = time.monotonic() - start
-    return {"instance": name_of(problem), **result, "seconds": round(spent, 2), "cpu": round(cpu, 2)}
+    row = {"instance": name_of(problem), **result, "seconds": round(spent, 2), "cpu": round(cpu, 2)}
+    if more := re.search(r"more than (\d+) states", row["said"] or ""):
+        row |= {"at_least": int(more[1]) + 1, "counted": False}
+    elif limits.count and outcome(row) in ("on demand", "limit"):
+        counted = started("count", domain, problem, limits)
+        row |= {**counted, "status": row["status"], "said": row["said"]}
+    return row
+
+
+def started(what: str, domain: Path, problem: Path, limits: Limited) -> dict[str, Any]:
+    """Do a piece of work in a new process."""
+    own = [sys.executable, __file__, "--one", what, str(domain), str(problem), *limits.options()]
+    patience = limits.most[what]
+    try:
+        process = subprocess.run(own, capture_output=True, text=True, timeout=patience)
+    except subprocess.TimeoutExpired:
+        return {"status": "limit", "said": f"no end after {patience:g} s"}
+    if process.returncode == 0:
+        return dict(json.loads(process.stdout.splitlines()[-1]))
+    if process.returncode == -signal.SIGXCPU:
+        return {"status": "limit", "said": "out of processor time"}
+    return {"status": "died", "said": (process.stderr.strip().splitlines() or ["nothing"])[-1]}
 
 
 def outcome(row: dict[str, Any]) -> str:
@@ -117,19 +205,62 @@ def number(value: float | None, form: str = ",") -> str:
     return "-" if value is None else format(value, form)
 
 
+def states(row: dict[str, Any]) -> str:
+    """How many states an instance has, as far as that is known."""
+    if row.get("states") is not None or row.get("at_least") is None:
+        return number(row.get("states"))
+    if row["at_least"] > MAX_STATES:
+        return f"> {MAX_STATES:,}"
+    return f"{'' if row['counted'] else '≥ '}{row['at_least']:,}"
+
+
 def columns_of(before: dict[str, dict[str, Any]]) -> Columns:
     """The columns of the table, with those of an earlier run if there is one."""
     columns = {
         "instance": lambda row: f"`{row['instance'].removesuffix('.pddl')}`",
         "outcome": outcome,
-        "states": lambda row: number(row.get("states")),
+        "states": states,
         "processor seconds": lambda row: number(row.get("cpu"), ".1f"),
         "compared": lambda row: number(row.get("verified") or None),
+        "seconds of that": lambda row: number(row.get("compare_cpu") or None, ".1f"),
         "said": remark,
     }
     if before:
         columns["outcome before"] = lambda row: outcome(before[row["instance"]]) if row["instance"] in before else "-"
     return columns
+
+
+def outcomes(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Sum up what came of how many."""
+    parts: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        found = outcome(row)
+        if found in ("on demand", "limit"):
+            many = f"more than {MAX_STATES:,} states" if row.get("at_least", 0) > MAX_STATES else "states not known"
+            found = f"{found}, {states(row)} states" if row.get("counted") else f"{found}, {many}"
+        parts.setdefault(found, []).append(row)
+    return [
+        {
+            "outcome": found,
+            "instances": len(some),
+            "states": max(row.get("states") or 0 for row in some) or None,
+            "cpu": max(row["cpu"] for row in some),
+            "verified": sum(row.get("verified", 0) for row in some),
+            "enough": sum(row.get("verified", 0) >= min(STATES, row.get("states") or STATES) for row in some),
+        }
+        for found, some in sorted(parts.items(), reverse=True)
+    ]
+
+
+OUTCOMES: Columns = {
+    "outcome": lambda row: row["outcome"],
+    "instances": cell("instances", ","),
+    "most states": lambda row: number(row["states"]),
+    "most processor seconds": cell("cpu", ".1f"),
+    "states compared": lambda row: number(row["verified"] or None),
+    f"with {STATES} or all of them compared": lambda row: number(row["enough"] or None),
+}
+"""How the documentation shows what came of how many."""
 
 
 def rows_of(file: Path | None) -> list[dict[str, Any]]:
@@ -141,21 +272,22 @@ def rows_of(file: Path | None) -> list[dict[str, Any]]:
 @click.option("--read", "only_read", is_flag=True, help="Read only.")
 @click.option("--instance", "which", type=int, default=1, show_default=True, help="Which instance of each domain.")
 @click.option("--seconds", type=float, default=60.0, show_default=True)
+@click.option("--compare", type=float, default=20.0, show_default=True, help="Seconds for comparing.")
+@click.option("--count", "counting", type=float, default=0.0, help="Seconds for counting what is not swept.")
 @click.option("--busy", type=float, default=1.0, help="How many times slower than an idle machine it may be.")
 @click.option("--memory", type=float, default=6000.0, show_default=True, help="MB.")
 @click.option("--out", type=click.Path(path_type=Path), help="A file for the rows, as JSON Lines.")
 @click.option("--before", type=click.Path(path_type=Path, exists=True), help="The rows of an earlier run.")
 @record_option
-@click.option("--one", nargs=2, hidden=True)
+@click.option("--one", nargs=3, hidden=True)
 def main(
-    domains: tuple[str, ...], only_read: bool, which: int, seconds: float, busy: float, memory: float,
-    out: Path | None, before: Path | None, record: Path | None, one: tuple[str, str] | None,
+    domains: tuple[str, ...], only_read: bool, which: int, seconds: float, compare: float, counting: float, busy: float,
+    memory: float, out: Path | None, before: Path | None, record: Path | None, one: tuple[str, str, str] | None,
 ) -> None:  # fmt: skip
     """Read and solve an instance of each domain of a collection."""
+    limits = Limited(seconds, compare, counting, busy, memory)
     if one is not None:
-        _, most = resource.getrlimit(resource.RLIMIT_CPU)
-        resource.setrlimit(resource.RLIMIT_CPU, (int((seconds + GRACE) * (os.cpu_count() or 1)), most))
-        print(json.dumps(read(*one) if only_read else solve(*one, seconds * busy, memory)))
+        print(json.dumps(done(*one, limits)))
         return
     folder = os.environ.get("DOWNWARD_BENCHMARKS")
     if folder is None:
@@ -166,7 +298,7 @@ def main(
     for domain, problem in instances(Path(folder), which):
         if name_of(problem) in known or (domains and not {*domains} & {*problem.parts}):
             continue
-        rows.append(run(domain, problem, only_read=only_read, seconds=seconds, busy=busy, memory=memory))
+        rows.append(run(domain, problem, limits, only_read=only_read))
         print(f"{rows[-1]['instance']}: {rows[-1]['status']}, {rows[-1]['seconds']} s", file=sys.stderr)
         if out is not None:
             with out.open("a") as stream:
@@ -176,6 +308,8 @@ def main(
     for row in rows:
         print(" | ".join(show(row) for show in columns.values()))
     write_record(record, columns, rows)
+    if record is not None:
+        write_record(record.with_name(f"{record.stem}-outcomes.json"), OUTCOMES, outcomes(rows))
 
 
 if __name__ == "__main__":

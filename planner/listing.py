@@ -11,8 +11,9 @@ from __future__ import annotations
 import heapq
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -170,6 +171,11 @@ class _Growing:
         if rows > len(self.rows):
             self.rows.resize((max(rows, len(self.rows) * 4 // 3), *self.rows.shape[1:]), refcheck=False)
 
+    def append(self, rows: int, more: NDArray[Any]) -> None:
+        """Write what comes after so many rows."""
+        self.make_room(rows + len(more))
+        self.rows[rows : rows + len(more)] = more
+
     def trimmed(self, rows: int) -> NDArray[Any]:
         """Give the rows, of which so many are in use."""
         self.rows.resize((rows, *self.rows.shape[1:]), refcheck=False)
@@ -197,58 +203,88 @@ class Listing:
     kinds: NDArray[np.unsignedinteger]
 
 
+class _Forward:
+    """The search forward, breadth first: the states that have been found so far."""
+
+    def __init__(self, task: Task) -> None:
+        self.packing = Packing.of(task)
+        self.book = rulebook(task, self.packing)
+        self.states = _Growing(np.uint64, self.packing.words)
+        self.slots = np.zeros(1 << 14, dtype=np.uint64)
+        self.held = 0
+        initial = self.packing.pack([task.initial])
+        packed.derive(self.book.axioms, self.book.again, initial[0])
+        self._numbers(initial)
+
+    def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
+        """Expand all states in order, some at a time: how many actions each has, which, and what they lead to."""
+        waiting: deque[Future[list[tuple[NDArray[np.int32], NDArray[np.int32], Words]]]] = deque()
+        done = given = 0
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                while done < self.held:
+                    while given < self.held and len(waiting) <= threads:
+                        # A copy: the rows move as they grow.
+                        block = self.states.rows[given : min(given + BLOCK, self.held)].copy()
+                        waiting.append(pool.submit(lambda own: list(_expanded(self.book, own)), block))
+                        given += len(block)
+                    for counts, actions, after in waiting.popleft().result():
+                        done += len(counts)
+                        yield counts, actions, self._numbers(after)
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def _numbers(self, states: Words) -> NDArray[np.int32]:
+        """Give the numbers of states, shape (n, words); those that are new get the next ones."""
+        most = self.held + len(states)
+        self.states.make_room(most)
+        if most > FULL * len(self.slots):
+            self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
+            packed.fill_slots(self.slots, self.states.rows, 0, self.held)
+        numbers = np.empty(len(states), dtype=np.int32)
+        self.held = packed.insert(self.slots, self.states.rows, self.held, states, numbers)
+        return numbers
+
+    def check(self, budget: Budget, per_state: int, others: int) -> None:
+        """Check the limits; given are bytes that are in use beside a state's words, for each of them and in all."""
+        budget.check_states(self.held)
+        budget.check_time(self.held)
+        budget.check_memory(self.slots.nbytes + (8 * self.packing.words + per_state) * self.held + others)
+        if self.held > MOST:
+            raise LimitError(f"more than {MOST} states without an index")
+
+
+def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int:
+    """Count the states that a task can reach; what they lead to is not kept."""
+    search = _Forward(task)
+    with closing(search.parts(threads)) as parts:
+        for _ in parts:
+            progress("states", search.held, None)
+            search.check(budget, 0, 0)
+    return search.held
+
+
 def enumerated(task: Task, budget: Budget, threads: int, progress: Progress, most: float = math.inf) -> Listing | None:
     """Find the states that a task can reach, breadth first; None if they have `most` transitions or more."""
-    packing = Packing.of(task)
-    book = rulebook(task, packing)
-    initial = packing.pack([task.initial])
-    packed.derive(book.axioms, book.again, initial[0])
     costs, kind_of = np.unique(task.costs, return_inverse=True)
-    states, targets = _Growing(np.uint64, packing.words), _Growing(np.int32)
+    search, targets = _Forward(task), _Growing(np.int32)
     counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)
-    slots = np.zeros(1 << 14, dtype=np.uint64)
-    numbers = np.empty(1, dtype=np.int32)
-    held = packed.insert(slots, states.rows, 0, initial, numbers)
-    done = given = transitions = 0
-    waiting: deque[Future[list[tuple[NDArray[np.int32], NDArray[np.int32], Words]]]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            while done < held:
-                while given < held and len(waiting) <= threads:
-                    # A copy: the rows move as they grow.
-                    block = states.rows[given : min(given + BLOCK, held)].copy()
-                    waiting.append(pool.submit(lambda own: list(_expanded(book, own)), block))
-                    given += len(block)
-                for block_counts, actions, after in waiting.popleft().result():
-                    more = len(after)
-                    for rows, size in ((states, held + more), (targets, transitions + more), (counts, held + more)):
-                        rows.make_room(size)
-                    if held + more > FULL * len(slots):
-                        slots = np.zeros(1 << int((held + more) / FULL * 2).bit_length(), dtype=np.uint64)
-                        packed.fill_slots(slots, states.rows, 0, held)
-                    held = packed.insert(
-                        slots, states.rows, held, after, targets.rows[transitions : transitions + more]
-                    )
-                    if len(costs) > 1:
-                        kinds.make_room(transitions + more)
-                        kinds.rows[transitions : transitions + more] = kind_of[actions]
-                    counts.rows[done : done + len(block_counts)] = block_counts
-                    done, transitions = done + len(block_counts), transitions + more
-                if transitions >= most:
-                    return None
-                budget.check_states(held)
-                budget.check_time(held)
-                per_state, per_transition = 8 * packing.words + 24, 8 + 4 * (len(costs) > 1)
-                budget.check_memory(slots.nbytes + per_state * held + per_transition * transitions)
-                if held > MOST:
-                    raise LimitError(f"more than {MOST} states without an index")
-                progress("states", held, None)
-        finally:
-            for future in waiting:
-                future.cancel()
-    found = Found(packing, book, states.trimmed(held), slots)
+    done = transitions = 0
+    with closing(search.parts(threads)) as parts:
+        for part_counts, actions, numbers in parts:
+            counts.append(done, part_counts)
+            targets.append(transitions, numbers)
+            if len(costs) > 1:
+                kinds.append(transitions, kind_of[actions])
+            done, transitions = done + len(part_counts), transitions + len(numbers)
+            if transitions >= most:
+                return None
+            search.check(budget, 24, (8 + 4 * (len(costs) > 1)) * transitions)
+            progress("states", search.held, None)
+    found = Found(search.packing, search.book, search.states.trimmed(search.held), search.slots)
     kept = transitions if len(costs) > 1 else 0
-    return Listing(found, counts.trimmed(held), targets.trimmed(transitions), kinds.trimmed(kept))
+    return Listing(found, counts.trimmed(done), targets.trimmed(transitions), kinds.trimmed(kept))
 
 
 def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:

@@ -12,7 +12,7 @@ import os
 import platform
 import resource
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -57,7 +57,7 @@ class SolveOptions:
     max_states : int
         A task with more states is solved on demand: from its initial state only.
     verify : int
-        States that are compared with Fast Downward's A*, the initial one among them.
+        States that are compared with Fast Downward's A*, the initial one among them; none if 0.
     verify_seconds : float
         No further comparison begins after this time for each of these states.
     threads : int, optional
@@ -145,6 +145,7 @@ def solve_instance(
     place: Path | None = None,
     *,
     progress: Progress | None = None,
+    use: Callable[[Table], None] | None = None,
 ) -> Record:
     """Solve one instance and describe the outcome.
 
@@ -160,6 +161,8 @@ def solve_instance(
         Where the cost-to-go table and the plan are saved, without their endings `.npz` and `.plan`.
     progress : callable, optional
         Called with what is under way, how much of it is done, and of how much; None where nobody knows.
+    use : callable, optional
+        Called in the end with the table of all states, if they were swept; no limit is on its time.
     """
     options = options or SolveOptions()
     phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None))
@@ -171,7 +174,7 @@ def solve_instance(
             task = _grounded(source, checker, phases, until_solved)
             # Only now: loading libraries maps far more memory than is ever used.
             with _memory_limit(options.memory_limit):
-                record = _solve(task, checker, options, place, phases)
+                record = _solve(task, checker, options, place, phases, use)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
     except LimitError as error:
@@ -217,10 +220,15 @@ def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: E
         return grounding.result()
 
 
-def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | None, phases: _Phases) -> Record:
-    import numpy as np
-
-    from .costtogo import astar, check_successors, verify
+def _solve(
+    task: Task,
+    checker: Checker,
+    options: SolveOptions,
+    place: Path | None,
+    phases: _Phases,
+    use: Callable[[Table], None] | None,
+) -> Record:
+    from .costtogo import astar
     from .methods import cost_to_go
     from .ondemand import OnDemand
 
@@ -262,18 +270,8 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
             dead_ends=int(table.dead_end.sum()),
             max_cost_to_go=int(finite.max()) if len(finite) else None,
         )
-        what, count = "comparing states with A*", min(options.verify, len(table))
-        with phases.phase("verify", what):
-            record["verified"] = verify(
-                table, count, np.random.default_rng(0), seconds=count * options.verify_seconds, limits=phases.limits(),
-                # Each search may take the memory that is allowed.
-                jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
-                progress=lambda done: phases.progress(what, done, count),
-            )  # fmt: skip
-        with phases.phase("verify"):
-            record["consistent"] = check_successors(
-                table, count, np.random.default_rng(0), seconds=count * options.verify_seconds
-            )
+        if options.verify:
+            _verify(table, options, phases, record)
         with phases.phase("plan"):
             cost, plan = table[table.initial], table.optimal_plan()
     else:
@@ -304,7 +302,29 @@ def _solve(task: Task, checker: Checker, options: SolveOptions, place: Path | No
                 save_table(table_file, table)
             if plan is not None:
                 save_plan(plan_file, task, plan)
+    if table is not None and use is not None:
+        use(table)
     return record
+
+
+def _verify(table: Table, options: SolveOptions, phases: _Phases, record: Record) -> None:
+    """Compare states of a table with A*, and with what comes after them; note in the record how many."""
+    import numpy as np
+
+    from .costtogo import check_successors, verify
+
+    what, count = "comparing states with A*", min(options.verify, len(table))
+    with phases.phase("verify", what):
+        record["verified"] = verify(
+            table, count, np.random.default_rng(0), seconds=count * options.verify_seconds, limits=phases.limits(),
+            # Each search may take the memory that is allowed.
+            jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
+            progress=lambda done: phases.progress(what, done, count),
+        )  # fmt: skip
+    with phases.phase("verify"):
+        record["consistent"] = check_successors(
+            table, count, np.random.default_rng(0), seconds=count * options.verify_seconds
+        )
 
 
 def unsolved(instance: Instance, status: str, message: str) -> Record:

@@ -16,7 +16,7 @@ from .coding import Coding
 from .kernels import Tests
 from .moves import Move
 from .packed import Trie
-from .successors import Ints, Packing
+from .successors import Ints, Packing, Words
 from .task import Fact
 
 FEW = 3
@@ -108,6 +108,19 @@ class _Trie:
             self.skip[test] = len(self.word)
         return most
 
+    def arrays(self) -> tuple[Ints, Words, Words, Ints, Words, Words, Ints, Ints]:
+        """Give the tests as both kinds of layout begin: `word` to `first`."""
+        return (
+            np.array(self.word, np.int64),
+            np.array(self.mask, np.uint64),
+            np.array(self.value, np.uint64),
+            np.array(self.skip, np.int64),
+            np.array(self.shift, np.uint64),
+            np.array(self.field, np.uint64),
+            np.array(self.jump, np.int64),
+            np.array(self.first, np.int64),
+        )
+
 
 def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> Tests:
     """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
@@ -155,14 +168,7 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
     ordered = [moves[number] for number in trie.order]
     return Tests(
         chosen,
-        np.array(trie.word, np.int64),
-        np.array(trie.mask, np.uint64),
-        np.array(trie.value, np.uint64),
-        np.array(trie.skip, np.int64),
-        np.array(trie.shift, np.uint64),
-        np.array(trie.field, np.uint64),
-        np.array(trie.jump, np.int64),
-        np.array(trie.first, np.int64),
+        *trie.arrays(),
         np.array(constants, np.int64),
         np.array(looks, np.int64),
         np.array(lookups, np.int64).reshape(-1, 5),
@@ -181,14 +187,7 @@ def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> Trie:
     trie.skip[0] = len(trie.word)
     trie.first.append(len(trie.order))
     return Trie(
-        np.array(trie.word, np.int64),
-        np.array(trie.mask, np.uint64),
-        np.array(trie.value, np.uint64),
-        np.array(trie.skip, np.int64),
-        np.array(trie.shift, np.uint64),
-        np.array(trie.field, np.uint64),
-        np.array(trie.jump, np.int64),
-        np.array(trie.first, np.int64),
+        *trie.arrays(),
         np.array(trie.order, np.int64),
         max(1, most),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from pathlib import Path
@@ -27,8 +28,10 @@ from planner import (
     sweep,
     verify,
 )
+from planner.budget import Budget
 from planner.checking import read
 from planner.fast_downward import with_initial_state
+from planner.listing import counted
 from planner.solving import SolveOptions, solve_instance
 from planner.task import Task, Variable
 
@@ -294,3 +297,20 @@ def test_where_a_sweep_takes_too_long_there_is_time_left_for_the_initial_state(m
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(time_limit=600))
     assert (record["status"], record["method"], record["cost"]) == ("solved", "on-demand", 6)
     assert record["note"].startswith("solved on demand: out of time")
+
+
+def test_who_solves_an_instance_can_use_its_table() -> None:
+    tables: list[Table] = []
+    record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(verify=0), use=tables.append)
+    assert [len(table) for table in tables] == [record["states"]]
+    assert (record["verified"], record["consistent"], record["cost"]) == (0, 0, 6)
+
+
+def test_states_are_counted() -> None:
+    table = table_of(instance(KITTING / "paper.pddl"))
+    told: list[tuple[object, ...]] = []
+    states = len(table)
+    assert counted(table.task, Budget(states, math.inf, None), 2, lambda *said: told.append(said)) == states
+    assert told[-1] == ("states", states, None)
+    with pytest.raises(LimitError, match=f"^more than {states - 1} states$"):
+        counted(table.task, Budget(states - 1, math.inf, None), 2, lambda *_: None)
