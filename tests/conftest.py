@@ -66,6 +66,11 @@ def table_of(instance: Instance) -> Table:
     return sweep(load(instance))
 
 
+def kit(name: str) -> Table:
+    """All states of one of the shipped kits, made once a process."""
+    return table_of(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl"))
+
+
 def solvable(instances: list[Instance]) -> list[Instance]:
     return [instance for instance in instances if instance.problem.stem != "unsolvable"]
 
@@ -109,17 +114,17 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
 
 @pytest.fixture(scope="session")
 def tiny() -> Table:
-    return table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl"))
+    return kit("tiny")
 
 
 @pytest.fixture(scope="session")
 def fixed() -> Table:
-    return table_of(Instance(KITTING / "paper-fixed.pddl", KITTING / "domain.pddl"))
+    return kit("paper-fixed")
 
 
 @pytest.fixture(scope="session")
 def sealed() -> Table:
-    return table_of(Instance(KITTING / "sealed.pddl", KITTING / "domain.pddl"))
+    return kit("sealed")
 
 
 @pytest.fixture(scope="session")

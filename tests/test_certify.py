@@ -27,8 +27,6 @@ from assist.team.state import TeamAction, TeamState
 from assist.team.subproblem import AWAY, HERE, Layout, Visits
 from planner import LimitError, sweep
 
-# From 3 over 2 and 1 to the goal 0, each step for 1; the way back is open, too, and from 2 to 3 it costs 4.
-CHOICES = Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)))
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)
 
 
@@ -41,15 +39,21 @@ def few_episodes() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def pool() -> Pool:
-    return Pool.sample(CHOICES, 2, seed=1, setting=SETTING)
+def choices() -> Choices:
+    """From 3 over 2 and 1 to the goal 0, each step for 1; the way back is open, too, and from 2 to 3 it costs 4."""
+    return Choices.of(sweep(graph_task([(3, 2, 1), (2, 1, 1), (1, 0, 1), (2, 3, 4), (1, 2, 1)], start=3)))
 
 
 @pytest.fixture(scope="module")
-def strangers() -> Pool:
+def pool(choices: Choices) -> Pool:
+    return Pool.sample(choices, 2, seed=1, setting=SETTING)
+
+
+@pytest.fixture(scope="module")
+def strangers(choices: Choices) -> Pool:
     """Three people whom the robot cannot tell apart."""
     setting = replace(SETTING, knowledge="exact", gamma=0.9, c_suggest=0.05, c_move=0.05)
-    return Pool.sample(CHOICES, 3, seed=1, setting=setting, population=Population(beta=(0.1, 0.5)))
+    return Pool.sample(choices, 3, seed=1, setting=setting, population=Population(beta=(0.1, 0.5)))
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +143,11 @@ def test_where_one_robot_is_enough_nothing_has_a_price() -> None:
     assert len(looked_for(Attended(4, 0.1, 0.5))) == 2  # a step without a price before one with
 
 
-def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool) -> None:
+def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
     """One is set up anew in every round, while those of both people are there; so three have to fit."""
     travel, alone = SETTING.travel(2), pool.policies[0].pomdp
     states = len(Layout.of(alone, 2, 3))
-    one = policy_bytes(states, slots=CHOICES.applicable.shape[1], robots=1 + alone.suggested.shape[1]) / 1e6
+    one = policy_bytes(states, slots=choices.applicable.shape[1], robots=1 + alone.suggested.shape[1]) / 1e6
     with pytest.raises(LimitError, match=rf"^2 problems of people, each of up to {states} states with 3 steps"):
         kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
     with pytest.raises(LimitError, match=r"^1 problem of people"):  # what its first bounds take, which is more

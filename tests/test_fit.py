@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from conftest import KITTING
+from conftest import KITTING, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work, write_log
@@ -34,12 +34,12 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel, Mixture, Population
 from assist.person.pomdp import AssistPOMDP
-from planner import Cache, LimitError, Table, Task, load, ondemand, sweep
+from planner import Cache, LimitError, Table, Task, load, ondemand
 
 
 @pytest.fixture(scope="module")
 def paper() -> Table:
-    return sweep(load(KITTING / "paper.pddl"))
+    return kit("paper")
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_laws_of_estimates(seed: int, beta: float) -> None:
     np.testing.assert_allclose(p.sum(axis=1), 1.0)
 
 
-TINY = sweep(load(KITTING / "tiny.pddl"))
+TINY = kit("tiny")
 TINY_CHOICES = Choices.of(TINY)
 PLAN = TINY.optimal_plan() or []
 

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import KITTING, table_of
+from conftest import kit
 from joint import JointBounds, joint_bounds
 
 from assist.certify.bound import upper_bound
@@ -25,7 +25,6 @@ from assist.team.settings import Setting
 from assist.team.state import NOBODY
 from assist.team.subproblem import Visits
 from assist.team.travel import Travel
-from planner import Instance
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]
 """Of a suggestion, and of moving."""
@@ -38,7 +37,7 @@ GAP = 4e-3
 
 def pool_of(c_suggest: float, c_move: float, *, initial: int | None = None, seed: int = 0, **options: object) -> Pool:
     """Two people who are mistaken about the task, and whom the robot knows but for two betas and three thetas."""
-    choices = Choices.of(table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")))
+    choices = Choices.of(kit("tiny"))
     if initial is not None:
         choices = replace(choices, initial=initial)
     setting = Setting(**{"gamma": 0.95, "c_suggest": c_suggest, "c_move": c_move, **options})  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import KITTING
+from conftest import KITTING, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
@@ -26,11 +26,11 @@ from assist.simulation.episodes import Trace
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool, Setting
 from assist.team.state import TeamAction, TeamState
-from planner import Table, load, sweep
+from planner import Table
 
-PAPER = sweep(load(KITTING / "paper.pddl"))
+PAPER = kit("paper")
 PAPER_PLAN = PAPER.optimal_plan() or []
-PLAN = sweep(load(KITTING / "tiny.pddl")).optimal_plan() or []
+PLAN = kit("tiny").optimal_plan() or []
 
 
 def text_of(rows: list[dict]) -> list[str]:

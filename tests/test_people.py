@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from conftest import KITTING
+from conftest import KITTING, kit
 from recorded import FETCH, WRONG, lines, people_at_work, write_log
 
 from assist.cli import main
@@ -16,10 +16,10 @@ from assist.learning.likelihood import Method
 from assist.learning.log import Log, read_log
 from assist.learning.people import LogError, People, fit
 from assist.people.choices import Choices
-from planner import OnDemand, Table, load, sweep
+from planner import OnDemand, Table
 
 TINY = KITTING / "tiny.pddl"
-PLAN = sweep(load(TINY)).optimal_plan() or []
+PLAN = kit("tiny").optimal_plan() or []
 
 
 @pytest.fixture(scope="module")

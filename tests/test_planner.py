@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, SMALL, named, solvable, table_of, write_instance
+from conftest import DOMAINS, KITTING, SMALL, kit, named, solvable, table_of, write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
@@ -96,7 +96,7 @@ def test_a_plan_has_the_fewest_actions_of_the_cheapest() -> None:
 
 
 def test_shipped_instances_are_what_their_readme_says(tiny: Table, fixed: Table, sealed: Table) -> None:
-    paper = table_of(Instance(KITTING / "paper.pddl", KITTING / "domain.pddl"))
+    paper = kit("paper")
     assert (len(paper.space), paper[paper.initial]) == (
         836,
         10,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, table_of
+from conftest import KITTING, invoke, kit
 from recordings import board_of, make_up, moves_of, problem_text, read_all
 from scipy.optimize import minimize, minimize_scalar
 from simulated_people import People, observed, record, record_with_terms
@@ -29,7 +29,7 @@ COUNT = 16
 
 
 def paper() -> Table:
-    return table_of(Instance(KITTING / "paper-fixed.pddl", KITTING / "domain.pddl"))
+    return kit("paper-fixed")
 
 
 @cache
