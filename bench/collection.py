@@ -37,6 +37,7 @@ from planner.budget import MAX_STATES
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may take to end by itself
 STATES = 20  # of each instance that are compared with Fast Downward's A*
+SEARCHES = (None, "astar(blind())")  # are tried for each state at the same time
 COUNT_MEMORY = 12e9  # bytes in which states are counted
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning: "
 
@@ -82,8 +83,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
 
     def compare(table: Table) -> None:
         before, generator = processor_seconds(resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN), np.random.default_rng
-        limits, jobs = Limits(patience, memory), os.cpu_count() or 1
-        compared["verified"] = verify(table, STATES, generator(0), seconds=patience, limits=limits, jobs=jobs)
+        limits = Limits(patience, memory)
+        compared["verified"] = verify(table, STATES, generator(0), seconds=patience, limits=limits, searches=SEARCHES)
         compared["consistent"] = check_successors(table, STATES, generator(0), seconds=patience)
         after = processor_seconds(resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
         compared["compare_cpu"] = round(after - before, 2)
@@ -97,9 +98,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
 
 def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
     """Count states, up to as many as `solve` enumerates."""
-    from planner import LimitError, instance, load
+    from planner import LimitError, instance, listing, load
     from planner.budget import Budget
-    from planner.listing import counted
 
     found, task, why = 1, load(instance(problem, domain)), None
 
@@ -108,7 +108,7 @@ def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
         found = states
 
     try:
-        counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), os.cpu_count() or 1, told)
+        listing.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), os.cpu_count() or 1, told)
     except LimitError as error:
         why = str(error)
     return {"at_least": found, "counted": why is None, "count_said": why}
@@ -155,7 +155,7 @@ def done(what: str, domain: str, problem: str, limits: Limited) -> dict[str, Any
 
 
 def run(domain: Path, problem: Path, limits: Limited, *, only_read: bool) -> dict[str, Any]:
-    """Read or solve one instance in a new process; count its states in another, if it is not swept."""
+    """Read or solve one instance in a new process."""
     start, before = time.monotonic(), processor_seconds(resource.RUSAGE_CHILDREN)
     result = started("read" if only_read else "solve", domain, problem, limits)
     spent = time.monotonic() - start
@@ -165,10 +165,13 @@ def run(domain: Path, problem: Path, limits: Limited, *, only_read: bool) -> dic
     row = {"instance": name_of(problem), **result, "seconds": round(spent, 2), "cpu": round(cpu, 2)}
     if more := re.search(r"more than (\d+) states", row["said"] or ""):
         row |= {"at_least": int(more[1]) + 1, "counted": False}
-    elif limits.count and outcome(row) in ("on demand", "limit"):
-        counted = started("count", domain, problem, limits)
-        row |= {**counted, "status": row["status"], "said": row["said"]}
     return row
+
+
+def counted(domain: Path, problem: Path, limits: Limited) -> dict[str, Any]:
+    """Count the states of an instance in a new process."""
+    result = started("count", domain, problem, limits)
+    return result if "at_least" in result else {"count_said": result["said"]}
 
 
 def started(what: str, domain: Path, problem: Path, limits: Limited) -> dict[str, Any]:
@@ -263,8 +266,19 @@ OUTCOMES: Columns = {
 """How the documentation shows what came of how many."""
 
 
-def rows_of(file: Path | None) -> list[dict[str, Any]]:
-    return [] if file is None or not file.is_file() else [json.loads(line) for line in file.read_text().splitlines()]
+def rows_of(file: Path | None) -> dict[str, dict[str, Any]]:
+    """The rows in a file by the instance's name, the last of each."""
+    lines = [] if file is None or not file.is_file() else file.read_text().splitlines()
+    return {row["instance"]: row for row in map(json.loads, lines)}
+
+
+def keep(found: dict[str, dict[str, Any]], row: dict[str, Any], out: Path | None) -> None:
+    """Take a row in, and write it to a file."""
+    found[row["instance"]] = row
+    print(f"{row['instance']}: {row['status']}, {states(row)} states, {row['seconds']} s", file=sys.stderr)
+    if out is not None:
+        with out.open("a") as stream:
+            stream.write(json.dumps(row) + "\n")
 
 
 @click.command()
@@ -293,18 +307,17 @@ def main(
     if folder is None:
         print("DOWNWARD_BENCHMARKS is not set to the collection's folder: nothing to do")
         return
-    rows = rows_of(out)
-    known = {row["instance"] for row in rows}
-    for domain, problem in instances(Path(folder), which):
-        if name_of(problem) in known or (domains and not {*domains} & {*problem.parts}):
-            continue
-        rows.append(run(domain, problem, limits, only_read=only_read))
-        print(f"{rows[-1]['instance']}: {rows[-1]['status']}, {rows[-1]['seconds']} s", file=sys.stderr)
-        if out is not None:
-            with out.open("a") as stream:
-                stream.write(json.dumps(rows[-1]) + "\n")
-    rows.sort(key=lambda row: str(row["instance"]))
-    columns = columns_of({row["instance"]: row for row in rows_of(before)})
+    found = rows_of(out)
+    chosen = [pair for pair in instances(Path(folder), which) if not domains or {*domains} & {*pair[1].parts}]
+    for domain, problem in chosen:
+        if name_of(problem) not in found:
+            keep(found, run(domain, problem, limits, only_read=only_read), out)
+    for domain, problem in chosen:
+        row = found[name_of(problem)]
+        if counting and outcome(row) in ("on demand", "limit") and "at_least" not in row:
+            keep(found, {**row, **counted(domain, problem, limits)}, out)
+    rows = [found[name] for name in sorted(found)]
+    columns = columns_of(rows_of(before))
     for row in rows:
         print(" | ".join(show(row) for show in columns.values()))
     write_record(record, columns, rows)

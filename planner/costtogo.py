@@ -10,8 +10,9 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, Protocol
 
@@ -340,6 +341,7 @@ def verify(
     seconds: float | None = None,
     limits: Limits = NO_LIMITS,
     jobs: int = 1,
+    searches: Sequence[str | None] = (None,),
     progress: Callable[[int], None] | None = None,
 ) -> int:
     """Compare a random sample of a table with Fast Downward's A*, the initial state first.
@@ -355,7 +357,9 @@ def verify(
     limits : Limits
         Of each single search; where one reaches them, no further state is compared.
     jobs : int
-        Searches at a time.
+        States at a time.
+    searches : sequence of str or None
+        Configurations as `astar` takes them; all search from a state at the same time, and the first answer counts.
     progress : callable, optional
         Called with how many states have been compared.
 
@@ -376,7 +380,7 @@ def verify(
         if over.is_set() or (seconds is not None and number and time.monotonic() - start > seconds):
             return None
         try:
-            return astar(space.task, space.values([states[number]])[0].tolist(), limits=limits)[0]
+            return _first(space.task, space.values([states[number]])[0].tolist(), searches, limits)
         except LimitError:
             return None
 
@@ -396,6 +400,22 @@ def verify(
         finally:
             over.set()
     return done
+
+
+def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], limits: Limits) -> float:
+    """Give what the first of several searches says of a state."""
+    if len(searches) == 1:
+        return astar(task, state, search=searches[0], limits=limits)[0]
+    done = threading.Event()
+    with ThreadPoolExecutor(len(searches)) as pool:
+        try:
+            own = replace(limits, stop=done)
+            for each in as_completed([pool.submit(astar, task, state, search=one, limits=own) for one in searches]):
+                with suppress(LimitError):
+                    return each.result()[0]
+        finally:
+            done.set()
+    raise LimitError("no search was done in time")
 
 
 def check_successors(table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None) -> int:

@@ -164,6 +164,7 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
     assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+    assert verify(table, 7, np.random.default_rng(0), searches=(None, "astar(blind())")) == 7
 
 
 def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
