@@ -1,6 +1,6 @@
 """Time and memory for the exact cost-to-go of every reachable state, beside other tools.
 
-    python bench/cost_to_go.py [INSTANCE...] [--out DIR] [--timeout S] [--peers a,b]
+    python bench/cost_to_go.py [INSTANCE...] [--out DIR] [--timeout S] [--peers a,b] [--record FILE]
 
 An INSTANCE is a problem file (its `domain.pddl` beside it) or `kitting-C-I`: the kitting domain with C
 containers, and I items that fit all of I slots. Every tool runs on every instance in a process of its
@@ -30,7 +30,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ import click
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from tables import Columns, record_option, write_record
 
 Row = dict[str, Any]
 
@@ -203,6 +204,27 @@ def net_mb(row: Row) -> float:
     return max(0.0, float(row["peak_mb"] - row["baseline_mb"]))
 
 
+def took(peer: str) -> Callable[[dict[str, Any]], str]:
+    """Show what a peer took on an instance, whose rows are kept by peer."""
+
+    def shown(answers: dict[str, Any]) -> str:
+        row = answers.get(peer, {"status": "not run"})
+        if row["status"] != "ok":
+            return str(row["status"])
+        digits = 2 if seconds(row) < 2 else 1 if seconds(row) < 10 else 0
+        return f"{seconds(row):,.{digits}f} s" + ("" if row["extrapolated"] else f", {net_mb(row):,.0f} MB")
+
+    return shown
+
+
+SHOWN: Columns = {
+    "instance": lambda answers: f"`{answers[OWN]['instance']}`",
+    "states": lambda answers: f"{answers[OWN]['states']:,}",
+    "kitassist": took(OWN), "pymimir": took("pymimir"), "one A* per state": took("fd-astar"),
+    "unified-planning per state": took("fd-oneshot"),
+}  # fmt: skip
+
+
 def as_table(rows: Sequence[Row]) -> Table:
     """Lay out the rows for the terminal."""
     table = Table(title="Exact cost-to-go of every state: PDDL files to values in memory")
@@ -341,6 +363,7 @@ def measure_all(
 @click.option("--sample-seconds", type=click.FloatRange(min=0), default=10.0, show_default=True,
               help="They begin no further state after this time.")  # fmt: skip
 @click.option("--large", is_flag=True, help=f"Add {LARGE} to the default instances: minutes, and gigabytes.")
+@record_option
 def main(
     names: tuple[str, ...],
     out: Path,
@@ -351,6 +374,7 @@ def main(
     sample: int,
     sample_seconds: float,
     large: bool,
+    record: Path | None,
 ) -> None:
     """Compare how long, and how much memory, it takes to get h* of every reachable state."""
     chosen = choose_peers(peers)
@@ -369,6 +393,11 @@ def main(
             "memory_mb": memory,
         }
         rows = measure_all(instances, chosen, options, timeout=timeout, repeats=repeats, console=console)
+    family: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        if row["instance"].startswith("kitting-"):
+            family.setdefault(row["instance"], {})[row["peer"]] = row
+    write_record(record, SHOWN, family.values())
     wrong = disagreements(rows)
     console.print(as_table(rows))
     console.print("MB: peak beyond the interpreter with all imports done; ≈: extrapolated from a sample.")

@@ -70,6 +70,11 @@ MISCONCEPTIONS: Columns = {
     "correlation of found and true h - h*": cell("corr. of h"),
     "check p < 0.05": cell("check p < 0.05"),
 }
+TIME: Columns = {
+    "instance": cell("instance"), "states": cell("states", ","), "run": cell("run"), "seconds": cell("seconds", ".1f"),
+    "states in the cache then": cell("kept", ","),
+}  # fmt: skip
+STATES = 1_173_311_155  # of ladder-4x10, which no table has room for here
 
 BETA_MOMENTS = ("mean", "of these", "true", "spread", "of these ", "true ")
 THETA_MOMENTS = ("theta mean", "true theta mean", "theta spread", "true theta spread")
@@ -369,31 +374,40 @@ def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> li
 @click.option("--actions", type=int, default=40, show_default=True)
 @click.option("--huge", is_flag=True, help="Also a task of 1.2e9 states, killed on the way and begun again.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("build/bench/fit"), show_default=True)
-def timing(instance: str, count: int, actions: int, huge: bool, out: Path) -> None:
+@record_option
+def timing(instance: str, count: int, actions: int, huge: bool, out: Path, record: Path | None) -> None:
     """Time `kitassist fit` from the PDDL files to the report."""
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
     middle = ROOT / "domains" / f"{instance}.pddl"
     table = sweep(load(middle))
     people = People(uniform(rng, 0.1, 3.0, count, "log-uniform"), rng.uniform(0.3, 0.95, count))
-    rows = recorded(table, people, episodes=6, rng=rng, suggest=0.3, most=actions)
-    write_records(out / "middle.jsonl", first_actions(rows, actions))
-    size, chosen = len(table), first_actions(rows, actions)
+    chosen = first_actions(recorded(table, people, episodes=6, rng=rng, suggest=0.3, most=actions), actions)
+    write_records(out / "middle.jsonl", chosen)
+    size = len(table)
     del table
     print(f"{middle.stem}: {size:,} states, {count} people, {len(chosen)} actions")
-    run(middle, out / "middle.jsonl", out)
+    rows = [
+        {
+            "instance": f"`{middle.stem}`",
+            "states": size,
+            "run": "from nothing",
+            **run(middle, out / "middle.jsonl", out),
+        }
+    ]
     if huge:
         large = KITTING / "ladder-4x10.pddl"
         write_records(out / "huge.jsonl", wander(load(large), count, actions, rng))
         for file in out.glob("cache/*"):
             file.unlink()
-        print(f"{large.stem}: 1,173,311,155 states, {count} people, {count * actions} actions")
-        run(large, out / "huge.jsonl", out, kill_after=20)
-        run(large, out / "huge.jsonl", out)
-        run(large, out / "huge.jsonl", out)
+        print(f"{large.stem}: {STATES:,} states, {count} people, {count * actions} actions")
+        for told, kill_after in (("from nothing, killed", 20.0), ("again", None), ("once more", None)):
+            took = run(large, out / "huge.jsonl", out, kill_after)
+            rows.append({"instance": f"`{large.stem}`", "states": STATES, "run": told, **took})
+    write_record(record, TIME, rows)
 
 
-def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -> None:
+def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -> dict[str, Any]:
     """Run the command; say what it took, and how many states its cache has."""
     command = [str(Path(sys.executable).with_name("kitassist")), "fit", str(instance), str(log), "--jobs", "2"]
     command += ["--out", str(out / "people.jsonl"), "--population", str(out / "population.json")]
@@ -408,6 +422,7 @@ def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -
     seconds = time.perf_counter() - start
     kept = len(Cache(load(instance), out / "cache").read())
     print(f"  exit {process.returncode} after {seconds:.1f} s; {kept:,} states in the cache")
+    return {"seconds": seconds, "kept": kept}
 
 
 if __name__ == "__main__":

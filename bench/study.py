@@ -1,11 +1,12 @@
 """The paper's study, reduced: two pools and teams of up to three, through its report.
 
     python bench/study.py [--pools N] [--humans K] [--people N] [--instance NAME] [--out DIR] [--record FILE] [--check]
+    python bench/study.py --of FOLDER [--record FILE]
 
 All conditions of the paper's protocol are carried out, and the whole report is written: claims, readings, kinds of
 people, pictures. Printed are the figures of the headline. `--record` writes what was found, with the table of the
 documentation, `--check` compares it with `bench/records/study.json`, which the default run has made: what a change does
-to the study is seen before it is published.
+to the study is seen before it is published. `--of` takes what `kitassist study --out FOLDER` has found, unreduced.
 """
 
 from __future__ import annotations
@@ -58,6 +59,22 @@ def columns(headline: dict[str, Any]) -> Columns:
     return {"attention switching saves, reduced": cell("saving"), **instances}
 
 
+def whole(folder: Path, record: Path | None) -> None:
+    """Print the headline of a study that was carried out as it is, beside the paper's, and write its record."""
+    headline = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["headline"]
+    reference = read("paper").reference
+    assert reference is not None
+    published = dict(reference.headline)
+    shown = columns(headline)
+    name, *rest = shown
+    shown = {name.removesuffix(", reduced"): shown[name], **{key: shown[key] for key in rest}}
+    shown["the paper"] = lambda row: f"{published[SAVED[row['saving']]]:g}"
+    for saving in SAVED:
+        print(*(show({"saving": saving}) for show in shown.values()), sep=" | ")
+    commands = ["kitassist study --out results", "python bench/study.py --of results"]
+    write_record(record, shown, ({"saving": saving} for saving in SAVED), commands=commands)
+
+
 def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
     """Name where two documents differ by more than rounding."""
     if isinstance(found, dict) and isinstance(recorded, dict) and found.keys() == recorded.keys():
@@ -80,13 +97,16 @@ def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
 @click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the report.")
+@click.option("--of", type=click.Path(path_type=Path, exists=True, file_okay=False), help="A study that was made.")
 @record_option
 @click.option("--check", is_flag=True, help="Compare what was found with the record.")
 def main(
-    pools: int, humans: int, people: int, instance: str | None, jobs: int, out: Path | None, record: Path | None,
-    check: bool,
+    pools: int, humans: int, people: int, instance: str | None, jobs: int, out: Path | None, of: Path | None,
+    record: Path | None, check: bool,
 ) -> None:  # fmt: skip
     """Carry the reduced study out."""
+    if of is not None:
+        return whole(of, record)
     study = reduced(pools, humans, people, instance)
     if instance == "paper":  # the readings are of the other
         study = replace(study, conditions=tuple(c for c in study.conditions if c.instances))

@@ -68,16 +68,28 @@ def test_where_episodes_are_cut_off() -> None:
 
 
 def test_what_an_episode_that_is_cut_off_could_still_cost(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """After two steps nobody is at the goal; each could pay 4 for the way, .1 for a word and .2 for coming."""
+    """After two steps nobody is at the goal; each could pay 4 for the way, .1 for a word and .2 for coming from next
+    door, three times as much from the base if that is as far."""
     monkeypatch.setattr(certificate, "BEYOND", 0.9)
     assert horizon(0.5) == 2
-    travel = SETTING.travel(2)
-    found = returns(pool, NoAssistance(), (0, 1), travel, episodes=2000, seed=0)
-    later = 2 * (4 + 0.1 + 0.2) * 0.25 / 0.5
     paid = {1.5 + 1.5, 1.5 + 3.0, 3.0 + 3.0}  # 1 in the first step, then 1 or, by who goes back, 4
-    assert {round(-value - later, 9) for value in found} == paid
+    for distance, furthest in ((None, 1), ([[0, 1, 3], [1, 0, 3], [3, 3, 0]], 3)):
+        travel = SETTING.travel(2, distance)
+        found = returns(pool, NoAssistance(), (0, 1), travel, episodes=2000, seed=0)
+        later = 2 * (4 + 0.1 + 0.2 * furthest) * 0.25 / 0.5
+        assert {round(-value - later, 9) for value in found} == paid
+    travel = SETTING.travel(2)
     done = Pool.sample(Choices.of(sweep(graph_task([(1, 0, 1)]))), 2, seed=1, setting=SETTING)
     np.testing.assert_allclose(returns(done, "none", (0, 1), travel, episodes=3, seed=0), -2.0)
+
+
+def test_who_comes_from_far_away_pays_for_it(pool: Pool) -> None:
+    near, far = (
+        returns(pool, "reactive", (0, 1), SETTING.travel(2, distance), episodes=200, seed=0)
+        for distance in (None, 5 * (1 - np.eye(3)))
+    )
+    assert (far < near).any()
+    assert (far <= near + 1e-5).all()  # what may come after an episode's end is put higher
 
 
 def test_no_episodes_begin_after_the_time_limit(pool: Pool) -> None:
@@ -90,8 +102,8 @@ def test_no_episodes_begin_after_the_time_limit(pool: Pool) -> None:
 
 
 def test_a_certificate_by_hand() -> None:
-    found = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-11.0, slack=0.6)
-    assert found == Certificate(2, "mine", -12.0, 2 / math.sqrt(3), -11.0, 100 / 12, 5.0, 3)
+    found = Certificate.of("mine", np.array([-10.0, -12.0, -14.0]), humans=2, upper=-10.5, slack=0.6)
+    assert found == Certificate(2, "mine", -12.0, 2 / math.sqrt(3), -10.5, 12.5, 5.0, 3)
     nothing = Certificate.of("mine", np.zeros(2), humans=1, upper=0.5, slack=0.1)
     assert (nothing.gap_percent, nothing.slack_percent) == (0, 0)
 

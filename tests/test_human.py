@@ -102,6 +102,28 @@ def test_choice_is_stable_at_any_scale() -> None:
     assert choice(q, ALL, 1e6).tolist() == [1, 0, 0]
 
 
+def test_what_else_speaks_for_an_action() -> None:
+    """exp(bias - beta Q) by hand, at any scale: of several states, and where a slot is empty, or all are."""
+    q = np.array([[1.0, 2.0, np.inf], [0.0, 0.0, 7.0], [4.0, 3.0, 5.0]])
+    applicable = np.array([[True, True, True], [True, True, False], [True, True, True]])
+    bias = np.log([[1.0, 3.0, 5.0], [1.0, 4.0, 9.0], [2.0, 1.0, 1.0]])
+    expected = np.exp(bias - 2 * q) * applicable
+    expected /= expected.sum(axis=1, keepdims=True)
+    for shift in (np.zeros(3), np.array([900.0, -900.0, 0.0])):
+        np.testing.assert_allclose(choice(q, applicable, 2.0, bias + shift[:, None]), expected, rtol=1e-12)
+    np.testing.assert_allclose(choice(q, applicable, np.zeros(3), np.zeros((3, 3)))[1], [0.5, 0.5, 0.0])
+    large = choice(q[2], ALL, 1.0, np.array([-2000.0, 0.0, 2000.0]))
+    assert large.tolist() == [0, 0, 1]
+    assert choice(q[1], np.zeros(3, dtype=bool), 1.0, bias[1]).tolist() == [0, 0, 0]
+
+
+def test_suggestions_are_weighed_state_by_state() -> None:
+    p = np.array([[0.5, 0.3, 0.2], [0.1, 0.1, 0.8], [0.2, 0.2, 0.6]])
+    heard = influence(p, [1, NOTHING, 2], [0.9, 0.9, 0.5])
+    np.testing.assert_allclose(heard[0], np.array([0.05, 0.27, 0.02]) / 0.34)
+    np.testing.assert_allclose(heard[1:], p[1:])
+
+
 costs = st.lists(st.one_of(st.floats(0, 1e4), st.just(float("inf"))), min_size=1, max_size=6)
 
 
