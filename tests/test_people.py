@@ -127,3 +127,12 @@ def test_options_that_cannot_be(tmp_path: Path, options: list[str], words: str) 
     assert (result.exit_code, result.stdout) == (2, "")
     assert words.format(tmp_path) in result.stderr
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == before
+
+
+def test_people_are_kept_where_their_population_finds_no_room(tmp_path: Path) -> None:
+    file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
+    out = tmp_path / "people.jsonl"
+    result = CliRunner().invoke(main, ["fit", str(TINY), str(file), "--out", str(out), "--population", "/dev/full"])
+    assert (result.exit_code, result.stderr.count("\n")) == (1, 1)
+    assert "/dev/full" in result.stderr
+    assert [json.loads(line)["person"] for line in out.read_text().splitlines()] == ["ann"]

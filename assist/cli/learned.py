@@ -30,6 +30,8 @@ def show_people(
     from ..plots import people as pictures
 
     records = people.as_dicts()
+    if out:  # first: a population takes a while, and whoever has it has the people, too
+        storage.write_records(out, records)
     general = None
     if population or (not as_json and len(people) >= FEWEST):
         with progress_bar("fitting the population", populations.ETAS) as advance:
@@ -37,8 +39,6 @@ def show_people(
     if population and general:
         with storage.atomic(population) as path:
             path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")
-    if out:
-        storage.write_records(out, records)
     if figures:
         pictures.draw([record.fit for record in people.values()], figures)
     if as_json:
