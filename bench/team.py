@@ -30,7 +30,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
-from tables import Columns, cell, record_option, write_record
+from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.certify.bound import upper_bound
 from assist.people.belief import Grid
@@ -265,9 +265,10 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, people: int, out: P
 @click.option("--paths", type=int, default=0, show_default=True, help="Sampled lucks for a bound of 95 % confidence.")
 @out_option
 @record_option
+@more_option
 def gap(
     instances: tuple[str, ...], gammas: tuple[float, ...], sizes: tuple[int, ...], own: int, seed: int,
-    time_limit: float, gap: float, c_suggest: float, paths: int, out: Path, record: Path | None,
+    time_limit: float, gap: float, c_suggest: float, paths: int, out: Path, record: Path | None, more: bool,
 ) -> None:  # fmt: skip
     """Certify policies of teams of several sizes."""
     rows = []
@@ -297,7 +298,7 @@ def gap(
                      "seconds": found.seconds}
                 )  # fmt: skip
                 write(out, "gap", rows, "Certified gap")
-    write_record(record, GAP, rows)
+    write_record(record, GAP, rows, more=more)
 
     def plot(axis: Axes) -> None:
         for name, style in zip(instances, ("-", "--", ":"), strict=False):
