@@ -1,7 +1,7 @@
 """The price of honesty: what one person's help is worth with optimal suggestions only, and with all.
 
     python bench/honesty.py [--quick] [--instances a,b] [--gammas ...] [--costs ...] [--sigmas ...] [--etas ...]
-                            [--gap G] [--time-limit S] [--record FILE]
+                            [--gap G] [--time-limit S] [--record FILE [--more]]
 
 A case is a kitting instance, a population's range of theta, the rate eta at which suggestions move it, gamma,
 c_suggest, and the sigma of the person's misconception, which the robot knows. Printed is a table, which `--record`
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import click
 import numpy as np
-from tables import Columns, cell, record_option, write_record
+from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost_to_go
@@ -48,9 +48,10 @@ THETAS = ((0.05, 0.5), (0.5, 0.95))
 @click.option("--gap", default=5e-4, show_default=True, help="Stop at this relative gap.")
 @click.option("--time-limit", default=10.0, show_default=True, help="Seconds for each search at the most.")
 @record_option
+@more_option
 def main(
     quick: bool, instances: str, etas: str, gammas: str, costs: str, sigmas: str, gap: float, time_limit: float,
-    record: Path | None,
+    record: Path | None, more: bool,
 ) -> None:  # fmt: skip
     """Print the table."""
     print(*COLUMNS, sep=" | ")
@@ -84,7 +85,7 @@ def main(
                  "proven": "yes" if least else "no"}
             )  # fmt: skip
             print(*rows[-1].values(), sep=" | ", flush=True)
-    write_record(record, COLUMNS, rows)
+    write_record(record, COLUMNS, rows, more=more)
 
 
 if __name__ == "__main__":
