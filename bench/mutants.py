@@ -4,8 +4,8 @@
 
 A change is another comparison or sign, a number that is one larger, a condition the other way round, an argument or a
 statement left out. It is made in a function while the tests stand ready, in a process of its own that only runs those
-that call this function, the fastest first. It ends with the first that fails, or when it has used up several times the
-processor time of a run without a change. Left out are compiled functions, module-level code, words of errors, default
+that call this function, the fastest first. It ends with the first that fails, or that has used up several times its
+processor time without a change. Left out are compiled functions, module-level code, words of errors, default
 values, and tests that are marked as long or slow.
 """
 
@@ -69,8 +69,8 @@ NAMES = {"min": "max", "any": "all", "argmin": "argmax", "minimum": "maximum", "
 NAMES |= {other: name for name, other in NAMES.items()}
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
 """Where a function is in what decorators make of it."""
-MOST = 5  # times the processor time of the same tests without a change, and
-LEAST = 10  # seconds of it
+MOST = 5  # times the processor time of a test without a change, and
+LEAST = 5  # seconds of it, since what several tests share is set up for the first
 
 
 def others(node: ast.AST) -> Iterator[ast.AST]:
@@ -216,6 +216,7 @@ class Run:
         self.file, self.sample, self.seed = file, sample, seed
         self.called: dict[str, dict[str, float]] | None = None  # by function: the tests that call it, with seconds
         self.count, self.results = 0, list[tuple[Mutant, str]]()
+        self.allowed: dict[str, float] = {}  # the tests of a mutant, with the seconds that they take without a change
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Instead of running the tests once."""
@@ -249,6 +250,10 @@ class Run:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        if item.nodeid in self.allowed:
+            seconds = int(time.process_time() + MOST * self.allowed[item.nodeid] + LEAST)
+            resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
+            signal.alarm(60 * (int(MOST * self.allowed[item.nodeid]) + LEAST))  # it may wait for ever without working
         return (yield from self.watched("setup", item))
 
     @pytest.hookimpl(wrapper=True)
@@ -279,9 +284,7 @@ class Run:
     def end_of(self, session: pytest.Session, module: types.ModuleType, mutant: Mutant, tests: dict[str, float]) -> str:
         """Tell what becomes of a mutant."""
         if (child := os.fork()) == 0:
-            seconds = int(MOST * sum(tests.values()) + LEAST)
-            resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-            signal.alarm(60 * seconds)  # it may wait for ever without using the processor
+            self.allowed = tests
             session.items[:] = sorted((i for i in session.items if i.nodeid in tests), key=lambda i: tests[i.nodeid])
             mutant.take_place(module)
             os._exit(run(session))
