@@ -24,11 +24,11 @@ from . import packed, relaxing
 from .budget import Budget
 from .costtogo import UNREACHED, compact
 from .fast_downward import LimitError
-from .packed import Rulebook, Rules
+from .packed import Axioms, Rulebook, Rules
 from .reports import Progress
-from .successors import Ints, Packing, Successors, Transitions, Words, holds
+from .successors import Ints, Packing, Successors, Transitions, Words, can_hold, holds
 from .task import Fact, Task
-from .trie import trie_of
+from .trie import trie_of, tries_of
 
 BLOCK = 1 << 12
 """States that are expanded at a time."""
@@ -42,34 +42,48 @@ MOST = np.iinfo(np.int32).max
 Masks = tuple[Words, Words, Words, Words]
 """Mask and bits of what a rule needs, then the bits that it clears and those that it sets."""
 
+Axiom = tuple[Sequence[Fact], Masks]
+"""Facts that it needs, and the masks."""
+
 
 def rulebook(task: Task, packing: Packing) -> Rulebook:
     """Lay out a task's transition function."""
     successors = Successors(task, packing)
-    possible = [n for n, o in enumerate(task.operators) if len(dict(o.preconditions)) == len(set(o.preconditions))]
+    possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
-    nothing = np.zeros(packing.words, dtype=np.uint64)
-    stages: list[tuple[Sequence[Masks], bool]] = [([(nothing, nothing, *successors.defaults)], False)]
-    if not successors.layers:
-        stages.clear()
-    for layer in successors.layers:
-        stages += _stages(layer)
     return Rulebook(
         trie_of(conditions, packing),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
         _rules([successors.effects[number] for number in order]),
-        _rules([rules for rules, _ in stages]),
-        np.array([again for _, again in stages], dtype=bool),
+        _axioms(task, packing, successors),
     )
 
 
-def _stages(layer: Sequence[Masks]) -> Iterator[tuple[Sequence[Masks], bool]]:
-    """Order the rules of a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
+def _axioms(task: Task, packing: Packing, successors: Successors) -> Axioms:
+    """Lay out a task's axioms: first what derived variables are by default, then layer by layer."""
+    nothing = np.zeros(packing.words, dtype=np.uint64)
+    stages: list[tuple[list[Axiom], bool]] = [([((), (nothing, nothing, *successors.defaults))], False)]
+    if not successors.layers:
+        stages.clear()
+    layers = sorted({variable.axiom_layer for variable in task.variables} - {-1})
+    for layer, masks in zip(layers, successors.layers, strict=True):
+        own = [axiom.conditions for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
+        stages += _stages(list(zip(dict.fromkeys(filter(can_hold, own)), masks, strict=True)))
+    groups = [[frozenset(facts) for facts, _ in stage] for stage, _ in stages]
+    return Axioms(
+        *tries_of(groups, packing),
+        np.array([again for _, again in stages], dtype=bool),
+        _rules([[masks] for stage, _ in stages for _, masks in stage]),
+    )
+
+
+def _stages(layer: Sequence[Axiom]) -> Iterator[tuple[list[Axiom], bool]]:
+    """Order a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
     left = list(layer)
     while left:
-        open_ = np.bitwise_or.reduce([cleared for _, _, cleared, _ in left])
-        later = [bool((rule[0] & open_).any()) for rule in left]
+        open_ = np.bitwise_or.reduce([cleared for _, (_, _, cleared, _) in left])
+        later = [bool((masks[0] & open_).any()) for _, masks in left]
         if all(later):
             yield left, True
             return
@@ -213,7 +227,7 @@ class _Forward:
         self.slots = np.zeros(1 << 14, dtype=np.uint64)
         self.held = 0
         initial = self.packing.pack([task.initial])
-        packed.derive(self.book.axioms, self.book.again, initial[0])
+        packed.derive(self.book.axioms, initial[0])
         self._numbers(initial)
 
     def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:

@@ -23,12 +23,12 @@ NUMBER = 40
 
 
 class Rules(NamedTuple):
-    """What follows where conditions hold: a condition, then rules that are tried one after the other.
+    """What follows where conditions hold: rules that are tried one after the other.
 
     Attributes
     ----------
     begin : int64 array, shape (n + 1,)
-        Rules `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
+        Rules `begin[i]:begin[i + 1]` are those of the i-th operator.
     tests : int64 array, shape (rules + 1,)
         Rows `tests[r]:tests[r + 1]` of the next three are what the r-th rule needs: `s[word] & mask == value`.
     test_word : int64 array
@@ -51,7 +51,7 @@ class Rules(NamedTuple):
 
 
 class Trie(NamedTuple):
-    """Which operators can be applied: tests in depth-first order, as in `kernels.Tests`.
+    """Which operators can be applied, or which axioms: tests in depth-first order, as in `kernels.Tests`.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Trie(NamedTuple):
     jump : int64 array
     first : int64 array, shape (tests + 1,)
     operator : int64 array, shape (operators,)
-        In the order of the tests.
+        In the order of the tests; or axioms.
     most : int
         No more operators than this can be applied in one state.
     """
@@ -77,6 +77,26 @@ class Trie(NamedTuple):
     most: int
 
 
+class Axioms(NamedTuple):
+    """How derived variables follow from the others, in stages; the first sets all to what they are by default.
+
+    Attributes
+    ----------
+    trie : Trie
+    begin : int64 array, shape (stages + 1,)
+        Tests `begin[i]:begin[i + 1]` are those of the i-th stage.
+    again : bool array, shape (stages,)
+        Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
+    effects : Rules
+        What the axioms write; what they need is in the trie.
+    """
+
+    trie: Trie
+    begin: Ints
+    again: NDArray[np.bool_]
+    effects: Rules
+
+
 class Rulebook(NamedTuple):
     """A task's transition function; operators are in the order of their actions.
 
@@ -86,17 +106,13 @@ class Rulebook(NamedTuple):
     action : int64 array, shape (operators,)
     effects : Rules
         Of each operator.
-    axioms : Rules
-        In stages; the first sets all derived variables to what they are by default.
-    again : bool array, shape (stages,)
-        Whether rules of a stage lead to others of it, so that it is gone through until nothing changes.
+    axioms : Axioms
     """
 
     trie: Trie
     action: Ints
     effects: Rules
-    axioms: Rules
-    again: NDArray[np.bool_]
+    axioms: Axioms
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -121,16 +137,26 @@ def write(rules, rule, state):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derive(axioms, again, state):
+def derive(axioms, state):
     """Set the derived variables of a state: stage by stage, each to its least fixed point."""
-    for stage in range(len(again)):
+    trie = axioms.trie
+    for stage in range(len(axioms.again)):
         changed = True
         while changed:
             changed = False
-            for rule in range(axioms.begin[stage], axioms.begin[stage + 1]):
-                if holds(axioms, rule, state):
-                    changed |= write(axioms, rule, state)
-            changed &= again[stage]
+            t = axioms.begin[stage]
+            while t < axioms.begin[stage + 1]:
+                word = state[trie.word[t]]
+                if word & trie.mask[t] == trie.value[t]:
+                    for place in range(trie.first[t], trie.first[t + 1]):
+                        changed |= write(axioms.effects, trie.operator[place], state)
+                    t += 1
+                    continue
+                target = trie.skip[t]
+                if target < 0:
+                    target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
+                t = target
+            changed &= axioms.again[stage]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -190,7 +216,7 @@ def expand(book, states, start, counts, actions, after):
             for rule in range(book.effects.begin[operator], book.effects.begin[operator + 1]):
                 if holds(book.effects, rule, states[i]):
                     write(book.effects, rule, target)
-            derive(book.axioms, book.again, target)
+            derive(book.axioms, target)
             actions[filled] = book.action[operator]
             filled += 1
         i += 1

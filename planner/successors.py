@@ -112,6 +112,11 @@ def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
     return result
 
 
+def can_hold(facts: Sequence[Fact]) -> bool:
+    """Tell whether facts do not contradict each other."""
+    return len(dict(facts)) == len(set(facts))
+
+
 class Successors:
     """The transition function of a task on arrays of packed states.
 
@@ -138,7 +143,8 @@ class Successors:
         """Group effects by their conditions: condition mask and bits, then cleared and set bits."""
         groups: dict[tuple[Fact, ...], list[Fact]] = {}
         for effect in effects:
-            groups.setdefault(effect.conditions, []).append((effect.variable, effect.value))
+            if can_hold(effect.conditions):
+                groups.setdefault(effect.conditions, []).append((effect.variable, effect.value))
         return [
             (*self.packing.condition(conditions), *self.packing.condition(facts))
             for conditions, facts in groups.items()

@@ -181,13 +181,17 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
 
 def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> Trie:
     """Arrange operators by their preconditions, which do not contradict themselves."""
-    trie = _Trie(packing)
-    trie.test(0, 0, 0)  # it always holds
-    most = trie.build([(facts, number) for number, facts in enumerate(conditions)])
-    trie.skip[0] = len(trie.word)
+    return tries_of([conditions], packing)[0]
+
+
+def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> tuple[Trie, Ints]:
+    """Arrange several groups one after the other, numbered through; tell where each begins, and where all end."""
+    trie, most, begin, number = _Trie(packing), 0, [0], 0
+    for conditions in groups:
+        root = trie.test(0, 0, 0)  # it always holds
+        most = max(most, trie.build([(facts, number + place) for place, facts in enumerate(conditions)]))
+        trie.skip[root] = len(trie.word)
+        begin.append(len(trie.word))
+        number += len(conditions)
     trie.first.append(len(trie.order))
-    return Trie(
-        *trie.arrays(),
-        np.array(trie.order, np.int64),
-        max(1, most),
-    )
+    return Trie(*trie.arrays(), np.array(trie.order, np.int64), max(1, most)), np.array(begin, np.int64)
