@@ -24,10 +24,10 @@ from . import packed, relaxing
 from .budget import Budget
 from .costtogo import UNREACHED, compact
 from .fast_downward import LimitError
-from .packed import Axioms, Rulebook, Rules
+from .packed import Rulebook, Rules
 from .reports import Progress
 from .successors import Ints, Packing, Successors, Transitions, Words, can_hold, holds
-from .task import Fact, Task
+from .task import Effect, Fact, Task
 from .trie import trie_of, tries_of
 
 BLOCK = 1 << 12
@@ -42,7 +42,7 @@ MOST = np.iinfo(np.int32).max
 Masks = tuple[Words, Words, Words, Words]
 """Mask and bits of what a rule needs, then the bits that it clears and those that it sets."""
 
-Axiom = tuple[Sequence[Fact], Masks]
+Rule = tuple[Sequence[Fact], Masks]
 """Facts that it needs, and the masks."""
 
 
@@ -52,33 +52,34 @@ def rulebook(task: Task, packing: Packing) -> Rulebook:
     possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
+    stages = list(_axioms(task, packing, successors))
     return Rulebook(
         trie_of(conditions, packing),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
-        _rules([successors.effects[number] for number in order]),
-        _axioms(task, packing, successors),
+        _rules([_grouped(task.operators[number].effects, successors.effects[number]) for number in order], packing),
+        _rules([rules for rules, _ in stages], packing),
+        np.array([again for _, again in stages], dtype=bool),
     )
 
 
-def _axioms(task: Task, packing: Packing, successors: Successors) -> Axioms:
-    """Lay out a task's axioms: first what derived variables are by default, then layer by layer."""
-    nothing = np.zeros(packing.words, dtype=np.uint64)
-    stages: list[tuple[list[Axiom], bool]] = [([((), (nothing, nothing, *successors.defaults))], False)]
-    if not successors.layers:
-        stages.clear()
+def _grouped(effects: Sequence[Effect], masks: Sequence[Masks]) -> list[Rule]:
+    """Give the conditions of effects beside the masks that `Successors` has of them."""
+    conditions = dict.fromkeys(effect.conditions for effect in effects if can_hold(effect.conditions))
+    return list(zip(conditions, masks, strict=True))
+
+
+def _axioms(task: Task, packing: Packing, successors: Successors) -> Iterator[tuple[list[Rule], bool]]:
+    """List the stages of a task's axioms: what derived variables are by default, then layer by layer."""
+    if successors.layers:
+        nothing = np.zeros(packing.words, dtype=np.uint64)
+        yield [((), (nothing, nothing, *successors.defaults))], False
     layers = sorted({variable.axiom_layer for variable in task.variables} - {-1})
     for layer, masks in zip(layers, successors.layers, strict=True):
-        own = [axiom.conditions for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
-        stages += _stages(list(zip(dict.fromkeys(filter(can_hold, own)), masks, strict=True)))
-    groups = [[frozenset(facts) for facts, _ in stage] for stage, _ in stages]
-    return Axioms(
-        *tries_of(groups, packing),
-        np.array([again for _, again in stages], dtype=bool),
-        _rules([[masks] for stage, _ in stages for _, masks in stage]),
-    )
+        own = [axiom for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
+        yield from _stages(_grouped(own, masks))
 
 
-def _stages(layer: Sequence[Axiom]) -> Iterator[tuple[list[Axiom], bool]]:
+def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
     """Order a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
     left = list(layer)
     while left:
@@ -91,19 +92,16 @@ def _stages(layer: Sequence[Axiom]) -> Iterator[tuple[list[Axiom], bool]]:
         left = [rule for rule, waits in zip(left, later, strict=True) if waits]
 
 
-def _rules(groups: Sequence[Sequence[Masks]]) -> Rules:
-    """Lay out rules: of each group, the mask and bits that are needed, and those that are cleared and set."""
-    begin, tests, writes = [0], [0], [0]
-    needed: list[tuple[int, int, int]] = []
+def _rules(groups: Sequence[Sequence[Rule]], packing: Packing) -> Rules:
+    """Lay out rules, group by group."""
+    writes = [0]
     written: list[tuple[int, int, int]] = []
     for group in groups:
-        for mask, value, cleared, assigned in group:
-            needed += [(int(w), int(mask[w]), int(value[w])) for w in np.flatnonzero(mask)]
+        for _, (_, _, cleared, assigned) in group:
             written += [(int(w), int(~cleared[w]), int(assigned[w])) for w in np.flatnonzero(cleared)]
-            tests.append(len(needed))
             writes.append(len(written))
-        begin.append(len(tests) - 1)
-    return Rules(np.array(begin), np.array(tests), *_columns(needed), np.array(writes), *_columns(written))
+    trie, begin = tries_of([[frozenset(facts) for facts, _ in group] for group in groups], packing)
+    return Rules(trie, begin, np.array(writes), *_columns(written))
 
 
 def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
@@ -227,7 +225,7 @@ class _Forward:
         self.slots = np.zeros(1 << 14, dtype=np.uint64)
         self.held = 0
         initial = self.packing.pack([task.initial])
-        packed.derive(self.book.axioms, initial[0])
+        packed.derive(self.book.axioms, self.book.again, initial[0])
         self._numbers(initial)
 
     def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:

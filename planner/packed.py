@@ -22,36 +22,8 @@ NUMBER = 40
 """Bits of a state's number in its slot; the other bits are some of its hash, so that few others are compared."""
 
 
-class Rules(NamedTuple):
-    """What follows where conditions hold: rules that are tried one after the other.
-
-    Attributes
-    ----------
-    begin : int64 array, shape (n + 1,)
-        Rules `begin[i]:begin[i + 1]` are those of the i-th operator.
-    tests : int64 array, shape (rules + 1,)
-        Rows `tests[r]:tests[r + 1]` of the next three are what the r-th rule needs: `s[word] & mask == value`.
-    test_word : int64 array
-    test_mask, test_value : uint64 arrays
-    writes : int64 array, shape (rules + 1,)
-        Rows `writes[r]:writes[r + 1]` of the next three are what it writes: `s[word] & keep | value`.
-    write_word : int64 array
-    write_keep, write_value : uint64 arrays
-    """
-
-    begin: Ints
-    tests: Ints
-    test_word: Ints
-    test_mask: Words
-    test_value: Words
-    writes: Ints
-    write_word: Ints
-    write_keep: Words
-    write_value: Words
-
-
 class Trie(NamedTuple):
-    """Which operators can be applied, or which axioms: tests in depth-first order, as in `kernels.Tests`.
+    """Which operators can be applied, or which rules: tests in depth-first order, as in `kernels.Tests`.
 
     Attributes
     ----------
@@ -60,9 +32,9 @@ class Trie(NamedTuple):
     jump : int64 array
     first : int64 array, shape (tests + 1,)
     operator : int64 array, shape (operators,)
-        In the order of the tests; or axioms.
+        In the order of the tests; or rules.
     most : int
-        No more operators than this can be applied in one state.
+        No more of them than this can be applied in one state, of one group.
     """
 
     word: Ints
@@ -77,24 +49,27 @@ class Trie(NamedTuple):
     most: int
 
 
-class Axioms(NamedTuple):
-    """How derived variables follow from the others, in stages; the first sets all to what they are by default.
+class Rules(NamedTuple):
+    """What follows where facts hold, of operators or of stages of axioms.
 
     Attributes
     ----------
     trie : Trie
-    begin : int64 array, shape (stages + 1,)
-        Tests `begin[i]:begin[i + 1]` are those of the i-th stage.
-    again : bool array, shape (stages,)
-        Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
-    effects : Rules
-        What the axioms write; what they need is in the trie.
+        Which rules apply.
+    begin : int64 array, shape (n + 1,)
+        Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
+    writes : int64 array, shape (rules + 1,)
+        Rows `writes[r]:writes[r + 1]` of the next three are what rule `r` writes: `s[word] & keep | value`.
+    write_word : int64 array
+    write_keep, write_value : uint64 arrays
     """
 
     trie: Trie
     begin: Ints
-    again: NDArray[np.bool_]
-    effects: Rules
+    writes: Ints
+    write_word: Ints
+    write_keep: Words
+    write_value: Words
 
 
 class Rulebook(NamedTuple):
@@ -106,22 +81,17 @@ class Rulebook(NamedTuple):
     action : int64 array, shape (operators,)
     effects : Rules
         Of each operator.
-    axioms : Axioms
+    axioms : Rules
+        In stages; the first sets all derived variables to what they are by default.
+    again : bool array, shape (stages,)
+        Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
     """
 
     trie: Trie
     action: Ints
     effects: Rules
-    axioms: Axioms
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def holds(rules, rule, state):
-    """Tell whether what a rule needs holds in a state."""
-    for test in range(rules.tests[rule], rules.tests[rule + 1]):
-        if state[rules.test_word[test]] & rules.test_mask[test] != rules.test_value[test]:
-            return False
-    return True
+    axioms: Rules
+    again: NDArray[np.bool_]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -137,10 +107,10 @@ def write(rules, rule, state):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derive(axioms, state):
+def derive(axioms, again, state):
     """Set the derived variables of a state: stage by stage, each to its least fixed point."""
     trie = axioms.trie
-    for stage in range(len(axioms.again)):
+    for stage in range(len(again)):
         changed = True
         while changed:
             changed = False
@@ -149,14 +119,14 @@ def derive(axioms, state):
                 word = state[trie.word[t]]
                 if word & trie.mask[t] == trie.value[t]:
                     for place in range(trie.first[t], trie.first[t + 1]):
-                        changed |= write(axioms.effects, trie.operator[place], state)
+                        changed |= write(axioms, trie.operator[place], state)
                     t += 1
                     continue
                 target = trie.skip[t]
                 if target < 0:
                     target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
                 t = target
-            changed &= axioms.again[stage]
+            changed &= again[stage]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -203,7 +173,13 @@ def expand(book, states, start, counts, actions, after):
     filled : int
         So many rows are in use.
     """
-    operators = np.empty(book.trie.most, dtype=np.int64)
+    operators, due = np.empty(book.trie.most, dtype=np.int64), np.empty(book.effects.trie.most, dtype=np.int64)
+    effects, tests = book.effects, book.effects.trie  # taken apart once, which takes longer than to use them
+    begin, writes, write_word, keep, value = (
+        effects.begin, effects.writes, effects.write_word, effects.write_keep, effects.write_value,
+    )  # fmt: skip
+    word, mask, wanted, skip, shift = tests.word, tests.mask, tests.value, tests.skip, tests.shift
+    field, jump, first, rules = tests.field, tests.jump, tests.first, tests.operator
     filled, i = 0, start
     while i < len(states) and filled + book.trie.most <= len(actions):
         number = applicable(book, states[i], operators)
@@ -213,10 +189,27 @@ def expand(book, states, start, counts, actions, after):
             target = after[filled]
             for w in range(len(target)):
                 target[w] = states[i, w]
-            for rule in range(book.effects.begin[operator], book.effects.begin[operator + 1]):
-                if holds(book.effects, rule, states[i]):
-                    write(book.effects, rule, target)
-            derive(book.axioms, target)
+            count, t = 0, begin[operator]
+            while t < begin[operator + 1]:
+                found = states[i, word[t]]
+                if found & mask[t] == wanted[t]:
+                    for row in range(first[t], first[t + 1]):
+                        at = count
+                        while at > 0 and due[at - 1] > rules[row]:  # they apply in ascending order
+                            due[at] = due[at - 1]
+                            at -= 1
+                        due[at] = rules[row]
+                        count += 1
+                    t += 1
+                    continue
+                after_it = skip[t]
+                if after_it < 0:
+                    after_it = jump[np.int64(found >> shift[t] & field[t]) - after_it - 1]
+                t = after_it
+            for at in range(count):
+                for row in range(writes[due[at]], writes[due[at] + 1]):
+                    target[write_word[row]] = target[write_word[row]] & keep[row] | value[row]
+            derive(book.axioms, book.again, target)
             actions[filled] = book.action[operator]
             filled += 1
         i += 1
