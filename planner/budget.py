@@ -37,6 +37,14 @@ class Budget:
     deadline: float | None
     stop: threading.Event | None = None
 
+    @classmethod
+    def within(
+        cls, max_states: int | None, memory_mb: float | None, deadline: float | None, stop: threading.Event | None
+    ) -> Budget:
+        """Allow so many megabytes of memory, but no more than the machine has left."""
+        memory = available_memory()
+        return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop)
+
     def check_time(self, states: int) -> None:
         """Check the deadline; `states` is for the message."""
         if self.stop is not None and self.stop.is_set():
@@ -67,3 +75,8 @@ def available_memory() -> float:
     if (group / "memory.max").is_file() and (most := (group / "memory.max").read_text().strip()) != "max":
         free = min(free, int(most) - int((group / "memory.current").read_text()))
     return 0.9 * free
+
+
+def processors() -> int:
+    """Count the processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

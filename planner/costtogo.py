@@ -44,6 +44,10 @@ class CostToGo(Protocol):
     def method(self) -> Literal["sweep", "on-demand"]:
         """How the answers are come by."""
 
+    @property
+    def searches(self) -> bool:
+        """Whether looking a state up may take a search of its own, which takes its time."""
+
     def __len__(self) -> int:
         """Count the states that have numbers."""
 
@@ -124,6 +128,11 @@ class Table:
     def method(self) -> Literal["sweep", "on-demand"]:
         """How it was come by."""
         return "sweep"
+
+    @property
+    def searches(self) -> bool:
+        """Whether looking a state up may take a search of its own: no."""
+        return False
 
     @property
     def task(self) -> Task:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -44,6 +44,16 @@ Masks = tuple[Words, Words, Words, Words]
 
 Rule = tuple[Sequence[Fact], Masks]
 """Facts that it needs, and the masks."""
+
+Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
+"""How many actions each of some states has, which, and what they lead to."""
+
+Form = Callable[[Words], None]
+"""What puts in the place of states, shape (n, words), others that do for them."""
+
+
+def as_they_are(_states: Words) -> None:
+    """Leave states in their place."""
 
 
 def rulebook(task: Task, packing: Packing) -> Rulebook:
@@ -152,7 +162,7 @@ class Found:
             np.empty(transitions, dtype=np.int32),
         )
         first = row = 0
-        for counts, actions, after in _expanded(self.book, self.states):
+        for counts, actions, after in expanded(self.book, self.states):
             rows.actions[row : row + len(actions)] = actions
             packed.look_up(self.slots, self.states, after, rows.targets[row : row + len(actions)])
             rows.offsets[first + 1 : first + 1 + len(counts)] = row + np.cumsum(counts)
@@ -160,7 +170,7 @@ class Found:
         return rows
 
 
-def _expanded(book: Rulebook, states: Words) -> Iterator[tuple[NDArray[np.int32], NDArray[np.int32], Words]]:
+def expanded(book: Rulebook, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
     stop = 0
     room = 8 * BLOCK + book.trie.most
@@ -215,56 +225,89 @@ class Listing:
     kinds: NDArray[np.unsignedinteger]
 
 
+class Numbered:
+    """States that are numbered as they are met, in the order in which they are; by one thread at a time.
+
+    Parameters
+    ----------
+    words : int
+        Of a packed state.
+    """
+
+    def __init__(self, words: int) -> None:
+        self._states = _Growing(np.uint64, words)
+        self.slots = np.zeros(1 << 14, dtype=np.uint64)
+        self._held = 0
+
+    def __len__(self) -> int:
+        return self._held
+
+    def numbers(self, states: Words) -> NDArray[np.int32]:
+        """Give the numbers of states, shape (n, words); those that are new get the next ones."""
+        most = self._held + len(states)
+        self._states.make_room(most)
+        if most > FULL * len(self.slots):
+            self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
+            packed.fill_slots(self.slots, self._states.rows, 0, self._held)
+        numbers = np.empty(len(states), dtype=np.int32)
+        self._held = packed.insert(self.slots, self._states.rows, self._held, states, numbers)
+        if self._held > MOST:
+            raise LimitError(f"more than {MOST} states without an index")
+        return numbers
+
+    def states(self, numbers: Ints | slice) -> Words:
+        """Give a copy of the states, shape (n, words), of some numbers."""
+        if not isinstance(numbers, slice) and len(numbers) and not 0 <= numbers.min() <= numbers.max() < self._held:
+            raise IndexError(f"states are numbered from 0 to {self._held - 1}")
+        return self._states.rows[numbers].copy()  # the rows move as they grow
+
+    def trimmed(self) -> Words:
+        """Give all states; no more can be met."""
+        return self._states.trimmed(self._held)
+
+
 class _Forward:
     """The search forward, breadth first: the states that have been found so far."""
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: Task, form: Form = as_they_are) -> None:
         self.packing = Packing.of(task)
         self.book = rulebook(task, self.packing)
-        self.states = _Growing(np.uint64, self.packing.words)
-        self.slots = np.zeros(1 << 14, dtype=np.uint64)
-        self.held = 0
+        self.form = form
+        self.met = Numbered(self.packing.words)
         initial = self.packing.pack([task.initial])
         packed.derive(self.book.axioms, self.book.again, initial[0])
-        self._numbers(initial)
+        form(initial)
+        self.met.numbers(initial)
 
     def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         """Expand all states in order, some at a time: how many actions each has, which, and what they lead to."""
-        waiting: deque[Future[list[tuple[NDArray[np.int32], NDArray[np.int32], Words]]]] = deque()
+        waiting: deque[Future[list[Expanded]]] = deque()
         done = given = 0
         with ThreadPoolExecutor(threads) as pool:
             try:
-                while done < self.held:
-                    while given < self.held and len(waiting) <= threads:
-                        # A copy: the rows move as they grow.
-                        block = self.states.rows[given : min(given + BLOCK, self.held)].copy()
-                        waiting.append(pool.submit(lambda own: list(_expanded(self.book, own)), block))
+                while done < len(self.met):
+                    while given < len(self.met) and len(waiting) <= threads:
+                        block = self.met.states(slice(given, min(given + BLOCK, len(self.met))))
+                        waiting.append(pool.submit(self._expanded, block))
                         given += len(block)
                     for counts, actions, after in waiting.popleft().result():
                         done += len(counts)
-                        yield counts, actions, self._numbers(after)
+                        yield counts, actions, self.met.numbers(after)
             finally:
                 for future in waiting:
                     future.cancel()
 
-    def _numbers(self, states: Words) -> NDArray[np.int32]:
-        """Give the numbers of states, shape (n, words); those that are new get the next ones."""
-        most = self.held + len(states)
-        self.states.make_room(most)
-        if most > FULL * len(self.slots):
-            self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
-            packed.fill_slots(self.slots, self.states.rows, 0, self.held)
-        numbers = np.empty(len(states), dtype=np.int32)
-        self.held = packed.insert(self.slots, self.states.rows, self.held, states, numbers)
-        return numbers
+    def _expanded(self, states: Words) -> list[Expanded]:
+        parts = list(expanded(self.book, states))
+        for _, _, after in parts:
+            self.form(after)
+        return parts
 
     def check(self, budget: Budget, per_state: int, others: int) -> None:
         """Check the limits; given are bytes that are in use beside a state's words, for each of them and in all."""
-        budget.check_states(self.held)
-        budget.check_time(self.held)
-        budget.check_memory(self.slots.nbytes + (8 * self.packing.words + per_state) * self.held + others)
-        if self.held > MOST:
-            raise LimitError(f"more than {MOST} states without an index")
+        budget.check_states(len(self.met))
+        budget.check_time(len(self.met))
+        budget.check_memory(self.met.slots.nbytes + (8 * self.packing.words + per_state) * len(self.met) + others)
 
 
 def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int:
@@ -272,15 +315,25 @@ def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int
     search = _Forward(task)
     with closing(search.parts(threads)) as parts:
         for _ in parts:
-            progress("states", search.held, None)
+            progress("states", len(search.met), None)
             search.check(budget, 0, 0)
-    return search.held
+    return len(search.met)
 
 
-def enumerated(task: Task, budget: Budget, threads: int, progress: Progress, most: float = math.inf) -> Listing | None:
-    """Find the states that a task can reach, breadth first; None if they have `most` transitions or more."""
+def enumerated(
+    task: Task,
+    budget: Budget,
+    threads: int,
+    progress: Progress,
+    most: float = math.inf,
+    form: Form = as_they_are,
+) -> Listing | None:
+    """Find the states that a task can reach, breadth first; None if they have `most` transitions or more.
+
+    `form` puts in the place of states others that do for them, before they are looked for.
+    """
     costs, kind_of = np.unique(task.costs, return_inverse=True)
-    search, targets = _Forward(task), _Growing(np.int32)
+    search, targets = _Forward(task, form), _Growing(np.int32)
     counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)
     done = transitions = 0
     with closing(search.parts(threads)) as parts:
@@ -293,8 +346,8 @@ def enumerated(task: Task, budget: Budget, threads: int, progress: Progress, mos
             if transitions >= most:
                 return None
             search.check(budget, 24, (8 + 4 * (len(costs) > 1)) * transitions)
-            progress("states", search.held, None)
-    found = Found(search.packing, search.book, search.states.trimmed(search.held), search.slots)
+            progress("states", len(search.met), None)
+    found = Found(search.packing, search.book, search.met.trimmed(), search.met.slots)
     kept = transitions if len(costs) > 1 else 0
     return Listing(found, counts.trimmed(done), targets.trimmed(transitions), kinds.trimmed(kept))
 

@@ -3,7 +3,9 @@
 `cost_to_go` sweeps all states, as far as the limits allow, and answers on demand where they do not. Where only some
 states are wanted both ways are tried side by side, and whichever is done first is the answer: nothing is guessed, and
 it takes at most about twice as long as the better of the two, which would have had the processors for itself. A sweep
-that takes no longer than `HEAD_START` is left alone. The result is a `Table` or an `OnDemand`; both are a `CostToGo`.
+that takes no longer than `HEAD_START` is left alone. Where there are too many states for a sweep, one state of each
+orbit under the task's symmetries is swept, if these are few enough; then answers on demand are looked up. The result
+is a `Table` or an `OnDemand`; both are a `CostToGo`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,12 +25,23 @@ from .budget import MAX_STATES, MemoryLimitError
 from .costtogo import Table
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
+from .orbits import Orbits, orbits
 from .reports import Progress
 from .sweep import sweep
 from .task import Task
 
 HEAD_START = 0.05
 """Seconds before the first state is asked for while a sweep is under way."""
+
+PER_ORBIT = 4
+"""An orbit counts as so many states: it takes more time and memory."""
+
+
+class _Unswept(NamedTuple):
+    """Why a task was not swept, and its orbits, if these were."""
+
+    reason: str
+    orbits: Orbits | None
 
 
 def cost_to_go(
@@ -45,8 +59,9 @@ def cost_to_go(
 ) -> Table | OnDemand:
     """Choose how to come by the exact cost-to-go of a task, and begin.
 
-    All states are swept where they fit the limits. Otherwise, and where only a few states are wanted and asking for
-    them is done earlier, the result answers on demand; in the latter case it knows them already.
+    All states are swept where they fit the limits; else one state of each orbit, if these do. Otherwise, and where only
+    a few states are wanted and asking for them is done earlier, the result answers on demand; in the latter case it
+    knows them already.
 
     Parameters
     ----------
@@ -54,7 +69,7 @@ def cost_to_go(
     states : int array, shape (N, variables), optional
         The values of the states that are wanted; all unless given.
     max_states : int
-        Sweep at most so many.
+        Sweep at most so many, or a fourth as many orbits.
     memory_limit_mb : float, optional
         What a sweep may use in addition to what the process has already; what the machine has left unless given.
         It is estimated before anything is allocated.
@@ -72,7 +87,7 @@ def cost_to_go(
     Returns
     -------
     Table or OnDemand
-        Both are a `CostToGo`; the latter says in `reason` why.
+        Both are a `CostToGo`; the latter says in `reason` why, and has `orbits` where these were swept.
 
     Raises
     ------
@@ -80,8 +95,9 @@ def cost_to_go(
         The deadline has passed.
     """
 
-    def swept(stop: threading.Event | None = None) -> Table | str:
+    def swept(stop: threading.Event | None = None) -> Table | _Unswept:
         """Sweep; give the reason if that is not possible."""
+        states = 0
         try:
             return sweep(
                 task,
@@ -94,24 +110,40 @@ def cost_to_go(
                 checkpoint=checkpoint,
             )
         except (MemoryLimitError, MemoryError):
-            return "a table of all states does not fit the memory"  # how much is missing differs from run to run
+            reason = "a table of all states does not fit the memory"  # how much is missing differs from run to run
         except LimitError as error:
             if deadline is not None and time.monotonic() > deadline:
                 raise
-            return str(error)
+            if stop is not None and stop.is_set():
+                return _Unswept(str(error), None)
+            reason, states = str(error), max_states + 1
+        try:
+            found = orbits(
+                task,
+                max_orbits=max_states // PER_ORBIT,
+                states=states,
+                memory_limit_mb=memory_limit_mb,
+                deadline=deadline,
+                threads=jobs,
+                stop=stop,
+                progress=progress,
+            )
+        except (LimitError, MemoryError):
+            return _Unswept(reason, None)
+        return _Unswept(reason, found)
 
     if states is not None:
         return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits)
     answer = swept()
-    if isinstance(answer, str):
-        return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer)
+    if isinstance(answer, _Unswept):
+        return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer.reason, orbits=answer.orbits)
     return answer
 
 
 def _race(
     task: Task,
     states: NDArray[np.int64],
-    swept: Callable[[threading.Event], Table | str],
+    swept: Callable[[threading.Event], Table | _Unswept],
     cache: Cache | None,
     jobs: int | None,
     limits: Limits,
@@ -123,7 +155,7 @@ def _race(
         return asked.under(limits, f"the {len(states)} states that are wanted are known already")
     enough, over = threading.Event(), threading.Event()  # the sweep is not needed any more; it is over
 
-    def sweeping() -> Table | str:
+    def sweeping() -> Table | _Unswept:
         try:
             return swept(enough)
         finally:
@@ -140,7 +172,7 @@ def _race(
                 asked.under(replace(limits, stop=over), None).lookup(wanted)
             except LimitError:  # the sweep was faster, or has to do
                 found = sweep_of_all.result()
-                return found if isinstance(found, Table) else asked.under(limits, found)
+                return found if isinstance(found, Table) else asked.under(limits, *found)
             seconds = time.monotonic() - start
         finally:
             enough.set()

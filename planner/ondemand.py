@@ -3,7 +3,8 @@
 For tasks that are too large to enumerate. `OnDemand` numbers the states that it is asked about in the order
 in which it meets them, asks Fast Downward's A* for the cost-to-go of those that it does not know, several
 at a time, and remembers every answer: in memory, and in a `Cache` on disk that outlives the process. An
-optimal plan labels all states on it, so that one search answers for many.
+optimal plan labels all states on it, so that one search answers for many. Where one state of each orbit under the
+task's symmetries could be swept (`orbits`), the answers are looked up there, and nobody is asked.
 
 Where a task has actions that cost nothing, what is asked for is the cheapest plan with the fewest actions, which says
 which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given prices that count both.
@@ -21,6 +22,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -28,9 +30,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import fast_downward
-from .costtogo import UNREACHED, astar
+from .costtogo import UNREACHED, astar, optimal_choices
 from .fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
-from .successors import Packing, Successors, Transitions, Words, holds
+from .listing import Numbered, expanded, rulebook
+from .orbits import Orbits
+from .packed import Rulebook
+from .successors import Ints, Packing, Successors, Transitions, Words, holds
 from .task import Task
 
 CANDIDATES = (
@@ -119,6 +124,8 @@ class OnDemand:
         Time and memory of each single search.
     reason : str, optional
         Why the task is not enumerated.
+    orbits : Orbits, optional
+        The cost-to-go of one state of each orbit under the task's symmetries.
     """
 
     method: Literal["sweep", "on-demand"] = "on-demand"
@@ -131,8 +138,10 @@ class OnDemand:
         jobs: int | None = None,
         limits: Limits = NO_LIMITS,
         reason: str | None = None,
+        orbits: Orbits | None = None,
     ) -> None:
         self.task = task
+        self.orbits = orbits
         self._priced, self._unit = priced(task)
         self.reason = reason
         self.packing = Packing.of(task)
@@ -143,23 +152,24 @@ class OnDemand:
         self._jobs = jobs or os.cpu_count() or 1
         self._limits = limits
         self._search: str | None = None
-        self._states: list[Words] = []
-        self._number: dict[bytes, int] = {}
-        self.initial = self._meet(self._successors.derive(self.packing.pack([task.initial])))[0]
+        self._met = Numbered(self.packing.words)
+        self.initial = int(self._meet(self._successors.derive(self.packing.pack([task.initial])))[0])
 
     def __len__(self) -> int:
         """Count the states that have been met."""
-        return len(self._states)
+        return len(self._met)
 
-    def _meet(self, states: Words) -> list[int]:
-        numbers = []
-        for state in states:
-            key = state.tobytes()
-            if key not in self._number:
-                self._number[key] = len(self._states)
-                self._states.append(state)
-            numbers.append(self._number[key])
-        return numbers
+    @cached_property
+    def _book(self) -> Rulebook:
+        return rulebook(self.task, self.packing) if self.orbits is None else self.orbits.found.book
+
+    @property
+    def searches(self) -> bool:
+        """Whether looking a state up may take a search of its own."""
+        return self.orbits is None
+
+    def _meet(self, states: Words) -> Ints:
+        return self._met.numbers(states).astype(np.int64)
 
     def numbers(self, values: ArrayLike) -> NDArray[np.int64]:
         """Give the numbers, shape (N,), of states with values of shape (N, variables).
@@ -170,15 +180,14 @@ class OnDemand:
         sizes = np.array([len(variable.facts) for variable in self.task.variables])
         if array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
-        return np.array(self._meet(self._successors.derive(self.packing.pack(array))), dtype=np.int64)
+        return self._meet(self._successors.derive(self.packing.pack(array)))
 
     def values(self, states: ArrayLike) -> NDArray[np.int64]:
         """Give the values, shape (N, variables), of states of shape (N,)."""
         return self.packing.unpack(self._rows(states))
 
     def _rows(self, states: ArrayLike) -> Words:
-        numbers = np.atleast_1d(np.asarray(states, dtype=np.int64))
-        return np.array([self._states[number] for number in numbers], dtype=np.uint64).reshape(-1, self.packing.words)
+        return self._met.states(np.atleast_1d(np.asarray(states, dtype=np.int64)))
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Tell of states, shape (N,), which are goal states."""
@@ -186,8 +195,11 @@ class OnDemand:
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Give the choices of states, shape (N,), as compressed rows; the states they lead to are met."""
-        offsets, actions, targets = self._successors.choices(self._rows(states))
-        return Transitions(offsets, actions, np.array(self._meet(targets), dtype=np.int64))
+        none = np.empty(0, dtype=np.int32)
+        parts = [(none, none, np.empty((0, self.packing.words), dtype=np.uint64))]
+        parts += expanded(self._book, self._rows(states))
+        counts, actions, after = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, self._meet(after))
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
         """Give h* of states, shape (N,), infinite at dead ends; ask Fast Downward for those not known.
@@ -204,6 +216,12 @@ class OnDemand:
             A search reached its limits. What the others found is kept, and nothing is said of that state.
         """
         rows = self._rows(states)
+        if self.orbits is not None:
+            h = self.orbits.lookup(rows)
+            if not np.isnan(h).any():
+                if progress is not None:
+                    progress(len(h))
+                return h
         keys = [row.tobytes() for row in rows]
         missing = list(dict.fromkeys(key for key in keys if key not in self._known))
         if progress is not None:
@@ -212,15 +230,17 @@ class OnDemand:
             self._ask(missing, progress)
         return self._costs(np.array([self._known[key] for key in keys], dtype=np.float64))
 
-    def under(self, limits: Limits, reason: str | None) -> OnDemand:
+    def under(self, limits: Limits, reason: str | None, orbits: Orbits | None = None) -> OnDemand:
         """Give this, with what it knows and the states that it has met, under other limits and for another reason."""
         other = copy.copy(self)
-        other._limits, other.reason = limits, reason
+        other._limits, other.reason, other.orbits = limits, reason, orbits or self.orbits
         return other
 
     def known(self, states: ArrayLike) -> NDArray[np.float64]:
         """Give h* of states, shape (N,), as far as it is known without a search; NaN elsewhere."""
-        return self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in self._rows(states)]))
+        rows = self._rows(states)
+        h = self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in rows], dtype=np.float64))
+        return h if self.orbits is None else np.where(np.isnan(h), self.orbits.lookup(rows), h)
 
     def _costs(self, prices: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.where(np.isfinite(prices), np.floor(prices / self._unit), prices)
@@ -237,14 +257,31 @@ class OnDemand:
         """
         if self._unit == 1:
             raise ValueError("expected a task with actions that cost nothing")
+        if self.orbits is not None:
+            return self.orbits.plan_lengths(self._rows(states))
         self.lookup(states)
         prices = np.array([self._known[row.tobytes()] for row in self._rows(states)])
         return np.where(np.isfinite(prices), prices % self._unit, UNREACHED).astype(np.int64)
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Find an optimal plan from a state (the initial one unless given); None from a dead end."""
-        values = self.values([self.initial if state is None else state])[0]
+        at = self.initial if state is None else state
+        if self.orbits is not None:
+            return self._descent(at)
+        values = self.values([at])[0]
         return astar(self._priced, tuple(values.tolist()), limits=self._limits)[1]
+
+    def _descent(self, state: int) -> list[str] | None:
+        """Follow optimal choices from a state to the goal."""
+        if not np.isfinite(self.lookup([state])[0]):
+            return None
+        plan = []
+        while not self.is_goal([state])[0]:
+            rows = self.choices([state])
+            best = int(optimal_choices(self, [state], rows).argmax())
+            plan.append(self.task.actions[rows.actions[best]])
+            state = int(rows.targets[best])
+        return plan
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:

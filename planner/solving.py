@@ -35,6 +35,7 @@ from .threads import NO_MORE_THREADS
 
 if TYPE_CHECKING:
     from .costtogo import Table
+    from .orbits import Orbits
 
 Record = dict[str, Any]
 
@@ -237,6 +238,7 @@ def _solve(
     notes = [task.note] if task.note else []
     unswept: str | None = None
     table: Table | None = None
+    orbits: Orbits | None = None
     if not task.decided_by_translator:
         memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
         with phases.phase("search"):
@@ -254,13 +256,15 @@ def _solve(
                 unswept = str(error)
             else:
                 if isinstance(answers, OnDemand):
-                    unswept = answers.reason
+                    unswept, orbits = answers.reason, answers.orbits
                 else:
                     table = answers
         if table is not None:
             notes += [table.note] if table.note else []
         else:
             notes.append(f"solved on demand: {unswept}")
+        if orbits is not None:
+            notes[-1] += f"; swept are {orbits.described}"
     if table is not None:
         finite = table.distance[~table.dead_end]
         record.update(
@@ -274,6 +278,14 @@ def _solve(
             _verify(table, options, phases, record)
         with phases.phase("plan"):
             cost, plan = table[table.initial], table.optimal_plan()
+    elif orbits is not None:
+        ones = orbits.table(task)
+        finite = ones.distance[~ones.dead_end]
+        record.update(method="on-demand", max_cost_to_go=int(finite.max()) if len(finite) else None)
+        if options.verify:
+            _verify(ones, options, phases, record)
+        with phases.phase("plan"):
+            cost, plan = ones[ones.initial], answers.optimal_plan()
     else:
         with phases.phase("search", "A* from the initial state"):
             try:

@@ -9,7 +9,6 @@ take a slower way: a list of packed states, and all transitions in memory (`list
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels, reached
-from .budget import Budget, MemoryLimitError, available_memory
+from .budget import Budget, MemoryLimitError, processors
 from .checkpoint import Checkpoint
 from .coding import MANY, denser, plain
 from .costtogo import Table
@@ -127,12 +126,8 @@ def sweep(
     LimitError
         One of the limits does not suffice.
     """
-    memory = available_memory()
-    if memory_limit_mb is not None:
-        memory = min(memory, memory_limit_mb * 1e6)
-    budget = Budget(max_states, memory, deadline, stop)
-    if threads is None:
-        threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    budget = Budget.within(max_states, memory_limit_mb, deadline, stop)
+    threads = threads or processors()
     told = progress or (lambda *_: None)
     if any(variable.axiom_layer >= 0 for variable in task.variables):
         return _listed(task, budget, threads, "it has derived variables", told)

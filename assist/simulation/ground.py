@@ -240,8 +240,8 @@ class Wide:
         return self._made(number, states, people, deep)
 
     def _made(self, number: int, states: Ints, people: Ints, deep: bool) -> Kept:
-        # A table has what is asked of it at once, so that it need not be asked again for those who are advised.
-        deep = deep or self.policies[number].ground.known.method == "sweep"
+        # What is looked up is there at once, so that it need not be asked for again for those who are advised.
+        deep = deep or not self.policies[number].ground.known.searches
         around = self.policies[number].around(states, deep=deep)
         return Kept(around, Group.of(self.pool, around.pomdp, people, self.world, around.region.states))
 

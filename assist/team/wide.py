@@ -35,7 +35,7 @@ from .settings import Setting
 from .subproblem import Visits
 
 REGION = {"sweep": 20_000, "on-demand": 200}
-"""States that a policy is worked out on, by how the task's cost-to-go is come by."""
+"""States that a policy is worked out on, by how a state's cost-to-go is come by."""
 
 BOUNDED = 300
 """States of a region on which somebody's problem is bounded: with prices it is there once for each of their steps."""
@@ -56,7 +56,7 @@ class Ground:
     """
 
     def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
-        self.known, self.prior, self.size = known, prior, size or REGION[known.method]
+        self.known, self.prior, self.size = known, prior, size or REGION["on-demand" if known.searches else "sweep"]
         self.visited = Visited(known)
 
 

@@ -1,0 +1,330 @@
+"""States that are alike are swept once, and none that are not: against the sweep of all states, and by hand."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import random
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+from conftest import KITTING, table_of
+
+from planner import (
+    Effect,
+    LimitError,
+    MismatchError,
+    OnDemand,
+    Operator,
+    Packing,
+    Table,
+    Task,
+    Variable,
+    astar,
+    cost_to_go,
+    instance,
+    load,
+    ondemand,
+    optimal_choices,
+    sweep,
+)
+from planner.canonical import Forms, canonical
+from planner.costtogo import check_successors
+from planner.methods import PER_ORBIT
+from planner.orbits import Orbits, orbits
+from planner.replay import replay
+from planner.solving import SolveOptions, solve_instance
+from planner.symmetry import symmetries
+
+
+def switches(costs: list[int], goal: list[int], initial: list[int] | None = None) -> Task:
+    """Switches that can be turned on, each at its cost, and off, which costs 10 more."""
+    names = range(len(costs))
+    operators = [Operator(2 * v + on, ((v, 1 - on),), (Effect((), v, on),)) for v in names for on in (0, 1)]
+    return Task(
+        instance=instance("switches.pddl"),
+        sas="",
+        variables=tuple(Variable(f"var{v}", (f"Atom off({v})", f"Atom on({v})"), -1) for v in names),
+        actions=tuple(f"({word} {v})" for v in names for word in ("turn-off", "turn-on")),
+        costs=tuple(cost + more for cost in costs for more in (10, 0)),
+        operators=tuple(operators),
+        axioms=(),
+        initial=tuple(initial or [0] * len(costs)),
+        goal=tuple((v, 1) for v in goal),
+    )
+
+
+def copies(rng: random.Random, count: int, costs: range) -> Task:
+    """Some things that are all alike and a variable that they share; any of them does something to any other."""
+    sizes = [rng.randint(2, 3) for _ in range(rng.randint(1, 2))]  # of each thing's variables
+    shared = count * len(sizes)
+    whole = [*sizes * count, rng.randint(2, 3)]
+
+    def fact(roles: int) -> tuple[int, int, int]:
+        """The variable of a thing in some role, or the shared one, and a value."""
+        if rng.random() < 0.3:
+            return -1, 0, rng.randrange(whole[-1])
+        variable = rng.randrange(len(sizes))
+        return rng.randrange(roles), variable, rng.randrange(sizes[variable])
+
+    def bound(pattern: tuple[int, int, int], things: tuple[int, ...]) -> tuple[int, int]:
+        role, variable, value = pattern
+        return (shared, value) if role < 0 else (things[role] * len(sizes) + variable, value)
+
+    operators, prices = [], []
+    for _ in range(rng.randint(3, 6)):
+        roles, cost = rng.randint(1, 2), rng.choice(costs)
+        needed, made = [fact(roles) for _ in range(rng.randint(0, 2))], [fact(roles) for _ in range(rng.randint(1, 2))]
+        for things in permutations(range(count), roles):
+            conditions, effects = dict(bound(p, things) for p in needed), dict(bound(p, things) for p in made)
+            changes = tuple(Effect((), v, value) for v, value in sorted(effects.items()))
+            operators.append(Operator(len(prices), tuple(sorted(conditions.items())), changes))
+            prices.append(cost)
+    wanted = [fact(1) for _ in range(2)]
+    return Task(
+        instance=instance("copies.pddl"),
+        sas="",
+        variables=tuple(
+            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(whole)
+        ),
+        actions=tuple(f"(a{a:03})" for a in range(len(prices))),
+        costs=tuple(prices),
+        operators=tuple(operators),
+        axioms=(),
+        initial=tuple(rng.randrange(size) for size in whole),
+        goal=tuple({bound(p, (thing,))[0]: bound(p, (thing,)) for p in wanted for thing in range(count)}.values()),
+    )
+
+
+def check(task: Task) -> tuple[Table, Orbits]:
+    """Compare the cost-to-go of orbits with that of all states, and states of one orbit with each other."""
+    table, found = sweep(task), orbits(task, max_orbits=10**6)
+    values, packing = table.values(np.arange(len(table))), Packing.of(task)
+    np.testing.assert_array_equal(found.lookup(packing.pack(values)), table.h)
+    if min(task.costs) == 0:
+        np.testing.assert_array_equal(
+            found.plan_lengths(packing.pack(values)), table.plan_lengths(np.arange(len(table)))
+        )
+    numbers = found.rows(packing.pack(values))
+    assert sorted(set(numbers.tolist())) == list(range(len(found)))
+    group = symmetries(task)
+    assert group is not None
+    # What one symmetry takes to another is of one orbit; how many orbits there are, from pairs of states alone.
+    root = {tuple(row): tuple(row) for row in values.tolist()}
+
+    def top(state: tuple[int, ...]) -> tuple[int, ...]:
+        while root[state] != state:
+            state = root[state]
+        return state
+
+    waiting = list(root)
+    for state in waiting:  # which grows meanwhile
+        for generator in group.generators:
+            (image,) = map(tuple, group.apply(generator, np.array([state])).tolist())
+            if image not in root:
+                root[image] = image
+                waiting.append(image)
+            root[top(state)] = top(image)
+    assert len({top(tuple(row)) for row in values.tolist()}) == len(found)
+    return table, found
+
+
+@pytest.mark.parametrize("name", ["tiny", "paper", "sealed"])
+def test_a_kit_is_swept_by_orbits(name):
+    table, found = check(load(instance(KITTING / f"{name}.pddl")))
+    assert 1.5 < len(table) / len(found) < found.order
+
+
+@pytest.mark.parametrize("name", ["ladder-3x5", pytest.param("ladder-4x6", marks=pytest.mark.slow)])
+def test_larger_kits(name):
+    task = load(instance(KITTING / f"{name}.pddl"))
+    table, found = sweep(task), orbits(task, max_orbits=10**6)
+    h = found.lookup(Packing.of(task).pack(table.values(np.arange(len(table)))))
+    np.testing.assert_array_equal(h, table.h)
+    assert found.described == {"ladder-3x5": "914 orbits of 8 symmetries"}.get(name, "4,859 orbits of 16 symmetries")
+
+
+@pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7)], ids=str)
+@pytest.mark.parametrize("seed", [0, 1, 2, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3, 30))])
+def test_copies(seed, costs):
+    rng = random.Random(f"{seed} {costs}")
+    count = rng.randint(2, 4)
+    _, found = check(copies(rng, count, costs))
+    assert found.order % math.factorial(count) == 0
+
+
+def test_what_is_alike_is_one():
+    table, found = check(switches([1, 1, 1, 1], [0, 1, 2, 3]))
+    assert (len(table), len(found), found.order) == (16, 5, 24)
+    assert sorted(found.distance.tolist()) == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("costs", "goal", "left"),
+    [([1, 2, 1], [0, 1, 2], 2), ([1, 2, 3], [0, 1, 2], 1), ([1, 1, 1], [0, 1], 2), ([1, 1, 1], [0], 2)],
+)
+def test_what_costs_or_is_wanted_otherwise_is_not_alike(costs, goal, left):
+    task = switches(costs, goal)
+    group = symmetries(task)
+    assert (1 if group is None else group.order) == left
+    if group is None:
+        with pytest.raises(LimitError, match="no symmetries"):
+            orbits(task, max_orbits=100)
+    else:
+        check(task)
+
+
+def test_what_can_be_done_to_one_alone_makes_it_unlike():
+    task = switches([1, 1, 1], [0, 1, 2])
+    for more in (Operator(0, ((0, 0), (1, 1)), (Effect((), 0, 1),)), Operator(0, (), (Effect((), 0, 0),))):
+        special = Task(**{**task.__dict__, "operators": (*task.operators, more)})
+        group = symmetries(special)
+        assert (1 if group is None else group.order) == (1 if more.preconditions else 2)
+
+
+def test_where_things_begin_need_not_be_alike():
+    """Only what follows counts: states that are alike cost the same, whether or not one can come to both."""
+    task = switches([1, 1, 1], [0, 1, 2], [1, 0, 0])
+    one_way = Task(**{**task.__dict__, "operators": task.operators[1::2]})  # never off again
+    table, found = check(one_way)
+    assert (len(table), len(found), found.order) == (4, 3, 6)
+
+
+@pytest.mark.parametrize("kind", ["axioms", "conditions", "twice", "nothing"])
+def test_what_is_not_looked_at(kind):
+    task = switches([1, 1], [0, 1])
+    under = Operator(0, ((0, 0),), (Effect(((1, 1),), 0, 1),))
+    twice = Operator(0, ((0, 0),), (Effect((), 0, 1), Effect((), 0, 0)))
+    changed = {
+        "axioms": {"axioms": (Effect((), 0, 1),)},
+        "conditions": {"operators": (*task.operators, under)},
+        "twice": {"operators": (*task.operators, twice)},
+        "nothing": {"operators": ()},
+    }
+    assert symmetries(Task(**{**task.__dict__, **changed[kind]})) is None
+
+
+def test_a_guess_that_is_none_does_not_count(monkeypatch):
+    """Colours that tell nothing apart lead to wrong guesses, and none of them is taken."""
+    search = importlib.import_module("planner.symmetry")._Search
+    task = switches([1, 2, 3], [0, 1, 2])
+    monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
+    marked = lambda _self, colors, fact: np.where(np.arange(len(colors)) == fact, colors.max() + 1, colors)  # noqa: E731
+    monkeypatch.setattr(search, "_marked", marked)
+    assert symmetries(task) is None
+
+
+def test_work_is_limited():
+    assert symmetries(switches([1] * 4, range(4)), work=1) is None
+
+
+def test_forms_are_the_same_for_all_states_of_an_orbit_and_images_of_them():
+    task = switches([1] * 5, range(5))
+    group, packing = symmetries(task), Packing.of(task)
+    states = packing.pack(np.array(list(product([0, 1], repeat=5))))
+    forms = states.copy()
+    canonical(Forms.of(group, packing), forms)
+    np.testing.assert_array_equal(np.bitwise_count(forms), np.bitwise_count(states))
+    assert len(np.unique(forms)) == 6
+
+
+def test_too_many_orbits_are_none(monkeypatch):
+    task = load(instance(KITTING / "paper.pddl"))
+    with pytest.raises(LimitError, match="more than 100 states"):
+        orbits(task, max_orbits=100)
+    # 4 symmetries: 836 states are 209 orbits at least, which is known before they are listed.
+    module = importlib.import_module("planner.orbits")
+    monkeypatch.setattr(module, "enumerated", None)
+    with pytest.raises(LimitError, match="more than 208 orbits of 4 symmetries"):
+        orbits(task, max_orbits=208, states=836)
+
+
+def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
+    at = instance(KITTING / "ladder-3x5.pddl")
+    table, task = table_of(at), load(at)
+    monkeypatch.setattr(ondemand, "astar", None)
+    known = cost_to_go(task, max_states=len(table) - 1)
+    assert isinstance(known, OnDemand)
+    assert (known.method, known.searches, known.reason) == ("on-demand", False, "more than 6183 states")
+    numbers = known.numbers(table.values(np.arange(len(table))))
+    np.testing.assert_array_equal(known.lookup(numbers), table.h)
+    np.testing.assert_array_equal(known.known(numbers), table.h)
+    assert len(known) == len(table)
+    rows, own = known.choices(numbers[:100]), table.choices(np.arange(100))
+    np.testing.assert_array_equal(rows.offsets, own.offsets)
+    np.testing.assert_array_equal(rows.actions, own.actions)
+    np.testing.assert_array_equal(rows.targets, numbers[own.targets])
+    np.testing.assert_array_equal(optimal_choices(known, numbers[:100], rows), optimal_choices(table, range(100), own))
+    plan = known.optimal_plan()
+    assert plan is not None
+    assert known.task.plan_cost(plan) == table[table.initial]
+    assert table.is_goal([table.space.follow(plan)])[0]
+    assert cost_to_go(task, max_states=PER_ORBIT * 913).searches  # there are 914
+
+
+def test_where_few_states_are_wanted_orbits_may_be_first(monkeypatch):
+    at = instance(KITTING / "ladder-3x5.pddl")
+    table = table_of(at)
+    monkeypatch.setattr(importlib.import_module("planner.methods"), "HEAD_START", 60)
+    known = cost_to_go(load(at), table.values(np.arange(50)), max_states=len(table) - 1)
+    assert not known.searches
+    np.testing.assert_array_equal(known.lookup(known.numbers(table.values(np.arange(50)))), table.h[:50])
+
+
+def test_plans_with_actions_that_cost_nothing():
+    task = switches([0, 0, 1], [0, 1, 2])
+    _, found = check(task)
+    packing = Packing.of(task)
+    assert found.lookup(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [1, 0]
+    assert found.plan_lengths(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [3, 1]
+
+
+def test_sampled_states_cost_what_fast_downward_says():
+    task = load(instance(KITTING / "ladder-4x6.pddl"))
+    known = OnDemand(task, orbits=orbits(task, max_orbits=10**5))
+    rng, state = np.random.default_rng(0), known.initial
+    for step in range(40):
+        state = int(rng.choice(known.choices([state]).targets))
+        if step % 13 == 12:
+            assert known.lookup([state])[0] == astar(task, known.values([state])[0].tolist())[0]
+
+
+def test_a_record_tells_of_orbits():
+    at = instance(KITTING / "ladder-3x5.pddl")
+    table = table_of(at)
+    record = solve_instance(at, SolveOptions(max_states=6000, verify=5))
+    assert record["status"] == "solved"
+    assert record["note"] == "solved on demand: more than 6000 states; swept are 914 orbits of 8 symmetries"
+    assert (record["method"], record["states"], record["max_cost_to_go"]) == ("on-demand", None, int(table.h.max()))
+    assert (record["cost"], record["verified"], record["consistent"]) == (table[table.initial], 5, 5)
+    assert replay(load(at), record["plan"]) == record["cost"]
+
+
+def test_what_goes_beyond_the_effort_is_given_up(monkeypatch):
+    task = switches([1] * 4, range(4))
+    monkeypatch.setattr(importlib.import_module("planner.orbits"), "EFFORT", 4 * 9)  # facts of a state, symmetries
+    with pytest.raises(LimitError, match="1 transitions or more between orbits of 24 symmetries"):
+        orbits(task, max_orbits=100)
+    for limit in ("DEEP", "LARGE"):
+        monkeypatch.setattr(importlib.import_module("planner.symmetry"), limit, 2)
+        assert symmetries(task) is None
+
+
+def test_time_is_looked_at():
+    with pytest.raises(LimitError, match="out of time"):
+        orbits(switches([1] * 4, range(4)), max_orbits=100, deadline=0.0)
+
+
+def test_wrong_values_are_found():
+    """The table that is compared with A* and with successors is that of the orbits."""
+    task = load(instance(KITTING / "paper.pddl"))
+    found = orbits(task, max_orbits=10**6)
+    assert check_successors(found.table(task), 249, np.random.default_rng(0)) == 249
+    for wrong in (found.distance + 1, found.distance * 2):
+        with pytest.raises(MismatchError):
+            check_successors(replace(found, distance=wrong.astype(np.uint8)).table(task), 249, np.random.default_rng(0))
+    rows = found.table(task).space.transitions
+    assert len(rows.targets) == found.transition_count
+    assert found.table(task).optimal_plan() is not None
