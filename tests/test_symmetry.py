@@ -216,6 +216,22 @@ def test_a_guess_that_is_none_does_not_count(monkeypatch):
     assert symmetries(task) is None
 
 
+@pytest.mark.parametrize(
+    ("costs", "goal", "symmetry", "proven"),
+    [
+        ([1, 1], [0, 1], [2, 3, 0, 1], True),
+        ([1, 2], [0, 1], [2, 3, 0, 1], False),  # what turns them on costs otherwise
+        ([1, 1], [0], [2, 3, 0, 1], False),  # one of them is wanted
+        ([1, 1], [], [3, 2, 0, 1], False),  # on is off
+        ([1, 1], [0, 1], [2, 1, 0, 3], False),  # variables come apart
+        ([1, 1], [0, 1], [2, 3, 2, 3], False),  # no permutation
+    ],
+)
+def test_symmetries_are_proven(costs, goal, symmetry, proven):
+    search = importlib.import_module("planner.symmetry")._Search(switches(costs, goal), 1000, lambda: None)
+    assert search.proven(np.array(symmetry)) == proven
+
+
 def test_work_is_limited():
     assert symmetries(switches([1] * 4, range(4)), work=1) is None
 
