@@ -20,11 +20,11 @@ ROOMS = {
         checkpoint reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches listing
         symmetry canonical orbits sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
-    "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
+    "assist.person": """archive pomdp region visited problem qmdp estimates alpha_vectors hsvi upper_hull
         solver""",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
         diagnostics population record people comparison summary""",
-    "assist.team": "arguments travel state attention subproblem settings wide priority policies pool",
+    "assist.team": "arguments travel state attention subproblem settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts clairvoyant bound",
     "assist.drawing": "subject profile scene layout svg picture frames files",

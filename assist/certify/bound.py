@@ -49,6 +49,9 @@ FOR_BOUND = 0.8
 FOR_PRICES = 0.4
 """The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
 
+FOR_REGIONS = 0.4
+"""The share of the time for a bound in which it is worked out what follows where parts of large tasks break off."""
+
 FOR_PATHS = 0.5
 """The share of the time for a bound in which lucks are sampled, if any are to be."""
 
@@ -166,6 +169,7 @@ def upper_bound(
     window : int, optional
         Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a large
         team, for as long as `MANY` people would still be at work without a robot, but at most `LONGEST` times that.
+        On tasks that are not looked at whole none are looked for, so that states need no step.
     gap : float
         Relative gap to which each person's problem is solved.
     time_limit : float, optional
@@ -198,10 +202,16 @@ def upper_bound(
     paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
     luck, tell = entropy(seed), progress or (lambda *_: None)
-    steps = window_of(pool, members, luck) if window is None else whole("window", window)
-    kinds = kinds_of(pool, members, travel, steps, memory_limit_mb=memory_limit_mb, tell=tell)
-    price = np.zeros(0)
+    if window is None:  # lucks are sampled for as many steps in any case
+        together = window_of(pool, members, luck) if paths or not pool.wide else 0
+        steps = 0 if pool.wide else together
+    else:
+        together = steps = whole("window", window)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
+    kinds = kinds_of(
+        pool, members, travel, steps, memory_limit_mb=memory_limit_mb, until=start + FOR_REGIONS * for_people, tell=tell
+    )  # fmt: skip
+    price = np.zeros(0)
     if len(members) > 1 and steps:
         price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * for_people, tell=tell)
     relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell)
@@ -219,7 +229,7 @@ def upper_bound(
             tell("sampling lucks", done, paths)
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
-        sampled = Clairvoyant(relaxed.lattices(), relaxed.price, steps).sampled(paths, luck, left)
+        sampled = Clairvoyant(relaxed.lattices(), relaxed.price, together).sampled(paths, luck, left)
     return TeamBound(
         pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
         relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,

@@ -29,7 +29,8 @@ from ..team.subproblem import Visits
 Ints = NDArray[np.int64]
 
 END = -1
-"""The node of everybody who has finished."""
+"""The node of everybody who has finished, or come to where a part of a large task breaks off: from there on the bound
+is what is known of them, and their robot is one of their own."""
 
 SLIGHT = 1e-5
 """A belief that could lower the bound by less than this, in cost units, gets no part."""
@@ -273,7 +274,9 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
                 _believe(belief, after, x, r, a, m)
                 y, mass = m.targets[place, a], after.sum()
                 promise -= mass * m.costs[place, a]
-                if m.goal[y]:
+                if m.final[y]:  # where the problem breaks off its bound is a mean over types: nothing is left to tell
+                    for h in range(size):
+                        promise += m.gamma * after[h] * known.corner[y, h]
                     cumulated += mass
                     nodes.share[k], nodes.to[k] = cumulated, END
                     k += 1

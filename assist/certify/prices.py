@@ -113,9 +113,13 @@ def kinds_of(
     window: int,
     *,
     memory_limit_mb: float = math.inf,
+    until: float = math.inf,
     tell: Tell = lambda *_: None,
 ) -> list[Kind]:
     """Give a team's kinds, with prices of 0 on so many steps.
+
+    Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
+    was no time for more.
 
     Raises
     ------
@@ -124,11 +128,14 @@ def kinds_of(
     """
     entries, steps = travel.entry.tolist(), travel.entry_steps.tolist()
     members = Counter((int(pool.model[person]), entries[k], steps[k]) for k, person in enumerate(team))
-    _allow(pool, list(members), window, memory_limit_mb)
-    kinds = []
-    for done, ((model, entry, entry_steps), count) in enumerate(members.items()):
+    problems = []
+    for done, (model, entry, _) in enumerate(members):
         tell("setting people's problems up", done, len(members))
-        alone = _alone(pool, model)
+        share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
+        problems.append(_alone(pool, model, entry, share, memory_limit_mb))
+    _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
+    kinds = []
+    for alone, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
         visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
@@ -136,25 +143,26 @@ def kinds_of(
     return kinds
 
 
-def _alone(pool: Pool, model: int) -> AssistPOMDP:
-    """Give the problem of a model with a robot that is always there: on its region, if the task is not looked at whole.
+def _alone(pool: Pool, model: int, entry: float, until: float, memory_limit_mb: float) -> AssistPOMDP:
+    """Give the problem of a model with a robot that is always there: on a region, if the task is not looked at whole.
 
     Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
     """
     policy = pool.policies[model]
-    return policy.bounded if isinstance(policy, WidePolicy) else policy.pomdp
+    if isinstance(policy, WidePolicy):
+        return policy.bounded(entry, until=until, memory_limit_mb=memory_limit_mb)
+    return policy.pomdp
 
 
-def _allow(pool: Pool, kinds: list[tuple[int, float, int]], window: int, limit_mb: float) -> None:
+def _allow(problems: list[AssistPOMDP], entry_steps: list[int], window: int, limit_mb: float) -> None:
     """Refuse problems that would not fit the memory."""
     needed, states = 0.0, 0
-    for model, _, entry_steps in kinds:
-        alone = _alone(pool, model)
-        states = len(Layout.of(alone, 2 + entry_steps, window))
+    for alone, steps in zip(problems, entry_steps, strict=True):
+        states = len(Layout.of(alone, 2 + steps, window))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
-    needed *= 1 + 1 / len(kinds)  # one is solved anew in every round
-    _refuse_above(limit_mb, needed, len(kinds), states, window)
+    needed *= 1 + 1 / len(problems)  # one is solved anew in every round
+    _refuse_above(limit_mb, needed, len(problems), states, window)
 
 
 def _refuse_above(limit_mb: float, needed: float, kinds: int, states: int, window: int) -> None:

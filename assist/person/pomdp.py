@@ -45,22 +45,29 @@ class Frontier:
     Attributes
     ----------
     states : int array, shape (m,)
-    lower : float array, shape (m, T)
-        What some policy gets at least, for each theta and whatever beta is.
-    upper : float array, shape (m,) or (m, B)
-        What no policy exceeds; for each beta, if that is known.
+    lower : float array, shape (m, T) or (m, B, T)
+        What some policy gets at least, for each theta and whatever beta is, or for each of both.
+    upper : float array, shape (m,) or (m, B, T)
+        What no policy exceeds; for each beta and theta, if that is known.
     floor : float, optional
         What every policy gets at least that says nothing any more.
+    away : float array, shape (m, B, T), optional
+        What no policy exceeds whose robot has to come first. Where it is given, a team's problem is taken to end here.
+    value : float array, shape (m,), optional
+        V(x) of eq. 6, what the person expects there; minus the cost-to-go unless given, as of somebody who knows it.
     """
 
     states: NDArray[np.int64]
     lower: Floats
     upper: Floats
     floor: float | None = None
+    away: Floats | None = None
+    value: Floats | None = None
 
     def __post_init__(self) -> None:
-        for array in (self.states, self.lower, self.upper):
-            array.flags.writeable = False
+        for array in (self.states, self.lower, self.upper, self.away, self.value):
+            if array is not None:
+                array.flags.writeable = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,8 +191,8 @@ class AssistPOMDP:
             [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1
         )
         v = value(chooses, choices, model.q)
-        if frontier is not None:  # where a person sees no choices, what they expect is the cost-to-go
-            v[frontier.states] = -choices.h[frontier.states]
+        if frontier is not None:  # there a person sees no choices
+            v[frontier.states] = -choices.h[frontier.states] if frontier.value is None else frontier.value
         # Without a suggestion the person expects to stay where they are, so that theta does not move.
         after = np.where(
             suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)

@@ -166,7 +166,7 @@ def highest(pomdp: AssistPOMDP) -> Floats:
         beyond = np.isinf(choices.h[pomdp.frontier.states])
         value[dead] = np.maximum(value[dead], pomdp.frontier.upper[beyond].max(initial=-np.inf))
         upper = pomdp.frontier.upper
-        value[pomdp.frontier.states] = upper[:, :, None] if upper.ndim == 2 else upper[:, None, None]
+        value[pomdp.frontier.states] = upper if upper.ndim == 3 else upper[:, None, None]
     return value
 
 
@@ -234,7 +234,8 @@ def evaluate(
     value = np.zeros((len(active), len(pomdp.grid.beta), len(arrays.theta)))
     value[active] = worst
     if pomdp.frontier is not None:
-        value[pomdp.frontier.states] = pomdp.frontier.lower[:, None]
+        lower = pomdp.frontier.lower
+        value[pomdp.frontier.states] = lower if lower.ndim == 3 else lower[:, None]
     if silent and active.sum() <= DIRECT:
         value[active] = _alone_for_ever(arrays, active)[:, :, None]
     _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps)

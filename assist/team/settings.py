@@ -8,6 +8,7 @@ from typing import Literal, get_args
 from numpy.typing import ArrayLike
 
 from ..people.belief import Grid
+from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Mixture, Population
 from ..person.pomdp import AssistPOMDP, Frontier, Suggestions
@@ -73,6 +74,10 @@ class Setting:
         """Give the way between so many people; `distance` as in `Travel.of`."""
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
+    def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
+        """Give how the robot takes somebody of a population to choose, knowing who they are or not."""
+        return human.chooses if human is not None and human.weights and population.weights else population.typical
+
     def problem(
         self,
         choices: Choices,
@@ -88,9 +93,8 @@ class Setting:
         """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
-        chooses = human.chooses if human is not None and human.weights and population.weights else population.typical
         return AssistPOMDP.of(
-            model, chooses=chooses, grid=Grid.regular(population),
+            model, chooses=self.chooses(human, population), grid=Grid.regular(population),
             population=population, gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions,
             execute=self.execute, c_execute=self.c_execute, frontier=frontier,
         )  # fmt: skip

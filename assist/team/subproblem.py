@@ -276,10 +276,12 @@ def _order(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> NDArra
 def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -> Frontier | None:
     """Give the frontier of a problem of visits where that of the person alone has one: at every step and position.
 
-    Above: no policy gets more than with a robot that is always there, whose presence costs nothing. Below: a robot that
-    is here can stay and do as the one that is always there does, at no more than what all prices to come add up to; one
-    that is away can come first, if that takes no time. Else it can leave when it is there, and stay away, and the worst
-    happens.
+    Above: no policy gets more than with a robot that is always there, whose presence costs nothing. Where it is known
+    what a robot that is away gets, the problem ends with that, and with the other's value wherever it has set out.
+
+    Else, below: a robot that is here can stay and do as the one that is always there does, at no more than what all
+    prices to come add up to; one that is away can come first, if that takes no time. Otherwise it can leave when it is
+    there, and stay away, and the worst happens.
     """
     if alone.frontier is None:
         return None
@@ -287,11 +289,15 @@ def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -
     place[alone.frontier.states] = np.arange(len(alone.frontier.states))
     states = np.flatnonzero(place[layout.x] >= 0)
     at = place[layout.x[states]]
+    position = layout.position[states]
+    upper = alone.frontier.upper[at]
+    if alone.frontier.away is not None:
+        upper = np.where((position == AWAY)[:, None, None], alone.frontier.away[at], upper)
+        return Frontier(states, upper, upper)
     paid = np.append(np.cumsum((price * alone.gamma ** np.arange(len(price)))[::-1])[::-1], 0.0)
     paid = (paid / alone.gamma ** np.arange(len(paid)))[layout.step[states]]
-    position = layout.position[states]
     lower = alone.frontier.lower[at] - (paid + entry * (position == AWAY))[:, None]
     if layout.positions > 2:
         floor = -np.inf if alone.frontier.floor is None else alone.frontier.floor
         lower[position != HERE] = floor - paid[position != HERE, None]
-    return Frontier(states, np.minimum(lower, 0.0), alone.frontier.upper[at])
+    return Frontier(states, np.minimum(lower, 0.0), upper)

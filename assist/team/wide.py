@@ -12,33 +12,30 @@ its arrays have a row for each of these states and for those that come next. Tea
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, Table
+from planner import CostToGo
 
 from ..people.belief import Grid
-from ..people.choice_model import boltzmann
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
-from ..person.compliance import at_most, mistaken_about_states
 from ..person.estimates import Estimates
-from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, ahead
-from ..person.region import SURVEYED, Region
+from ..person.region import Region
 from ..person.visited import NONE, Visited
+from .bounded import bounded
 from .settings import Setting
 from .subproblem import Visits
 
 REGION = {"sweep": 20_000, "on-demand": 200}
 """States that a policy is worked out on, by how a state's cost-to-go is come by."""
-
-BOUNDED = 300
-"""States of a region on which somebody's problem is bounded: with prices it is there once for each of their steps."""
 
 Tell = Callable[[float], None]
 
@@ -74,6 +71,8 @@ class WidePolicy:
         For somebody else, from whose values theirs are worked out; where there are many people that saves time.
     solved : dict
         What has been estimated so far, by what it depends on: the prices of attention, if there are any.
+    bounds : dict
+        The problems of which bounds have been asked for, by what coming costs.
     """
 
     ground: Ground
@@ -81,6 +80,7 @@ class WidePolicy:
     human: Human | None = None
     like: WidePolicy | None = None
     solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
+    bounds: dict[float, AssistPOMDP] = field(default_factory=dict, repr=False)
 
     @cached_property
     def pomdp(self) -> AssistPOMDP:
@@ -95,30 +95,18 @@ class WidePolicy:
 
     def problem(self, region: Region) -> AssistPOMDP:
         """Set up the problem on a part of the task, with bounds that hold for the whole where it breaks off."""
-        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=self._bounds(region))
+        beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
+        return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
-    def _bounds(self, region: Region) -> Frontier:
-        return region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
-
-    @cached_property
-    def bounded(self) -> AssistPOMDP:
-        """The problem of which a bound is wanted: on a region, with bounds of the whole task where it breaks off.
-
-        Of a table that can be swept over the region is small: from its frontier on people comply.
-        """
-        ground, human, setting = self.ground, self.human, self.setting
-        known = ground.known
-        chooses = ground.prior.typical is boltzmann and (human is None or mistaken_about_states(human))
-        if not (chooses and isinstance(known, Table) and len(known) <= SURVEYED):
-            return self.problem(self.region)
-        size = min(ground.size, BOUNDED)
-        region = Region.of(known, states=size, population=ground.prior, human=human)
-        upper = at_most(
-            known, human, self.grid.beta, gamma=setting.gamma, c_suggest=setting.c_suggest, lapse=setting.lapse,
-            optimal=setting.suggestions == "optimal",
-        )[region.states[region.frontier]]  # fmt: skip
-        frontier = replace(self._bounds(region), upper=upper)
-        return setting.problem(region.choices, human, ground.prior, frontier=frontier)
+    def bounded(self, entry: float, *, until: float = math.inf, memory_limit_mb: float = math.inf) -> AssistPOMDP:
+        """Give the problem of which a bound is wanted, worked out once; arguments as in `team.bounded`."""
+        if entry not in self.bounds:
+            ground = self.ground
+            self.bounds[entry] = bounded(
+                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size, until=until,
+                memory_limit_mb=memory_limit_mb,
+            )  # fmt: skip
+        return self.bounds[entry]
 
     @cached_property
     def grid(self) -> Grid:

@@ -1,0 +1,156 @@
+"""One person's problem on a task of any size, for a bound: a small part of the task, with values where it breaks off.
+
+A solver that keeps beliefs can look at some thousand states. Where these end, something has to follow that nobody
+exceeds, and the nearer to the truth, the better the bound. So there are three parts, each around the one before:
+
+- a region on which beta and theta are hidden, for the solver;
+- a larger one, on which they are seen. There the values of the best policies are worked out (`person.qmdp`): with the
+  person's own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
+- everything else, where nobody ever errs (`person.region.never_erring`).
+
+Each value is at least that of the task: at the outermost frontier because nobody gets more there, whatever they do; on
+the larger region because to see what is hidden can only help a robot, and its presence has a price of 0, which is no
+more than any; and therefore, by backward induction, wherever the solver looks. For a robot whose way takes time, ways
+are taken to take none: whoever sets out later, when there is something to say, and pays no earlier for it, gets no
+less.
+
+What is known about people soon hardly differs from all there is to know: what they do shows it. So most of what seeing
+is worth is within a few steps of the beginning, in the innermost part.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo, LimitError
+
+from ..people.choice_model import value
+from ..people.decision import Floats
+from ..people.human import Human, Mixture, Population
+from ..person.pomdp import AssistPOMDP
+from ..person.qmdp import highest, improve
+from ..person.region import Region
+from ..person.visited import Visited
+from .settings import Setting
+from .subproblem import AWAY, HERE, Visits
+
+HIDDEN = 1_000
+"""States of the region on which beta and theta are hidden."""
+
+SEEN = {"sweep": 3.0, "on-demand": 1.0}
+"""States of that on which they are seen: so many times those that policies are worked out on."""
+
+FOR_REGIONS = 0.5
+"""The share of the time there is that collecting the larger region may take."""
+
+ERROR = 0.5
+"""Largest error of a value on the larger region given those at its frontier, in cost units; all hold in any case.
+
+Where it matters errors are far smaller: in the last sweep no value changes by more than this times 1 - gamma.
+"""
+
+Tell = Callable[[float], None]
+
+
+def bounded(
+    known: CostToGo,
+    setting: Setting,
+    human: Human | None,
+    prior: Population | Mixture,
+    *,
+    entry: float,
+    size: int,
+    until: float = math.inf,
+    memory_limit_mb: float = math.inf,
+) -> AssistPOMDP:
+    """Set up a person's problem with a robot that is always there, on a region with bounds of the whole task beyond.
+
+    Parameters
+    ----------
+    known : CostToGo
+    setting : Setting
+    human : Human or None
+        The person, as far as the robot knows what they are mistaken about.
+    prior : Population or Mixture
+        Whom the robot takes them for.
+    entry : float
+        What coming costs at least, in cost units.
+    size : int
+        States that policies are worked out on.
+    until : float
+        A time on `time.perf_counter()`'s clock: states that are met later are not looked at, and no sweep begins then.
+    memory_limit_mb : float
+        What it may take while it is worked out.
+
+    Raises
+    ------
+    LimitError
+        It would take more memory than is allowed.
+    """
+    who = {"population": prior, "human": human}
+    hidden, seen = min(size, HIDDEN), int(size * SEEN[known.method])
+    inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
+    problem = _seen(inner, setting, human, prior)
+    assert problem.frontier is not None
+    here = np.repeat(highest(problem)[inner.frontier][:, None], 2, axis=1)  # nobody gets more, away or here
+    left = (until - time.perf_counter()) * FOR_REGIONS
+    if seen > hidden and len(inner.frontier) and left > 0:
+        outer = Region.of(known, states=seen, time_limit=None if left == math.inf else left, **who)  # type: ignore[arg-type]
+        found = _values(outer, _seen(outer, setting, human, prior), entry, until, memory_limit_mb)
+        at = outer.local(inner.states[inner.frontier])
+        here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
+    upper = np.ascontiguousarray(here[:, 1])
+    frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
+    return setting.problem(inner.choices, human, prior, frontier=frontier)
+
+
+def _seen(region: Region, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
+    """Give the problem on a region where nobody errs beyond, with what the person expects there."""
+    beyond = region.bounds_of_anybody(setting.gamma, 1)
+    expected = -region.choices.h[region.frontier]
+    if human is not None:  # what a suggestion does to trust depends on what they expect of the state it leads to
+        choices = region.choices
+        advised = choices.optimal if setting.suggestions == "optimal" else choices.applicable
+        at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
+        expected[at] = _expected(region.known, region.states[region.frontier[at]], setting, human, prior)
+    return setting.problem(region.choices, human, prior, frontier=replace(beyond, value=expected))
+
+
+def _expected(
+    known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human, prior: Population | Mixture
+) -> Floats:
+    """Give V(x) of eq. 6 in some states, shape (N,): what a person expects there."""
+    if not len(states):
+        return np.empty(0)
+    around = Visited(known).around(states)
+    model = setting.problem(around.choices, human, prior, frontier=around.bounds_of_anybody(setting.gamma, 1)).model
+    return value(setting.chooses(human, prior), around.choices, model.q)[: len(states)]
+
+
+def _values(
+    region: Region, problem: AssistPOMDP, entry: float, until: float, memory_limit_mb: float
+) -> NDArray[np.float64]:
+    """Bound what the robot gets on a region where it sees beta and theta, shape (n, 2, B, T): away, and here."""
+    needed = _bytes(problem) / 1e6
+    if needed > memory_limit_mb:
+        raise LimitError(
+            f"bounding what somebody gets on {len(region.states):,} states takes about {needed:,.0f} MB of memory, and "
+            f"{memory_limit_mb:,.0f} MB are allowed; expected a smaller region or a higher limit"
+        )
+    visits = Visits.of(problem, entry)
+    found = highest(visits.pomdp)
+    improve(visits.pomdp, found, tolerance=ERROR, deadline=until)
+    return np.stack([found[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
+
+
+def _bytes(problem: AssistPOMDP) -> int:
+    """Give about how many bytes `_values` takes beside a problem: one of visits, values, and copies of both."""
+    arrays = (problem.suggested, problem.afterstate, problem.robot_costs, problem.chosen, problem.unsuggested,
+              problem.low, problem.weight, problem.model.q, problem.model.choices.targets)  # fmt: skip
+    return 3 * sum(array.nbytes for array in arrays) + 4 * 8 * len(problem.robot_actions) * problem.prior.size

@@ -1,0 +1,121 @@
+"""What follows where a part of a task breaks off: nobody gets more, and hardly less where all is looked at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import KITTING, table_of
+
+from assist.people.choices import Choices
+from assist.people.decision import perceived_cost, perceived_value
+from assist.people.human import Human, Population
+from assist.person import AssistPOMDP, qmdp
+from assist.person.region import never_erring
+from assist.team.bounded import ERROR, bounded
+from assist.team.settings import Setting
+from assist.team.subproblem import AWAY, HERE, Visits
+from planner import Instance, LimitError, Table
+
+ENTRY = 0.4
+PRIOR = Population(sigma=(1.0, 1.0))
+
+
+def of(task: str) -> Table:
+    return table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
+
+
+def somebody(noise: Any = "state") -> Human:
+    (human,) = Population(sigma=(1.0, 1.0), noise=noise).sample(None, 1, np.random.default_rng(3))
+    return human
+
+
+def part_and_whole(
+    task: str, size: int, setting: Setting, human: Human | None, steps: int = 0
+) -> tuple[AssistPOMDP, np.ndarray, Choices]:
+    """Give the problem on a part; and of its frontier's states the values, shape (m, 2, B, T), with all looked at."""
+    table = of(task)
+    problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size)
+    choices = Choices.of(table)
+    visits = Visits.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
+    values = qmdp(visits.pomdp).value_mdp
+    both = np.stack([values[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
+    assert problem.frontier is not None
+    # States are told apart by their keys, whatever their numbers are here and there.
+    place = {int(key): x for x, key in enumerate(choices.keys)}
+    assert len(place) == len(choices)
+    at = [place[int(key)] for key in problem.model.choices.keys[problem.frontier.states]]
+    return problem, both[at], choices
+
+
+@pytest.mark.parametrize(
+    ("task", "size", "setting", "human"),
+    [
+        ("sealed", 4, Setting(c_suggest=0.2), somebody()),
+        ("costs/ways", 3, Setting(c_suggest=0.2, eta=0.8), somebody()),
+        ("tiny", 3, Setting(suggestions="all", gamma=0.95, lapse=0.02), somebody("action")),
+        ("tiny", 4, Setting(c_suggest=0.1, knowledge="exact"), None),
+    ],
+)
+def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human | None) -> None:
+    """In tasks with dead ends, and with actions that cost nothing; and so nobody whose robot needs time to come."""
+    for steps in (0, 2):
+        problem, values, _ = part_and_whole(task, size, setting, human, steps)
+        frontier = problem.frontier
+        assert frontier is not None
+        assert frontier.away is not None
+        assert (frontier.away >= values[:, 0] - 1e-6).all()
+        assert (frontier.upper >= values[:, 1] - 1e-6).all()
+        anybody = never_erring(problem.model.choices.h[frontier.states], of(task).task.costs, setting.gamma)
+        assert (frontier.upper <= anybody[:, None, None] + 1e-9).all()
+        assert steps or (frontier.away < anybody[:, None, None] - 0.1).any()  # it is known that they err
+        assert (frontier.away <= frontier.upper + 1e-9).all()
+
+
+def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the larger part is all of the task, bounds are the values, but for when sweeps end."""
+    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    problem, values, _ = part_and_whole("tiny", 100, Setting(c_suggest=0.2), somebody())
+    frontier = problem.frontier
+    assert frontier is not None
+    assert frontier.away is not None
+    np.testing.assert_allclose(frontier.away, values[:, 0], atol=ERROR)
+    np.testing.assert_allclose(frontier.upper, values[:, 1], atol=ERROR)
+    assert (values[:, 1] - values[:, 0]).max() > 0.3  # coming costs
+
+
+def test_what_is_expected_beyond_is_known() -> None:
+    """A suggestion moves trust by what the person expects of the state it leads to, looked at or not."""
+    setting, human = Setting(), somebody()
+    problem, _, choices = part_and_whole("tiny", 3, setting, human)
+    expected = perceived_value(choices, perceived_cost(choices, human.expects(choices)))
+    place = {int(key): x for x, key in enumerate(choices.keys)}
+    part = problem.model.choices
+    inside = np.setdiff1d(np.arange(len(part)), problem.frontier.states)  # type: ignore[union-attr]
+    moved = 0
+    for x in inside[~part.goal[inside]]:
+        for robot in range(1, int(problem.robot_actions[x])):
+            y = part.targets[x, problem.suggested[x, robot]]
+            gain = expected[place[int(part.keys[y])]] - expected[place[int(part.keys[x])]]
+            after = np.clip(problem.grid.theta + setting.eta * gain, 0.0, 1.0)
+            low, weight = problem.grid.shares(after)
+            np.testing.assert_allclose(problem.low[x, robot] + problem.weight[x, robot], low + weight, atol=1e-9)
+            moved += y in problem.frontier.states  # type: ignore[union-attr]
+    assert moved > 0
+
+
+def test_memory_is_asked_for_beforehand() -> None:
+    with pytest.raises(LimitError, match=r"^bounding what somebody gets on \d+ states takes about \d+ MB"):
+        bounded(of("tiny"), Setting(), somebody(), PRIOR, entry=ENTRY, size=2, memory_limit_mb=0.01)
+
+
+def test_without_time_nobody_errs_beyond() -> None:
+    """The bounds are those of people who never err, which hold in any case."""
+    table, setting = of("tiny"), Setting()
+    frontier = bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3, until=0.0).frontier
+    assert frontier is not None
+    problem = bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3).frontier
+    assert problem is not None
+    assert (problem.upper <= frontier.upper).all()
+    assert (problem.upper < frontier.upper - 0.1).any()
