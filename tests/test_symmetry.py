@@ -12,6 +12,9 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
+from assist import Pool, simulate
+from assist.people.human import Population
+from assist.team.wide import Ground
 from planner import (
     Effect,
     LimitError,
@@ -344,3 +347,23 @@ def test_wrong_values_are_found():
     rows = found.table(task).space.transitions
     assert len(rows.targets) == found.transition_count
     assert found.table(task).optimal_plan() is not None
+
+
+def test_policies_are_worked_out_on_more_states_where_none_takes_a_search(tiny):
+    looked_up = OnDemand(tiny.task, orbits=orbits(tiny.task, max_orbits=20))
+    sizes = [Ground(known, Population()).size for known in (tiny, looked_up, OnDemand(tiny.task))]
+    assert sizes == [20_000, 3_000, 200]
+
+
+def test_a_team_at_a_task_of_which_orbits_were_swept_does_as_at_its_table(monkeypatch):
+    """People and policies are functions of the state, however its cost-to-go is come by and whatever its number is."""
+    monkeypatch.setattr(ondemand, "astar", None)
+    at = instance(KITTING / "paper.pddl")
+    table = table_of(at)
+    known = OnDemand(table.task, orbits=orbits(table.task, max_orbits=1000))
+    runs = []
+    for costs in (table, known):
+        team = Pool.sample(costs, 2, seed=0, states=5, region=2000)
+        runs.append(simulate(team, "attention", humans=2, episodes=10, seed=0))
+    np.testing.assert_array_equal(runs[0].actions, runs[1].actions)
+    np.testing.assert_allclose(runs[0].discounted_return, runs[1].discounted_return)

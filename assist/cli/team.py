@@ -106,7 +106,7 @@ def team_of(
             pool = Pool.sample(
                 known, size, seed=seed, setting=chosen, population=population, prior=believed,
                 memory_limit_mb=memory_limit, states=region_states,
-                region=None if known.searches else region_states,
+                region=region_states if known.method == "sweep" else None,
                 progress=lambda done, total: show("solving people's POMDPs", done, total),
             )  # fmt: skip
         except LimitError as error:

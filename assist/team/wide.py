@@ -34,10 +34,15 @@ from .bounded import bounded
 from .settings import Setting
 from .subproblem import Visits
 
-REGION = {"sweep": 20_000, "on-demand": 200}
+REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 """States that a policy is worked out on, by how a state's cost-to-go is come by."""
 
 Tell = Callable[[float], None]
+
+
+def how(known: CostToGo) -> str:
+    """Say how a state's cost-to-go is come by: from a table, from that of orbits, or by a search."""
+    return "orbits" if known.method == "on-demand" and not known.searches else known.method
 
 
 class Ground:
@@ -53,7 +58,7 @@ class Ground:
     """
 
     def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
-        self.known, self.prior, self.size = known, prior, size or REGION["on-demand" if known.searches else "sweep"]
+        self.known, self.prior, self.size = known, prior, size or REGION[how(known)]
         self.visited = Visited(known)
 
 
