@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import graph_task
 
-from planner import LimitError, Limits, MismatchError, Table, astar, fast_downward, sweep, verify
+from planner import Instance, LimitError, Limits, MismatchError, Table, astar, fast_downward, sweep, verify
 from planner.costtogo import (
     UNREACHED,
     backward,
@@ -18,6 +19,7 @@ from planner.costtogo import (
     random_states,
     smallest_type,
 )
+from planner.task import from_sas
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]
@@ -81,6 +83,7 @@ def test_plan_lengths_of_several_states_and_of_none(table: Table, node: dict[int
     states = list(node) * 2
     assert table.plan_lengths(states).tolist() == [LENGTHS[node[state]] for state in states]
     assert table.plan_lengths([]).tolist() == []
+    assert table.lookup([]).tolist() == table.is_goal([]).tolist() == []
 
 
 def test_distances_are_kept_in_the_smallest_type_with_room_for_dead_ends() -> None:
@@ -99,16 +102,16 @@ def test_a_table_without_any_finite_cost() -> None:
 
 
 def test_distances_backwards_by_hand() -> None:
-    """Edges to the goal 0 from 1 (7), from 2 (1); from 1 to 2 (3), twice (4); 3 has none; 4 leads to 3."""
-    targets, sources = np.array([0, 0, 2, 2, 3]), np.array([1, 2, 1, 1, 4])
-    costs, goal = np.array([7, 1, 4, 3, 1]), np.array([True, False, False, False, False])
-    assert backward(targets, sources, costs, goal).tolist() == [0, 4, 1, UNREACHED, UNREACHED]
-    assert backward(targets, sources, costs, np.zeros(5, dtype=bool)).tolist() == [UNREACHED] * 5
+    """Edges to the goal 0 from 1 (7), from 2 (1); from 1 to 2 (3), twice (4); 3 has none; 4 leads to 3, 5 to 1."""
+    targets, sources = np.array([0, 0, 2, 2, 3, 1]), np.array([1, 2, 1, 1, 4, 5])
+    costs, goal = np.array([7, 1, 4, 3, 1, 2]), np.array([True, False, False, False, False, False])
+    assert backward(targets, sources, costs, goal).tolist() == [0, 4, 1, UNREACHED, UNREACHED, 6]
+    assert backward(targets, sources, costs, np.zeros(6, dtype=bool)).tolist() == [UNREACHED] * 6
 
     def stop(states: int) -> None:
         raise LimitError(f"stopped with {states} states")
 
-    with pytest.raises(LimitError, match="stopped with 5 states"):
+    with pytest.raises(LimitError, match="stopped with 6 states"):
         backward(targets, sources, costs, goal, check=stop)
 
 
@@ -164,6 +167,8 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
     assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+    both = (None, "astar(blind())")
+    assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1), searches=both) == 0
     assert verify(table, 7, np.random.default_rng(0), searches=(None, "astar(blind())")) == 7
 
 
@@ -215,3 +220,19 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
             astar(table.task, [1], search="astar(of_no_kind())")
         with pytest.raises(LimitError, match="out of memory"):
             astar(table.task, [1], limits=Limits(memory_mb=1))
+
+
+def test_derived_variables_have_their_defaults_wherever_a_search_begins() -> None:
+    """A lamp is lit at 1, where the plan begins, and is not to be at 2, one step away."""
+    text = """begin_version/3/end_version/begin_metric/1/end_metric/2
+begin_variable/var0/-1/3/Atom at(0)/Atom at(1)/Atom at(2)/end_variable
+begin_variable/var1/0/2/Atom lit()/NegatedAtom lit()/end_variable
+0/begin_state/0/1/end_state/begin_goal/2/0 2/1 1/end_goal/2
+begin_operator/go 0/0/1/0 0 0 1/1/end_operator
+begin_operator/go 1/0/1/0 0 1 2/1/end_operator
+1/begin_rule/1/0 1/1 1 0/end_rule
+"""
+    task = from_sas(text.replace("/", "\n"), Instance(Path("lamp.pddl"), Path("domain.pddl")))
+    assert astar(task)[0] == 2
+    assert astar(task, [1, 0])[0] == 1
+    assert astar(task, [2, 1])[0] == 0
