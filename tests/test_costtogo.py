@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 from conftest import graph_task
 
-from planner import Instance, LimitError, Limits, MismatchError, Table, astar, fast_downward, sweep, verify
+from planner import (
+    Instance,
+    LimitError,
+    Limits,
+    MismatchError,
+    Table,
+    Task,
+    astar,
+    costtogo,
+    fast_downward,
+    sweep,
+    verify,
+)
 from planner.costtogo import (
     UNREACHED,
     backward,
@@ -170,6 +182,20 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     both = (None, "astar(blind())")
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1), searches=both) == 0
     assert verify(table, 7, np.random.default_rng(0), searches=(None, "astar(blind())")) == 7
+
+
+def test_comparing_ends_with_the_first_state_that_takes_too_long(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, told = list[int](), list[int]()
+
+    def search(_: Task, state: list[int], **__: object) -> tuple[float, None]:
+        asked.append(state[0])
+        if len(asked) == 3:
+            raise LimitError("out of time")
+        return H[state[0]], None
+
+    monkeypatch.setattr(costtogo, "astar", search)
+    assert verify(table, 7, np.random.default_rng(0), progress=told.append) == 2
+    assert (len(asked), told) == (3, [1, 2])
 
 
 def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
