@@ -275,7 +275,7 @@ class _Forward:
         self.form = form
         self.met = Numbered(self.packing.words)
         initial = self.packing.pack([task.initial])
-        packed.derive(self.book.axioms, self.book.again, initial[0])
+        packed.derive(self.book.axioms, self.book.again, initial)
         form(initial)
         self.met.numbers(initial)
 

@@ -107,26 +107,27 @@ def write(rules, rule, state):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def derive(axioms, again, state):
-    """Set the derived variables of a state: stage by stage, each to its least fixed point."""
+def derive(axioms, again, states):
+    """Set the derived variables of states, shape (n, words): stage by stage, each to its least fixed point."""
     trie = axioms.trie
     for stage in range(len(again)):
-        changed = True
-        while changed:
-            changed = False
-            t = axioms.begin[stage]
-            while t < axioms.begin[stage + 1]:
-                word = state[trie.word[t]]
-                if word & trie.mask[t] == trie.value[t]:
-                    for place in range(trie.first[t], trie.first[t + 1]):
-                        changed |= write(axioms, trie.operator[place], state)
-                    t += 1
-                    continue
-                target = trie.skip[t]
-                if target < 0:
-                    target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
-                t = target
-            changed &= again[stage]
+        for i in range(len(states)):
+            state, changed = states[i], True
+            while changed:
+                changed = False
+                t = axioms.begin[stage]
+                while t < axioms.begin[stage + 1]:
+                    word = state[trie.word[t]]
+                    if word & trie.mask[t] == trie.value[t]:
+                        for place in range(trie.first[t], trie.first[t + 1]):
+                            changed |= write(axioms, trie.operator[place], state)
+                        t += 1
+                        continue
+                    target = trie.skip[t]
+                    if target < 0:
+                        target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
+                    t = target
+                changed &= again[stage]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -209,10 +210,10 @@ def expand(book, states, start, counts, actions, after):
             for at in range(count):
                 for row in range(writes[due[at]], writes[due[at] + 1]):
                     target[write_word[row]] = target[write_word[row]] & keep[row] | value[row]
-            derive(book.axioms, book.again, target)
             actions[filled] = book.action[operator]
             filled += 1
         i += 1
+    derive(book.axioms, book.again, after[:filled])
     return i, filled
 
 
