@@ -21,11 +21,11 @@ from .pomdp import AssistPOMDP
 from .qmdp import highest, improve
 from .region import Region, never_erring
 
-TOLERANCE = 0.03
+TOLERANCE = 0.3
 """Largest error of a region's values given those at its frontier, in cost units.
 
-With a thirtieth of it policies on a task of seven million states got the same, and took half as long again or more to
-work out.
+With a tenth of it policies on a task of seven million states got the same within 0.05, and took nearly twice as long to
+work out. Where it matters errors are far smaller: in the last sweep no value changes by more than 1 - gamma times this.
 """
 
 DIGITS = 1e-3

@@ -291,7 +291,7 @@ def _converge(
     """
     order, robot = read_only(order), read_only(robot)
     errors = np.full(value.shape[1], math.inf)
-    last = time.perf_counter()
+    last, stopped = time.perf_counter(), False
 
     def one(b: int) -> bool:
         nonlocal last
@@ -300,7 +300,7 @@ def _converge(
         own = value[:, b : b + 1].copy()
         chosen, unsuggested = read_only(arrays.chosen[:, :, b : b + 1]), read_only(arrays.unsuggested[:, :, b : b + 1])
         m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
-        while errors[b] > tolerance and left and (now := time.perf_counter()) < deadline:
+        while errors[b] > tolerance and left and not stopped and (now := time.perf_counter()) < deadline:
             errors[b] = _sweep(own, order, robot, 0, m) * arrays.gamma / (1 - arrays.gamma)
             left -= 1
             if progress is not None and now > last + SECONDS_BETWEEN:
@@ -310,7 +310,11 @@ def _converge(
         return bool(errors[b] <= tolerance)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none
+        try:
+            return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none
+        except BaseException:  # after Ctrl-C no further sweep begins
+            stopped = True
+            raise
 
 
 class Arrays(NamedTuple):

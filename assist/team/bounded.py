@@ -43,8 +43,10 @@ from .subproblem import AWAY, HERE, Visits
 HIDDEN = 1_000
 """States of the region on which beta and theta are hidden."""
 
-SEEN = {"sweep": 3.0, "on-demand": 1.0}
-"""States of that on which they are seen: so many times those that policies are worked out on."""
+SEEN = 3
+"""States of that on which they are seen: so many times those that policies are worked out on. There are none where it
+may take a search to look a state up.
+"""
 
 FOR_REGIONS = 0.5
 """The share of the time there is that collecting the larger region may take."""
@@ -94,7 +96,7 @@ def bounded(
         It would take more memory than is allowed.
     """
     who = {"population": prior, "human": human}
-    hidden, seen = min(size, HIDDEN), int(size * SEEN[known.method])
+    hidden, seen = min(size, HIDDEN), 0 if known.searches else SEEN * size
     inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
     assert problem.frontier is not None
