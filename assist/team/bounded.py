@@ -57,6 +57,12 @@ ERROR = 0.5
 Where it matters errors are far smaller: in the last sweep no value changes by more than this times 1 - gamma.
 """
 
+SWEEPS = 20
+"""Sweeps over that region at the most: later ones change what those get who go round in circles, hardly anything else.
+
+On a task of 654,610 states a person's bound at its beginning was -22.224 after 16, and -22.225 after 60.
+"""
+
 Tell = Callable[[float], None]
 
 
@@ -147,7 +153,7 @@ def _values(
         )
     visits = Visits.of(problem, entry)
     found = highest(visits.pomdp)
-    improve(visits.pomdp, found, tolerance=ERROR, deadline=until)
+    improve(visits.pomdp, found, tolerance=ERROR, max_sweeps=SWEEPS, deadline=until)
     return np.stack([found[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
 
 
