@@ -48,6 +48,7 @@ CASES = {
         "assist/team/attention.py --sample 4 --only reactive",
         "assist/team/attention.py --sample 1 --only reactive",
     ),
+    "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
     "on_demand": ("--states 10", "--states 2"),
     "people tower": ("--made-up 20 --quick", "--made-up 4 --quick"),
     "people recover": ("--people 40 --seeds 1", "--instance kitting/tiny --people 4 --actions 20 --seeds 1"),

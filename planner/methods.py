@@ -74,7 +74,7 @@ def cost_to_go(
         What a sweep may use in addition to what the process has already; what the machine has left unless given.
         It is estimated before anything is allocated.
     deadline : float, optional
-        A time on `time.monotonic()`'s clock.
+        A time on `time.monotonic()`'s clock. Orbits have half of what a sweep leaves of the time.
     cache : Cache, optional
         Where answers on demand are kept.
     jobs : int, optional
@@ -123,7 +123,7 @@ def cost_to_go(
                 max_orbits=max_states // PER_ORBIT,
                 states=states,
                 memory_limit_mb=memory_limit_mb,
-                deadline=deadline,
+                deadline=None if deadline is None else (time.monotonic() + deadline) / 2,
                 threads=jobs,
                 stop=stop,
                 progress=progress,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+from collections import Counter
 from dataclasses import replace
 from itertools import permutations, product
 
@@ -147,6 +148,39 @@ def test_larger_kits(name):
     h = found.lookup(Packing.of(task).pack(table.values(np.arange(len(table)))))
     np.testing.assert_array_equal(h, table.h)
     assert found.described == {"ladder-3x5": "914 orbits of 8 symmetries"}.get(name, "4,859 orbits of 16 symmetries")
+
+
+def counted_by_hand(boxes: list[int]) -> int:
+    """Count the orbits of a kit of boxes with so many items each, by Burnside's lemma: the mean of the fixed states.
+
+    A state says what stands on the platform, and which items are in which slots: a partial map, one to one, of as many
+    items to slots. A permutation of items (and their slots) with m cycles of length n fixes the maps that take k of
+    these cycles to others, each in n ways.
+    """
+    first, fixed, order = np.cumsum([0, *boxes]), 0, 0
+    for to in permutations(range(len(boxes))):
+        if [boxes[box] for box in to] != boxes:
+            continue
+        for within in product(*(list(permutations(range(size))) for size in boxes)):
+            image = [int(first[to[box]]) + place for box, places in enumerate(within) for place in places]
+            maps, left = 1 + sum(box == place for box, place in enumerate(to)), set(range(len(image)))
+            cycles: Counter[int] = Counter()
+            while left:
+                at, length = min(left), 0
+                while at in left:
+                    left.remove(at)
+                    at, length = image[at], length + 1
+                cycles[length] += 1
+            for length, m in cycles.items():
+                maps *= sum(math.comb(m, k) ** 2 * math.factorial(k) * length**k for k in range(m + 1))
+            fixed, order = fixed + maps, order + 1
+    assert fixed % order == 0
+    return fixed // order
+
+
+@pytest.mark.parametrize(("name", "boxes"), [("paper", [2, 1, 1]), ("ladder-4x8", [2, 2, 2, 2])])
+def test_there_are_as_many_orbits_as_burnside_says(name, boxes):
+    assert len(orbits(load(instance(KITTING / f"{name}.pddl")), max_orbits=10**6)) == counted_by_hand(boxes)
 
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7)], ids=str)
