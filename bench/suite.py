@@ -23,9 +23,8 @@ def main(log: Path, record: Path | None) -> None:
     if not closing:
         raise click.UsageError(f"{log}: pytest's closing line is missing; expected what `make test` printed")
     tests, seconds = closing[-1]
-    # A module that has two rows was looked at in part before.
-    mutants = {name.split(",")[0]: counts for name, *counts in read_record("mutants")["table"][1:]}
-    run, killed = (sum(int(counts[column].replace(",", "")) for counts in mutants.values()) for column in (0, 1))
+    mutants = read_record("mutants")["table"][1:]
+    run, killed = (sum(int(row[column].replace(",", "")) for row in mutants) for column in (2, 3))
     *_, (_, _, lines, _, branches) = read_record("coverage")["table"]
     # `before` is what commits had: 35821d3 (tests, and their time), 869b1d4 (coverage), 5862e96 (mutants).
     rows = [

@@ -13,6 +13,7 @@ from __future__ import annotations
 import datetime
 import json
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
@@ -94,7 +95,7 @@ def _command() -> str:
         place = arguments.index("--record")
         del arguments[place : place + 2]
     arguments = [argument for argument in arguments if argument != "--more"]
-    return " ".join(["python", f"bench/{Path(script).name}", *arguments])
+    return shlex.join(["python", f"bench/{Path(script).name}", *arguments])
 
 
 def _now() -> str:
