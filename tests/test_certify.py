@@ -155,6 +155,20 @@ def test_where_one_robot_is_enough_nothing_has_a_price() -> None:
     assert len(looked_for(Attended(4, 0.1, 0.5))) == 2  # a step without a price before one with
 
 
+def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
+    """Where attention is free it is worth the same at every step; where it costs more than all else nobody is attended
+    to."""
+    (kind,) = kinds_of(strangers, (0, 1, 2), SETTING.travel(3), 3)
+    layout, found = kind.visits.layout, kind.best(kind.visits)
+    always = kind.tail.value_mdp[layout.position * layout.states + layout.x]
+    np.testing.assert_allclose(found.value_mdp, always, atol=1e-3)
+    assert np.ptp(always) > 1
+    shares, values = kind.simulated(np.full(3, 1e6), 4, 50, 0)
+    assert shares.tolist() == [0, 0, 0]
+    assert (values > -100).all()
+    assert kind.simulated(np.zeros(3), 4, 50, 0)[0][0] > 0
+
+
 def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
     """One is set up anew in every round, while those of both people are there; so three have to fit."""
     travel, alone = SETTING.travel(2), pool.policies[0].pomdp
