@@ -118,7 +118,7 @@ class PersonProblem:
             )  # fmt: skip
             return cls(known, pomdp, choices.of_task(np.arange(len(known))))
         if states is None:
-            states = WHOLE if isinstance(known, Table) else ASKED
+            states = ASKED if known.searches else WHOLE
         own = population is not None and (population.weights or population.chooses is not None)
         for name, given in (
             ("sigma", sigma > 0),

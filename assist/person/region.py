@@ -31,7 +31,7 @@ from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Mixture, Population
 from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
 
-BATCH = {True: 20, False: 500}  # states looked at together, between two looks at the clock: if each may need a search
+BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
 ADVISED = 0.9  # the weight of an action that an adviser would have people take
 LEVELS = 10_000  # largest h* for which the bound below is worked out level by level
 SWEEPS = 200
@@ -94,7 +94,7 @@ class Region:
         growth = _Growth(known, Grid.regular(population or Population()).beta, start, human)
         begun = time.monotonic()
         while growth.expanded < states and (time_limit is None or time.monotonic() - begun < time_limit):
-            done = growth.step(min(BATCH[known.searches], states - growth.expanded))
+            done = growth.step(min(BATCH["on-demand" if known.searches else "sweep"], states - growth.expanded))
             if not done:
                 break
             if progress is not None:
