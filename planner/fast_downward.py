@@ -205,43 +205,45 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
     It ends with this process, however that ends.
     """
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        encoding="utf-8",
-        errors="replace",
-        process_group=guarded_group(),
-    )
+    # A file, as what a pipe has not taken in time is never written: `communicate` forgets it where it is called again.
+    given = Path(folder, "given")
+    given.write_text(text or "", encoding="utf-8", errors="replace")
+    with given.open("rb") as stdin:
+        process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env=environment,
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            process_group=guarded_group(),
+        )
     try:
         if hasattr(resource, "prlimit") and limits.seconds is not None:
             _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
         limit_memory(process.pid, limits)
-        output = _output(process, text, limits)
+        output = _output(process, limits)
     finally:
         if process.poll() is None:
             process.kill()
             process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe is not None:
-                pipe.close()
+        if process.stdout is not None:
+            process.stdout.close()
     return process.returncode, output
 
 
-def _output(process: subprocess.Popen[str], text: str | None, limits: Limits) -> str:
+def _output(process: subprocess.Popen[str], limits: Limits) -> str:
     """Wait for all that a program prints."""
     end = math.inf if limits.seconds is None else time.monotonic() + limits.seconds
     while True:
         left = end - time.monotonic()
         wait = left if limits.stop is None else min(left, 0.02)
         try:
-            return process.communicate(text, timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
+            return process.communicate(timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:
-            text = None  # it has been taken
             if limits.stop is not None and limits.stop.is_set():
                 raise LimitError("Fast Downward was stopped") from None
             if time.monotonic() >= end:

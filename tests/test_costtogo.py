@@ -204,6 +204,13 @@ def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkey
     assert verify(table, 2, np.random.default_rng(0)) == 2
 
 
+def test_a_program_that_begins_late_gets_all_of_its_task(tmp_path: Path) -> None:
+    """More than a pipe holds, while it is asked now and then whether the answer is still wanted."""
+    limits = Limits(seconds=60, stop=threading.Event())
+    code, output = fast_downward._run(["sh", "-c", "sleep 0.1; wc -c"], str(tmp_path), "x" * 500_000, limits)
+    assert (code, output.strip()) == (0, "500000")
+
+
 def test_a_program_that_finds_no_room_to_begin_is_out_of_memory() -> None:
     said = "downward: error while loading shared libraries: libm.so.6: failed to map segment from shared object"
     with pytest.raises(LimitError, match="ran out of memory"):
