@@ -22,6 +22,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -205,34 +206,45 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
     It ends with this process, however that ends.
     """
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    # A file, as what a pipe has not taken in time is never written: `communicate` forgets it where it is called again.
-    given = Path(folder, "given")
-    given.write_text(text or "", encoding="utf-8", errors="replace")
-    with given.open("rb") as stdin:
-        process = subprocess.Popen(
-            command,
-            cwd=folder,
-            env=environment,
-            stdin=stdin,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            encoding="utf-8",
-            errors="replace",
-            process_group=guarded_group(),
-        )
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        process_group=guarded_group(),
+    )
     try:
         if hasattr(resource, "prlimit") and limits.seconds is not None:
             _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
         limit_memory(process.pid, limits)
+        _give(process, text or "")
         output = _output(process, limits)
     finally:
         if process.poll() is None:
             process.kill()
             process.wait()
-        if process.stdout is not None:
-            process.stdout.close()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
     return process.returncode, output
+
+
+def _give(process: subprocess.Popen[str], text: str) -> None:
+    """Write what a program reads, once it is limited.
+
+    All of it at once, since `communicate` forgets what a pipe has not taken when it is called again: these programs
+    read everything before they do anything, or end.
+    """
+    given, process.stdin = process.stdin, None
+    assert given is not None
+    with suppress(BrokenPipeError), given:
+        given.write(text)
 
 
 def _output(process: subprocess.Popen[str], limits: Limits) -> str:
