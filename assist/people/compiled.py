@@ -10,9 +10,13 @@ functions within callers of other files: `make test` and `make demo` throw that 
 
 from __future__ import annotations
 
+import sys
+
 import numba
 
 from .decision import Floats
+
+LARGEST = sys.float_info.max
 
 
 @numba.njit(cache=True)
@@ -35,11 +39,12 @@ def answer(theta: float, p: float, others: float) -> tuple[float, float]:
     """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 5).
 
     `p` and `others` are the chances of the suggested choice and of all others; they are given both, since 1 - p would
-    lose its digits where p is almost 1.
+    lose its digits where p is almost 1. No factor is infinite, not even where theta is the least number there is and
+    all others have no chance, which stays none.
     """
     total = theta * p + (1.0 - theta) * others
     if total > 0.0:
-        return theta / total, (1.0 - theta) / total
+        return theta / total, min((1.0 - theta) / total, LARGEST)
     return 1.0, 1.0
 
 
