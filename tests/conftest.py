@@ -139,31 +139,39 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="session")
 def small_study(shared_folder: Path) -> tuple[Study, Path, dict]:
-    """A study that was carried out by the command with one worker: the study, its folder, and what was printed.
+    """A study that was carried out by the command: the study, its folder (with a single picture), and what was printed.
 
     It takes seconds, and so is made once for all processes that run tests.
     """
-    from studies import write  # which imports this file
+    from fuzz import here  # which import this file
+    from studies import write
 
     folder = shared_folder / "small-study"
     folder.mkdir(exist_ok=True)
     printed = folder / "printed.json"
-    with (folder / "lock").open("w") as lock:
+    with (folder / "lock").open("w") as lock, pytest.MonkeyPatch.context() as patched:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not printed.exists():
-            result = kitassist("study", "--protocol", write(folder), "--out", folder / "out", "--json")
-            assert (result.returncode, result.stderr) == (0, "")
+            draw_first_picture(patched)
+            patched.setattr("assist.study.runner.outcomes", here)
+            result = invoke("study", "--protocol", write(folder), "--out", folder / "out", "--json")
+            assert (result.exit_code, result.stderr) == (0, "")
             printed.write_text(result.stdout)
     return read(folder / "small.toml"), folder / "out", json.loads(printed.read_text())
 
 
-@pytest.fixture
-def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports of studies that are made in this process draw their first picture alone: each takes two seconds."""
+def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
+    """Let reports of studies that are made in this process draw their first picture alone: each takes two seconds."""
     from assist.study import report
 
     draw = report._draw_all
-    monkeypatch.setattr(report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
+    patched.setattr(report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
+
+
+@pytest.fixture
+def one_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """See `draw_first_picture`."""
+    draw_first_picture(monkeypatch)
 
 
 def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subprocess.CompletedProcess[str]:

@@ -39,6 +39,7 @@ def test_a_batch_has_the_same_records(scheduler: str, tmp_path: Path) -> None:
     assert len(list((tmp_path / "out").rglob("*.npz"))) == 2
 
 
+@pytest.mark.slow
 def test_a_study_has_the_same_bytes(scheduler: str, small_study: tuple[Study, Path, dict], tmp_path: Path) -> None:
     study, whole, _ = small_study
     assert run_study(study, tmp_path / "out", scheduler=scheduler) == []

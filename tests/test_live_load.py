@@ -16,7 +16,7 @@ from userstudies import written
 @pytest.mark.long
 def test_nothing_acknowledged_is_lost_when_the_service_is_killed(tmp_path: Path) -> None:
     """What is compared, and with what, stands in `live_load.check`."""
-    seen = asyncio.run(live_load.run(TINY, 6, seconds=5.0, every=0.1, kills=2, data=tmp_path, seed=1))
+    seen = asyncio.run(live_load.run(TINY, 6, seconds=3.0, every=0.1, kills=1, data=tmp_path, seed=1))
     assert seen.latencies
     assert any(seen.acknowledged.values())
 
@@ -41,7 +41,7 @@ def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: s
     assert service.ask("GET", "/api/health").json()["status"] == "ok"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_interface_is_what_its_description_says(tmp_path: Path) -> None:
     with served("--humans", 2, "--c-suggest", 0.02) as service:
         conforms(

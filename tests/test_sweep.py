@@ -297,7 +297,10 @@ def counter(bits: int, *, costs: tuple[int, ...] = ()) -> Task:
     )
 
 
-@pytest.mark.parametrize(("bits", "dtype"), [(7, np.uint8), (8, np.uint16), (10, np.uint16), (16, np.uint32)])
+@pytest.mark.parametrize(
+    ("bits", "dtype"),
+    [(7, np.uint8), (8, np.uint16), (10, np.uint16), pytest.param(16, np.uint32, marks=pytest.mark.slow)],
+)
 def test_distances_take_the_smallest_type(bits, dtype):
     table = sweep(counter(bits))
     assert table.distance.dtype == dtype
