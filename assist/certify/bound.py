@@ -137,7 +137,7 @@ class TeamBound:
         """
         called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
         value = returns(
-            self.pool, policy, self.team, self.travel, name=called, episodes=whole("episodes", episodes, 2),
+            self.pool, policy, self.team, self.travel, episodes=whole("episodes", episodes, 2),
             seed=entropy(seed), time_limit=time_limit,
         )  # fmt: skip
         return Certificate.of(called, value, humans=len(self.team), upper=self.upper, slack=self.slack)

@@ -77,7 +77,6 @@ def returns(
     team: tuple[int, ...],
     travel: Travel,
     *,
-    name: str | None = None,
     episodes: int,
     seed: int,
     time_limit: float | None = None,
@@ -100,9 +99,7 @@ def returns(
         if parts and deadline is not None and time.perf_counter() > deadline:
             break
         numbers = np.arange(start, min(episodes, start + (episodes if deadline is None else PORTION)))
-        run = simulate(
-            pool, policy, humans=list(team), episodes=numbers, seed=seed, name=name, travel=travel, world="model"
-        )
+        run = simulate(pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model")
         left = (~run.finished).sum(axis=1) * dearest * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - left)
     return np.concatenate(parts)
