@@ -38,7 +38,13 @@ from planner.task import Task, Variable
 WITH_STATES = solvable(SMALL)
 
 
-@pytest.mark.parametrize("instance", WITH_STATES, ids=named)
+COMPARED = [
+    pytest.param(instance, marks=[pytest.mark.slow] if number % 2 else [])
+    for number, instance in enumerate(WITH_STATES)
+]
+
+
+@pytest.mark.parametrize("instance", COMPARED, ids=named)
 def test_cost_to_go_equals_fast_downwards(instance: Instance) -> None:
     table = table_of(instance)
     compared = verify(table, 15, np.random.default_rng(1))
