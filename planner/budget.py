@@ -7,7 +7,7 @@ import os
 import re
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .fast_downward import LimitError
@@ -44,6 +44,13 @@ class Budget:
         """Allow so many megabytes of memory, but no more than the machine has left."""
         memory = available_memory()
         return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop)
+
+    def part(self, share: float) -> Budget:
+        """Give a share of the time that is left."""
+        if self.deadline is None:
+            return self
+        now = time.monotonic()
+        return replace(self, deadline=now + share * (self.deadline - now))
 
     def check_time(self, states: int) -> None:
         """Check the deadline; `states` is for the message."""

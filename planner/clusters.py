@@ -85,8 +85,8 @@ class Projections:
         self.work += 2 * len(touching) + 300 * (after.size + allowed.size)
         if len(after):
             table = np.concatenate([after.view(np.uint64), allowed.reshape(len(after), -1)], axis=1)
-            rows = np.ascontiguousarray(table).view([("", np.uint64)] * table.shape[1])[:, 0]
-            _, kept = np.unique(rows, return_index=True)
+            order = np.lexsort(table.T)
+            kept = order[np.insert((np.diff(table[order], axis=0) != 0).any(axis=1), 0, True)]
             after, allowed = after[kept], allowed[kept]
         # The first variable counts most, so that the order of the numbers is that of the values.
         factors = np.ones(len(columns), dtype=np.int64)
@@ -126,9 +126,9 @@ def clusters(
     gains: dict[tuple[int, int], tuple[float, Cluster | None]] = {}
     while True:
         for a in found:
-            check()
             for b in found:
                 if a < b and (a, b) not in gains:
+                    check()
                     worthwhile = projections.work < MOST_WORK
                     gains[a, b] = _merged(projections, found[a], found[b], linked) if worthwhile else (0.0, None)
         best = max(gains, key=lambda pair: (gains[pair][0], -pair[0], -pair[1]), default=None)

@@ -24,6 +24,7 @@ from .budget import Budget, MemoryLimitError, processors
 from .checkpoint import Checkpoint
 from .coding import MANY, denser, plain
 from .costtogo import Table
+from .fast_downward import LimitError
 from .listing import Listing, enumerated, settled
 from .moves import split_operators
 from .reached import States
@@ -39,6 +40,9 @@ FEW = 128
 
 HUGE = 1 << 38
 """Indices of which no bitmap is made: a list takes less time than a hash table of them, but more memory."""
+
+LOOKING = 0.25
+"""Share of the time in which a denser index is looked for; after that, what there is has to do."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +144,14 @@ def sweep(
             few = enumerated(task, budget, threads, told, FEW * len(moves))
             if few is not None:
                 return _settled(task, few, budget, told, None)
-        coding, moves = denser(task, coding, moves, partial(budget.check_time, 1))
-    if coding is None:
-        return _listed(task, budget, threads, "its states take more than 62 bits each", told)
+        why = "its states take more than 62 bits each"
+        try:
+            coding, moves = denser(task, coding, moves, partial(budget.part(LOOKING).check_time, 1))
+        except LimitError:
+            budget.check_time(1)
+            why = "looking for an index took too long"
+        if coding is None:
+            return _listed(task, budget, threads, why, told)
     if coding.size > HUGE:
         with suppress(MemoryLimitError, MemoryError):
             return _listed(task, budget, threads, None, told)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -194,3 +195,18 @@ def test_a_counted_task_has_a_dense_index() -> None:
         table = module.sweep(task)
     assert len(table) == 41_472
     assert table.space.numbering.searches.coding.size < 64 * len(table)
+
+
+def test_an_index_is_not_looked_for_all_the_time() -> None:
+    task = composed(0, costs=range(1, 2))
+    plain = module.sweep(task)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Coding, "of", classmethod(lambda *_: None))
+        patch.setattr(module, "FEW", -1)
+        patch.setattr(module, "LOOKING", -1)  # its share is over before it begins
+        assert module.sweep(task).note is None
+        table = module.sweep(task, deadline=time.monotonic() + 60)
+    assert table.note is not None
+    assert table.note.endswith("looking for an index took too long")
+    assert len(table) == len(plain)
+    np.testing.assert_array_equal(table.h[table.numbers(plain.values(np.arange(len(plain))))], plain.h)
