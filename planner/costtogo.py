@@ -87,11 +87,10 @@ def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> ND
     rows : Transitions
         Their choices, as `known.choices` gives them.
     """
-    costs = np.asarray(known.task.costs, dtype=np.int64)
-    counts = np.diff(rows.offsets)
+    costs, counts = np.asarray(known.task.costs), np.diff(rows.offsets)
     h = np.repeat(known.lookup(states), counts)
     cheapest = np.isfinite(h) & (costs[rows.actions] + known.lookup(rows.targets) == h)
-    if costs.min(initial=1) > 0 or not cheapest.any():
+    if 0 not in costs:
         return cheapest
     sources = np.repeat(np.asarray(states, dtype=np.int64), counts)
     both = np.concatenate([sources[cheapest], rows.targets[cheapest]])
@@ -170,7 +169,7 @@ class Table:
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Tell of states, shape (N,), which are goal states."""
         values = self.values(states)
-        variables, wanted = np.array(self.task.goal, dtype=np.int64).reshape(-1, 2).T
+        variables, wanted = np.array(self.task.goal, dtype=np.int64).reshape(len(self.task.goal), 2).T
         return (values[:, variables] == wanted).all(axis=1)
 
     def values(self, states: ArrayLike) -> Ints:
@@ -187,22 +186,23 @@ class Table:
         Only states on cheapest plans are looked at.
         """
         wanted = np.asarray(states, dtype=np.int64)
-        costs = np.asarray(self.task.costs, dtype=np.int64)
+        costs = np.asarray(self.task.costs)
         seen = np.zeros(len(self), dtype=bool)
         layer = np.unique(wanted[np.isfinite(self.lookup(wanted))])
-        edges = [(layer[:0], layer[:0])]
+        edges = [np.empty((2, 0), dtype=np.int64)]
         while len(layer):
             seen[layer] = True
             rows = self.space.transitions if len(layer) == len(self) else self.choices(layer)
             sources = np.repeat(layer, np.diff(rows.offsets))
             cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
-            edges.append((rows.targets[cheapest], sources[cheapest]))
+            edges.append(np.stack([rows.targets, sources])[:, cheapest])
             layer = np.unique(rows.targets[cheapest & ~seen[rows.targets]])
         place = np.cumsum(seen) - 1
-        targets, sources = (place[np.concatenate(ends)] for ends in zip(*edges, strict=True))
-        on_plans = np.flatnonzero(seen)
-        lengths = backward(targets, sources, np.ones(len(targets), dtype=np.int64), self.is_goal(on_plans))
-        return np.where(seen[wanted], lengths[place[wanted]] if len(lengths) else UNREACHED, UNREACHED)
+        targets, sources = place[np.hstack(edges)]
+        lengths = backward(targets, sources, np.ones_like(targets), self.is_goal(np.flatnonzero(seen)))
+        result, known = np.full(len(wanted), UNREACHED), seen[wanted]
+        result[known] = lengths[place[wanted[known]]]
+        return result
 
     def optimal_choices(self) -> NDArray[np.bool_]:
         """Tell of each choice of all states, shape (m,), whether it is optimal, as the function of that name has it."""
@@ -217,8 +217,8 @@ class Table:
         if not np.isfinite(self[start]):
             return None
         # Actions of cost zero can lead in circles, so this is a search breadth first, not a mere descent.
-        costs = np.asarray(self.task.costs, dtype=np.int64)
-        descent = costs.min(initial=1) > 0
+        costs = np.asarray(self.task.costs)
+        descent = 0 not in costs
         seen = np.zeros(len(self), dtype=bool)
         layer = np.array([start])
         came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, where they were reached from, and how
@@ -285,16 +285,14 @@ def backward(
     into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
     sources, costs = sources[by_target], costs[by_target]
 
-    distance = np.full(len(goal), UNREACHED, dtype=np.int64)
-    settled = np.zeros(len(goal), dtype=bool)
+    distance = np.full(len(goal), UNREACHED)
     distance[goal] = 0
     waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
     while waiting:
         check(len(goal))
         d = min(waiting)
         frontier = np.unique(np.concatenate(waiting.pop(d)))
-        frontier = frontier[~settled[frontier] & (distance[frontier] == d)]
-        settled[frontier] = True
+        frontier = frontier[distance[frontier] == d]  # the others are nearer, and have been settled
         counts = into[frontier + 1] - into[frontier]
         starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
         rows = np.repeat(starts, counts) + np.arange(counts.sum())
@@ -385,30 +383,29 @@ def verify(
     space, states = table.space, _sample(table.space, count, rng)
     start, over = time.monotonic(), threading.Event()
 
-    def asked(number: int) -> float | None:
-        if over.is_set() or (seconds is not None and number and time.monotonic() - start > seconds):
+    def asked(state: int) -> float | None:
+        late = seconds is not None and time.monotonic() - start > seconds
+        if over.is_set() or (late and state != space.initial):
             return None
         try:
-            return _first(space.task, space.values([states[number]])[0].tolist(), searches, limits)
+            return _first(space.task, space.values([state])[0].tolist(), searches, limits)
         except LimitError:
             return None
 
-    done = 0
     with ThreadPoolExecutor(jobs) as pool:
         # One at a time without a thread: where no memory is left for its beginning, Python waits for it for ever.
         each = pool.map if jobs > 1 else map
         try:
-            for state, expected in zip(states, each(asked, range(len(states))), strict=True):
+            for done, expected in enumerate(each(asked, states)):
                 if expected is None:
-                    break
-                if expected != table[state]:
-                    raise _mismatch(table, state, "Fast Downward's A* says", expected)
-                done += 1
+                    return done
+                if expected != table[states[done]]:
+                    raise _mismatch(table, states[done], "Fast Downward's A* says", expected)
                 if progress is not None:
-                    progress(done)
+                    progress(done + 1)
         finally:
             over.set()
-    return done
+    return len(states)
 
 
 def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], limits: Limits) -> float:
@@ -463,7 +460,7 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
             expected = 0.0
         else:
             after = replay.successors(task, values)
-            targets = np.array([target for _, target in after], dtype=np.int64).reshape(-1, len(values))
+            targets = np.array([target for _, target in after], dtype=np.int64).reshape(len(after), len(values))
             try:
                 least = np.array([cost for cost, _ in after]) + table.lookup(space.numbers(targets))
             except KeyError as error:

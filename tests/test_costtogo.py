@@ -153,11 +153,13 @@ def test_where_every_action_costs_something_any_of_several_plans_will_do() -> No
 
 @pytest.mark.parametrize("start", [1, 2, 3])
 def test_a_plan_gets_out_of_a_circle_of_free_actions(start: int) -> None:
-    """From 1 and 2 one can go round for nothing; the way out is free as well, and the goal costs 1 wherever one is."""
-    table = sweep(graph_task([(1, 2, 0), (2, 1, 0), (1, 3, 0), (3, 0, 1)], start=start))
+    """From 1 and 2 one can go round for nothing; the way out is free as well, and the goal costs 2 wherever one is."""
+    table = sweep(graph_task([(1, 2, 0), (2, 1, 0), (1, 3, 0), (3, 0, 2)], start=start))
     names = {1: ["(go 002)", "(go 003)"], 2: ["(go 001)", "(go 002)", "(go 003)"], 3: ["(go 003)"]}
     assert table.optimal_plan() == names[start]
     assert table.plan_lengths([table.initial]).tolist() == [len(names[start])]
+    best = table.space.transitions.actions[table.optimal_choices()]
+    assert {table.task.actions[action] for action in best} == set(names[max(start, 2)])  # all but (go 000), from 1 to 2
 
 
 def test_a_task_without_actions() -> None:
@@ -196,6 +198,23 @@ def test_comparing_ends_with_the_first_state_that_takes_too_long(table: Table, m
     monkeypatch.setattr(costtogo, "astar", search)
     assert verify(table, 7, np.random.default_rng(0), progress=told.append) == 2
     assert (len(asked), told) == (3, [1, 2])
+
+
+def test_the_first_answer_ends_the_other_searches(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them are asked with the limits that were given."""
+    stopped = list[bool]()
+
+    def search(_: Task, state: list[int], *, search: str, limits: Limits) -> tuple[float, None]:
+        assert limits.seconds == 60
+        assert limits.stop is not None
+        if search == "quick":
+            return H[state[0]], None
+        stopped.append(limits.stop.wait(10))
+        raise LimitError("stopped")
+
+    monkeypatch.setattr(costtogo, "astar", search)
+    assert verify(table, 2, np.random.default_rng(0), limits=Limits(seconds=60), searches=("slow", "quick")) == 2
+    assert stopped == [True, True]
 
 
 def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -247,6 +266,8 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
     if plan is not None:
         assert table.task.plan_cost(plan) == cost
     if start == 1:
+        with pytest.raises(ValueError, match="argument"):
+            astar(table.task, [1, 0])  # the task has one variable
         assert astar(table.task)[0] == 4
         assert astar(table.task, [1], search="astar(blind())")[0] == 4
         with pytest.raises(fast_downward.FastDownwardError, match="of_no_kind"):
