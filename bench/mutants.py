@@ -289,7 +289,9 @@ class Run:
             mutant.take_place(module)
             os._exit(run(session))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        return "survived" if status == 0 else "killed" if status > 0 else "killed by time"
+        if status < 0:  # SIGXCPU: its time was used up; SIGALRM: it stood still, or the machine had no time for it
+            return f"killed by {signal.Signals(-status).name}"
+        return "killed" if status else "survived"
 
 
 def run(session: pytest.Session) -> int:

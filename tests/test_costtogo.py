@@ -127,6 +127,19 @@ def test_distances_backwards_by_hand() -> None:
         backward(targets, sources, costs, goal, check=stop)
 
 
+def test_free_edges_lead_round_a_circle_once() -> None:
+    """From 1 to the goal 0 for 3, and between 1 and 2 for nothing."""
+    rounds = list[int]()
+
+    def check(states: int) -> None:
+        rounds.append(states)
+        assert len(rounds) < 10
+
+    targets, sources, costs = np.array([0, 1, 2]), np.array([1, 2, 1]), np.array([3, 0, 0])
+    assert backward(targets, sources, costs, np.array([True, False, False]), check=check).tolist() == [0, 3, 3]
+    assert len(rounds) == 3  # the goal, 1, and 2
+
+
 def test_some_states_at_random(table: Table) -> None:
     for count in (0, 1, 3, len(table) - 2, len(table) - 1):
         drawn = random_states(table.space, count, np.random.default_rng(0))
