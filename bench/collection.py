@@ -239,11 +239,7 @@ def outcomes(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     for row in rows:
         found = outcome(row)
         if found in ("on demand", "limit"):
-            many = (
-                f"more than {MAX_STATES:,} states"
-                if row.get("at_least", 0) > MAX_STATES
-                else "how many states is not known"
-            )
+            many = f"more than {MAX_STATES:,} states" if row.get("at_least", 0) > MAX_STATES else "states not counted"
             found = f"{found}, {states(row)} states" if row.get("counted") else f"{found}, {many}"
         parts.setdefault(found, []).append(row)
     return [
