@@ -20,7 +20,7 @@ ROOMS = {
         checkpoint reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches listing
         symmetry canonical orbits sweep saved ondemand methods solving results batch engine arrays""",
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
-    "assist.person": """archive pomdp region visited problem qmdp estimates alpha_vectors hsvi upper_hull
+    "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",
     "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
         diagnostics population record people comparison summary""",

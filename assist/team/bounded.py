@@ -1,18 +1,20 @@
 """One person's problem on a task of any size, for a bound: a small part of the task, with values where it breaks off.
 
 A solver that keeps beliefs can look at some thousand states. Where these end, something has to follow that nobody
-exceeds, and the nearer to the truth, the better the bound. So there are three parts, each around the one before:
+exceeds, and the nearer to the truth, the better the bound. So there are four parts, each around the one before:
 
 - a region on which beta and theta are hidden, for the solver;
 - a larger one, on which they are seen. There the values of the best policies are worked out (`person.qmdp`): with the
   person's own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
+- a still larger one, on which beta is seen and people comply with every suggestion (`person.compliance`). Numbers are
+  all that is kept of its states, so that there is room for a million;
 - everything else, where nobody ever errs (`person.region.never_erring`).
 
 Each value is at least that of the task: at the outermost frontier because nobody gets more there, whatever they do; on
-the larger region because to see what is hidden can only help a robot, and its presence has a price of 0, which is no
-more than any; and therefore, by backward induction, wherever the solver looks. For a robot whose way takes time, ways
-are taken to take none: whoever sets out later, when there is something to say, and pays no earlier for it, gets no
-less.
+the part before it because nobody gets more than who complies; on the larger region because to see what is hidden can
+only help a robot, and its presence has a price of 0, which is no more than any; and therefore, by backward induction,
+wherever the solver looks. For a robot whose way takes time, ways are taken to take none: whoever sets out later, when
+there is something to say, and pays no earlier for it, gets no less.
 
 What is known about people soon hardly differs from all there is to know: what they do shows it. So most of what seeing
 is worth is within a few steps of the beginning, in the innermost part.
@@ -22,17 +24,18 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo, LimitError
+from planner import CostToGo, LimitError, Table
 
-from ..people.choice_model import value
+from ..people.belief import Grid
+from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
+from ..person.compliance import around, at_most, mistaken_about_states
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import highest, improve
 from ..person.region import Region
@@ -48,8 +51,17 @@ SEEN = 3
 may take a search to look a state up.
 """
 
+COMPLYING = 600_000
+"""States of that on which people comply, about; only a table's are known without asking for each."""
+
+STATE_BYTES = 600
+"""What one of these states may take, roughly."""
+
 FOR_REGIONS = 0.5
 """The share of the time there is that collecting the larger region may take."""
+
+FOR_COMPLYING = 0.6
+"""The share of what is left then that bounding those who comply may take."""
 
 ERROR = 0.5
 """Largest error of a value on the larger region given those at its frontier, in cost units; all hold in any case.
@@ -62,8 +74,6 @@ SWEEPS = 20
 
 On a task of 654,610 states a person's bound at its beginning was -22.224 after 16, and -22.225 after 60.
 """
-
-Tell = Callable[[float], None]
 
 
 def bounded(
@@ -110,7 +120,8 @@ def bounded(
     left = (until - time.perf_counter()) * FOR_REGIONS
     if seen > hidden and len(inner.frontier) and left > 0:
         outer = Region.of(known, states=seen, time_limit=None if left == math.inf else left, **who)  # type: ignore[arg-type]
-        found = _values(outer, _seen(outer, setting, human, prior), entry, until, memory_limit_mb)
+        comply = _complying(outer, setting, human, prior, until, memory_limit_mb)
+        found = _values(outer, _seen(outer, setting, human, prior), comply, entry, until, memory_limit_mb)
         at = outer.local(inner.states[inner.frontier])
         here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
     upper = np.ascontiguousarray(here[:, 1])
@@ -141,10 +152,35 @@ def _expected(
     return value(setting.chooses(human, prior), around.choices, model.q)[: len(states)]
 
 
+def _complying(
+    region: Region, setting: Setting, human: Human | None, prior: Population | Mixture, until: float,
+    memory_limit_mb: float,
+) -> Floats | None:  # fmt: skip
+    """Bound what anybody gets in a region's states, shape (n, B), with a part around it where people comply.
+
+    None where that is not known: of tasks that are no table, people who are mistaken about actions or choose in a way
+    of their own, and a robot that acts itself.
+    """
+    known = region.known
+    by_cost = setting.chooses(human, prior) is boltzmann and (human is None or mistaken_about_states(human))
+    if not (by_cost and isinstance(known, Table)) or setting.execute:
+        return None
+    most = int(min(COMPLYING, memory_limit_mb * 1e6 / STATE_BYTES))
+    found = at_most(
+        known, human, Grid.regular(prior).beta, around(known, region.states, most), gamma=setting.gamma,
+        c_suggest=setting.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
+        deadline=until if until == math.inf else until - (1 - FOR_COMPLYING) * (until - time.perf_counter()),
+    )  # fmt: skip
+    return found.at(region.states)
+
+
 def _values(
-    region: Region, problem: AssistPOMDP, entry: float, until: float, memory_limit_mb: float
+    region: Region, problem: AssistPOMDP, comply: Floats | None, entry: float, until: float, memory_limit_mb: float
 ) -> NDArray[np.float64]:
-    """Bound what the robot gets on a region where it sees beta and theta, shape (n, 2, B, T): away, and here."""
+    """Bound what the robot gets on a region where it sees beta and theta, shape (n, 2, B, T): away, and here.
+
+    Nobody gets more there than `comply`, shape (n, B), if that is known.
+    """
     needed = _bytes(problem) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
@@ -153,8 +189,11 @@ def _values(
         )
     visits = Visits.of(problem, entry)
     found = highest(visits.pomdp)
+    if comply is not None:
+        found = np.minimum(found, comply[visits.layout.x][:, :, None])
     improve(visits.pomdp, found, tolerance=ERROR, max_sweeps=SWEEPS, deadline=until)
-    return np.stack([found[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
+    away, here = (found[visits.states(0, position)] for position in (AWAY, HERE))
+    return np.stack([np.minimum(away, here), here], axis=1)  # to be here is never worse, as leaving is free
 
 
 def _bytes(problem: AssistPOMDP) -> int:
