@@ -29,6 +29,9 @@ from .task import Fact, Task
 EFFORT = 100_000_000_000
 """Facts that may be moved by a symmetry, one at a time, on the way to forms: some minutes of a processor."""
 
+AT_ONCE = 300_000_000
+"""So many of them between two looks at the time."""
+
 LONG = 1 << 31
 """More actions than any plan has that a search of orbits finds: it comes to none of them twice."""
 
@@ -154,8 +157,15 @@ def orbits(
             progress("orbits" if doing == "states" else doing, done, total)
 
     forms = Forms.of(group, Packing.of(task))
-    most = EFFORT // (len(forms.word) * len(forms.moves))
-    listing = enumerated(task, budget, threads or processors(), told, most, lambda states: canonical(forms, states))
+    effort = len(forms.word) * len(forms.moves)
+    most, part = EFFORT // effort, AT_ONCE // effort + 1
+
+    def form(states: Words) -> None:
+        for begin in range(0, len(states), part):
+            budget.check_time(0)
+            canonical(forms, states[begin : begin + part])
+
+    listing = enumerated(task, budget, threads or processors(), told, most, form)
     if listing is None:
         raise LimitError(f"{most} transitions or more between orbits of {group.order} symmetries")
     free = min(task.costs) == 0

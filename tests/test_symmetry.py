@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import random
+import threading
 from collections import Counter
 from dataclasses import replace
 from itertools import permutations, product
@@ -246,6 +247,21 @@ def test_what_is_not_looked_at(kind):
     }
     assert symmetries(task) is not None
     assert symmetries(replace(task, **changed[kind])) is None
+
+
+def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypatch):
+    module, stop, formed = importlib.import_module("planner.orbits"), threading.Event(), list[int]()
+
+    def stopped(forms: Forms, states: np.ndarray) -> None:
+        formed.append(len(states))
+        stop.set()
+        canonical(forms, states)
+
+    monkeypatch.setattr(module, "AT_ONCE", 1)
+    monkeypatch.setattr(module, "canonical", stopped)
+    with pytest.raises(LimitError, match="stopped"):
+        orbits(load(instance(KITTING / "paper.pddl")), max_orbits=10**6, stop=stop, threads=1)
+    assert formed == [1]
 
 
 def test_a_guess_that_is_none_does_not_count(monkeypatch):
