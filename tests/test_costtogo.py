@@ -183,6 +183,10 @@ def test_a_task_without_actions() -> None:
     assert elsewhere[elsewhere.initial] == np.inf
 
 
+def test_a_table_is_swept_and_searches_for_nothing(table: Table) -> None:
+    assert (table.method, table.searches) == ("sweep", False)
+
+
 def test_a_table_cannot_be_written_into(table: Table) -> None:
     with pytest.raises(ValueError, match="read-only"):
         table.distance[0] = 0
@@ -194,6 +198,8 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0) == 1  # the initial state in any case
     assert verify(table, 7, np.random.default_rng(0), seconds=1e9, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
+    with pytest.raises(fast_downward.FastDownwardError, match="of_no_kind"):
+        verify(table, 1, np.random.default_rng(0), searches=("astar(of_no_kind())",))
     both = (None, "astar(blind())")
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1), searches=both) == 0
     assert verify(table, 7, np.random.default_rng(0), searches=(None, "astar(blind())")) == 7
