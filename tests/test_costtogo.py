@@ -276,6 +276,7 @@ def test_states_are_compared_with_their_successors(table: Table, tiny: Table) ->
     assert check_successors(table, 7, np.random.default_rng(0), seconds=0.0) == 1
     assert check_successors(table, 7, np.random.default_rng(0), seconds=600) == 7
     assert check_successors(tiny, 99, np.random.default_rng(0)) == len(tiny)  # some with a part of the goal only
+    np.testing.assert_array_equal(tiny.is_goal(np.arange(len(tiny))), tiny.h == 0)
 
 
 @pytest.mark.parametrize("start", H)
