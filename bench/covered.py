@@ -52,7 +52,7 @@ def main(data: Path, record: Path | None) -> None:
     rows.append({"folder": "all", **found["all"]})
     for row in rows:
         print(*(show(row) for show in COLUMNS.values()), sep="  ")
-    write_record(record, COLUMNS, rows)
+    write_record(record, COLUMNS, rows, commands=["make coverage", "python bench/covered.py"])
 
 
 if __name__ == "__main__":
