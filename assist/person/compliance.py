@@ -64,17 +64,11 @@ class Complying:
 
 def around(known: Table, states: Ints, most: int) -> Ints:
     """Give these states and those that are next to them, layer by layer, up to about so many, ascending."""
-    rows = known.space.transitions
-    met = np.zeros(len(known), dtype=bool)
-    layer = np.unique(states)
-    met[layer] = True
-    count = len(layer)
-    while len(layer) and count < most:
-        after = rows.targets[_places(rows.offsets, layer)]
-        layer = np.unique(after[~met[after]]).astype(np.int64)[: most - count]
-        met[layer] = True
-        count += len(layer)
-    return np.flatnonzero(met)
+    layer = found = np.unique(states)
+    while len(layer) and len(found) < most:
+        layer = np.setdiff1d(known.choices(layer).targets, found)[: most - len(found)]
+        found = np.union1d(found, layer)
+    return found
 
 
 def at_most(
@@ -115,16 +109,11 @@ def at_most(
     """
     if human is not None and not mistaken_about_states(human):
         raise ValueError("expected somebody who is mistaken about states, not about actions")
-    rows = known.space.transitions
-    places = _places(rows.offsets, states)
-    offsets = np.concatenate([[0], np.cumsum(np.diff(rows.offsets)[states], dtype=np.int64)])
-    targets = rows.targets[places].astype(np.int64)
-    inside = np.zeros(len(known), dtype=bool)
-    inside[states] = True
-    rest = np.unique(targets[~inside[targets]])
-    number = np.empty(len(known), dtype=np.int32)
-    number[states] = np.arange(len(states))
-    number[rest] = len(states) + np.arange(len(rest))
+    rows = known.choices(states)
+    place = np.minimum(np.searchsorted(states, rows.targets), len(states) - 1)
+    inside = states[place] == rows.targets
+    rest = np.unique(rows.targets[~inside])
+    number = np.where(inside, place, len(states) + np.searchsorted(rest, rows.targets)).astype(np.int32)
     every = np.concatenate([states, rest])
     h = known.lookup(every)
     mine = h if human is None else expected(human, known, every, h)
@@ -132,7 +121,7 @@ def at_most(
     start = never_erring(h, costs, gamma)
     order = np.argsort(h[: len(states)], kind="stable")
     order = order[np.isfinite(h[order]) & ~known.is_goal(states)[order]]
-    arrays = [read_only(array) for array in (order, offsets, rows.actions[places], number[targets], costs, h, mine)]
+    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, h, mine)]
 
     def one(beta: float) -> Floats:
         value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint8)
@@ -150,13 +139,6 @@ def at_most(
 def mistaken_about_states(human: Human) -> bool:
     """Tell whether what somebody takes for the cost-to-go is a number for each state."""
     return isinstance(human.h, Misconception) and human.h.noise == "state"
-
-
-def _places(offsets: NDArray[np.integer], states: Ints) -> Ints:
-    """Give where the choices of states are in a table's list of all."""
-    first = offsets[states].astype(np.int64)
-    counts = offsets[states + 1] - first
-    return np.arange(counts.sum()) + np.repeat(first - (np.cumsum(counts) - counts), counts)
 
 
 @numba.njit(cache=True, nogil=True)
