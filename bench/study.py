@@ -61,6 +61,8 @@ def columns(headline: dict[str, Any]) -> Columns:
 
 def whole(folder: Path, record: Path | None) -> None:
     """Print the headline of a study that was carried out as it is, beside the paper's, and write its record."""
+    if not (folder / "summary.json").is_file():
+        raise click.UsageError(f"{folder} has no summary.json; expected what `kitassist study --out` has written")
     headline = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["headline"]
     reference = read("paper").reference
     assert reference is not None
@@ -97,7 +99,7 @@ def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
 @click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the report.")
-@click.option("--of", type=click.Path(path_type=Path, exists=True, file_okay=False), help="A study that was made.")
+@click.option("--of", type=click.Path(path_type=Path), help="A study that was made.")
 @record_option
 @click.option("--check", is_flag=True, help="Compare what was found with the record.")
 def main(
