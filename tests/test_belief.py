@@ -49,7 +49,7 @@ def enumerate_posterior(pomdp: AssistPOMDP, history: list[tuple[int, int, int]])
     return posterior / posterior.sum()
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])
+@pytest.mark.parametrize("seed", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int) -> None:
     rng = np.random.default_rng(seed)
     pomdp = AssistPOMDP.of(person(tiny_choices), grid=GRID, suggestions="all")

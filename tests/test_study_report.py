@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from conftest import KITTING, ROOT, kitassist
+from conftest import KITTING, ROOT
 from fuzz import here
 from matplotlib.text import Text
 from scipy import stats
@@ -92,18 +91,6 @@ def test_the_report_says_what_was_found_and_shows_its_pictures(small_study: tupl
     assert "<table>" in page
     assert page.count("<picture>") == len(shown)
     assert any((out / name).is_file() for name in shown)
-
-
-@pytest.mark.slow
-def test_all_pictures_that_a_report_shows_are_there(small_study: tuple[Study, Path, dict], tmp_path: Path) -> None:
-    study, whole, printed = small_study
-    out = Path(shutil.copytree(whole, tmp_path / "out", ignore=shutil.ignore_patterns("figures")))
-    again = kitassist("study", "--protocol", study.file, "--out", out, "--resume", "--json", check=True)
-    assert json.loads(again.stdout) == printed
-    shown = re.findall(r"!\[[^]]+\]\(([^)]+)\)", (out / "report.md").read_text())
-    files = {*shown, *re.findall(r'(?:src|srcset)="([^"]+)"', (out / "report.html").read_text())}
-    assert len(files) == 3 * len(shown)
-    assert all((out / name).is_file() for name in files)
 
 
 SEVERAL = TINY.replace('name = "first"', 'name = "first"\npopulations = ["everybody", "novices"]')
