@@ -90,7 +90,10 @@ def test_the_report_says_what_was_found_and_shows_its_pictures(small_study: tupl
     assert {Path(name).stem for name in shown} >= {"team-size", "benefit", "trade-off", "belief"}
     assert "<table>" in page
     assert page.count("<picture>") == len(shown)
-    assert any((out / name).is_file() for name in shown)
+    files = {*shown, *re.findall(r'(?:src|srcset)="([^"]+)"', page)}
+    assert len(files) == 3 * len(shown)
+    drawn = [out / name for name in files if Path(name).name.startswith("team-size")]  # the only one, see the fixture
+    assert [file.is_file() for file in drawn] == [True] * 3
 
 
 SEVERAL = TINY.replace('name = "first"', 'name = "first"\npopulations = ["everybody", "novices"]')
