@@ -37,7 +37,7 @@ def part_and_whole(
 ) -> tuple[AssistPOMDP, np.ndarray, Choices]:
     """Give the problem on a part; and of its frontier's states the values, shape (m, 2, B, T), with all looked at."""
     table = kit(task)
-    problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size)
+    problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size).problem
     choices = Choices.of(table)
     visits = Visits.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
     values = qmdp(visits.pomdp).value_mdp
@@ -117,7 +117,8 @@ def test_without_time_nobody_errs_beyond() -> None:
     """The bounds are those of people who never err, which hold in any case."""
     table, setting = kit("tiny"), Setting()
     at_once, in_time = (
-        bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3, until=until) for until in (0.0, math.inf)
+        bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3, until=until).problem
+        for until in (0.0, math.inf)
     )
     hurried, bound = at_once.frontier, in_time.frontier
     assert hurried is not None

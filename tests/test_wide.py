@@ -9,13 +9,18 @@ import pytest
 from conftest import KITTING, table_of
 
 from assist.certify.bound import TeamBound, upper_bound
+from assist.certify.clairvoyant import Clairvoyant
+from assist.certify.lattice import Lattice
+from assist.certify.prices import kinds_of
 from assist.people.human import Population
 from assist.person.region import never_erring
+from assist.person.solver import solve
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
+from assist.team.travel import Travel
 from planner import CostToGo, Instance, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
@@ -116,3 +121,36 @@ def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table) -> None:
     assert certificate.value < parts[1].upper
     with pytest.raises(ValueError, match="relaxed: expected a task that is looked at whole"):
         parts[1].relaxed()
+
+
+def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """People who leave the part on which beta and theta are hidden conflict as before, and the bound holds."""
+    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1)
+    pool = Pool.sample(tiny, 2, seed=0, setting=setting, states=5)
+    kinds = kinds_of(pool, team, setting.travel(2), 0, around=True)
+    parts = [(visits := kind.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for kind in kinds]
+    means, steps = [], []
+    for outers in ([None, None], [kind.outer for kind in kinds]):
+        lattices = [Lattice(*part, outer) for part, outer in zip(parts, outers, strict=True)]
+        for lattice, (_, solution) in zip(lattices, parts, strict=True):
+            assert lattice.value == pytest.approx(solution.upper, abs=1e-9)
+        robot = Clairvoyant(lattices, np.zeros(0), 12)
+        paths = [robot.path(np.random.default_rng(number)) for number in range(30)]
+        means.append(np.mean([robot.bound(path, 0.3) for path in paths]))
+        steps.append(np.mean([len(graph.layer) for graphs, _ in paths for graph in graphs]))
+    assert steps[1] > steps[0] + 2
+    run = simulate(pool, "priority", humans=[0, 1], episodes=2000, seed=0, world="model").discounted_return
+    error = run.std(ddof=1) / np.sqrt(len(run))
+    proven = sum(solution.upper for _, solution in parts)
+    assert run.mean() - 4 * error < means[1] < means[0] - 0.05 < proven - 0.05
+
+
+def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    pool = Pool.sample(tiny, 2, seed=0, states=5)
+    travel = pool.setting.travel(2)
+    assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
+    kinds = kinds_of(pool, (0, 1), travel, 0, around=True)
+    assert all(kind.outer is not None and kind.outer.nbytes > 10_000 for kind in kinds)
+    assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), Travel.of(2, travel_time=1.0), 0, around=True))

@@ -209,7 +209,8 @@ def upper_bound(
         together = steps = whole("window", window)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
     kinds = kinds_of(
-        pool, members, travel, steps, memory_limit_mb=memory_limit_mb, until=start + FOR_REGIONS * for_people, tell=tell
+        pool, members, travel, steps, around=paths > 0, memory_limit_mb=memory_limit_mb,
+        until=start + FOR_REGIONS * for_people, tell=tell,
     )  # fmt: skip
     price = np.zeros(0)
     if len(members) > 1 and steps:
@@ -266,7 +267,7 @@ class _Relaxed:
 
     def lattices(self) -> list[Lattice]:
         """Give each person's; people of a kind share one."""
-        lattices = [Lattice(*part) for part in self.parts]
+        lattices = [Lattice(*part, kind.outer) for kind, part in zip(self.kinds, self.parts, strict=True)]
         return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
 
 

@@ -13,6 +13,7 @@ so that the same number means much the same whatever the robot does.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numba
@@ -24,6 +25,7 @@ from ..people.decision import Floats
 from ..person.qmdp import Arrays
 from ..person.solver import Solution
 from ..person.upper_hull import PIVOTS, weigh
+from ..team.bounded import Outer
 from ..team.subproblem import Visits
 
 Ints = NDArray[np.int64]
@@ -115,7 +117,9 @@ class Lattice:
         Their mean bound.
     """
 
-    def __init__(self, visits: Visits, solution: Solution) -> None:
+    def __init__(self, visits: Visits, solution: Solution, outer: Outer | None = None) -> None:
+        if outer is not None:
+            visits, solution = outer.visits, _embedded(visits, solution, outer)
         pomdp, choices = visits.pomdp, visits.pomdp.model.choices
         size, states = pomdp.prior.size, len(pomdp.robot_actions)
         self.visits, self.arrays, self.attended = visits, Arrays.of(pomdp), visits.attended()
@@ -172,6 +176,19 @@ class Lattice:
             for name in ("regret", "begin", "share", "to")
         }
         self.nodes = self.nodes._replace(**longer)
+
+
+def _embedded(visits: Visits, solution: Solution, outer: Outer) -> Solution:
+    """Give a part's solution as one of the region around it, where corners are all that is known."""
+    inner = visits.layout
+    here = outer.visits.layout.number(0, inner.position, outer.place[inner.x])
+    inside = np.flatnonzero(~visits.pomdp.final)
+    corner = outer.value.copy()
+    corner[here[inside]] = solution.corner[inside]  # what drops are against
+    state = here[np.repeat(np.arange(len(here)), np.diff(solution.first))]
+    order = np.argsort(state, kind="stable")
+    first = np.searchsorted(state[order], np.arange(len(corner) + 1))
+    return replace(solution, corner=corner, point=solution.point[order], drop=solution.drop[order], first=first)
 
 
 @numba.njit(cache=True)

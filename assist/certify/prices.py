@@ -17,12 +17,12 @@ import numpy as np
 from planner import LimitError
 
 from ..people.decision import Floats
-from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, qmdp
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
 from ..team.arguments import positive
 from ..team.attention import NoAssistance
+from ..team.bounded import Bounded, Outer
 from ..team.pool import Pool, policy_bytes
 from ..team.state import TeamAction, TeamState
 from ..team.subproblem import HERE, Layout, Visits
@@ -63,12 +63,15 @@ class Kind:
     tail : QMDP
         What it is worth from the step on from which attention is free.
     count : int
+    outer : Outer or None
+        What is known around the part on which that is, if it is not the whole task.
     """
 
     pool: Pool
     visits: Visits
     tail: QMDP
     count: int
+    outer: Outer | None = None
 
     def best(self, visits: Visits) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
@@ -112,6 +115,7 @@ def kinds_of(
     travel: Travel,
     window: int,
     *,
+    around: bool = False,
     memory_limit_mb: float = math.inf,
     until: float = math.inf,
     tell: Tell = lambda *_: None,
@@ -119,7 +123,7 @@ def kinds_of(
     """Give a team's kinds, with prices of 0 on so many steps.
 
     Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
-    was no time for more.
+    was no time for more; what is around the part that is looked at is given with `around`.
 
     Raises
     ------
@@ -132,36 +136,41 @@ def kinds_of(
     for done, (model, entry, _) in enumerate(members):
         tell("setting people's problems up", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
-        problems.append(_alone(pool, model, entry, share, memory_limit_mb))
+        problems.append(_alone(pool, model, entry, around, share, memory_limit_mb))
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
-    for alone, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
+    for one, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
+        alone = one.problem
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
         visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(Kind(pool, visits, tail, count))
+        kinds.append(Kind(pool, visits, tail, count, None if entry_steps else one.outer))
     return kinds
 
 
-def _alone(pool: Pool, model: int, entry: float, until: float, memory_limit_mb: float) -> AssistPOMDP:
+def _alone(
+    pool: Pool, model: int, entry: float, around: bool, until: float, memory_limit_mb: float
+) -> Bounded:  # fmt: skip
     """Give the problem of a model with a robot that is always there: on a region, if the task is not looked at whole.
 
     Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
     """
     policy = pool.policies[model]
     if isinstance(policy, WidePolicy):
-        return policy.bounded(entry, until=until, memory_limit_mb=memory_limit_mb)
-    return policy.pomdp
+        return policy.bounded(entry, around=around, until=until, memory_limit_mb=memory_limit_mb)
+    return Bounded(policy.pomdp)
 
 
-def _allow(problems: list[AssistPOMDP], entry_steps: list[int], window: int, limit_mb: float) -> None:
+def _allow(problems: list[Bounded], entry_steps: list[int], window: int, limit_mb: float) -> None:
     """Refuse problems that would not fit the memory."""
     needed, states = 0.0, 0
-    for alone, steps in zip(problems, entry_steps, strict=True):
+    for one, steps in zip(problems, entry_steps, strict=True):
+        alone = one.problem
         states = len(Layout.of(alone, 2 + steps, window))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
     needed *= 1 + 1 / len(problems)  # one is solved anew in every round
+    needed += sum(one.outer.nbytes for one in problems if one.outer is not None)
     _refuse_above(limit_mb, needed, len(problems), states, window)
 
 

@@ -30,7 +30,7 @@ from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, ahead
 from ..person.region import Region
 from ..person.visited import NONE, Visited
-from .bounded import bounded
+from .bounded import Bounded, bounded
 from .settings import Setting
 from .subproblem import Visits
 
@@ -77,7 +77,7 @@ class WidePolicy:
     solved : dict
         What has been estimated so far, by what it depends on: the prices of attention, if there are any.
     bounds : dict
-        The problems of which bounds have been asked for, by what coming costs.
+        The problems of which bounds have been asked for, by what coming costs and whether what is around is known.
     """
 
     ground: Ground
@@ -85,7 +85,7 @@ class WidePolicy:
     human: Human | None = None
     like: WidePolicy | None = None
     solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
-    bounds: dict[float, AssistPOMDP] = field(default_factory=dict, repr=False)
+    bounds: dict[tuple[float, bool], Bounded] = field(default_factory=dict, repr=False)
 
     @cached_property
     def pomdp(self) -> AssistPOMDP:
@@ -103,15 +103,17 @@ class WidePolicy:
         beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
-    def bounded(self, entry: float, *, until: float = math.inf, memory_limit_mb: float = math.inf) -> AssistPOMDP:
+    def bounded(
+        self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf
+    ) -> Bounded:
         """Give the problem of which a bound is wanted, worked out once; arguments as in `team.bounded`."""
-        if entry not in self.bounds:
+        if (entry, around) not in self.bounds:
             ground = self.ground
-            self.bounds[entry] = bounded(
-                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size, until=until,
-                memory_limit_mb=memory_limit_mb,
+            self.bounds[entry, around] = bounded(
+                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size, around=around,
+                until=until, memory_limit_mb=memory_limit_mb,
             )  # fmt: skip
-        return self.bounds[entry]
+        return self.bounds[entry, around]
 
     @cached_property
     def grid(self) -> Grid:
