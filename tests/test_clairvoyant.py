@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant
-from assist.certify.clairvoyant import Clairvoyant, Path
+from assist.certify.clairvoyant import Clairvoyant, Path, Sampled
 from assist.certify.conflicts import lost
 from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
@@ -41,11 +41,12 @@ def without_prices() -> Clairvoyant:
     return made(np.zeros(0))
 
 
-@pytest.fixture(scope="module")
-def short_sighted() -> Clairvoyant:
-    """With so few steps that everything can be tried."""
+@pytest.fixture(scope="module", params=[12, 2])
+def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
+    """With so few steps that everything can be tried; conflicts are counted in all of them, and in the first two."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(clairvoyant, "AFTER", 1)
+        patch.setattr(clairvoyant, "WISHES", request.param)
         return made(PRICE[1:4])
 
 
@@ -214,7 +215,20 @@ def test_sampled_lucks_on_the_command_line() -> None:
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
-    sampled = document["sampled"]
+    sampled, errors = document["sampled"], 1.685  # Student's t of 39 degrees of freedom, from a table
     assert (sampled["paths"], document["confidence"]) == (40, 0.95)
-    assert document["upper"] == min(document["upper_proven"], sampled["mean"] + 1.645 * sampled["stderr"])
+    assert document["upper"] == pytest.approx(sampled["mean"] + errors * sampled["stderr"], abs=1e-3)
     assert document["upper"] < document["upper_proven"]
+
+
+def test_few_lucks_say_less() -> None:
+    """Standard errors above the mean, from a table of Student's t; two lucks hardly say anything."""
+    for lucks, errors in ((2, 6.314), (3, 2.920), (11, 1.812), (100_000, 1.645)):
+        assert Sampled(-9.0, 0.5, lucks, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
+
+
+def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant) -> None:
+    """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
+    sampled = robot.sampled(10, 0, lambda _: -1.0)
+    assert sampled.paths == 2
+    assert sampled.alpha < 0.7

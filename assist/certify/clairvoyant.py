@@ -43,6 +43,7 @@ from typing import Any
 import numba
 import numpy as np
 from numba.typed import Dict, List
+from scipy.special import stdtrit
 
 from ..people.decision import Floats
 from .conflicts import Conflicts, Scale, Wishes, lost
@@ -78,8 +79,7 @@ POPPED = 400_000
 """States that are looked at for one luck, at most, times people: with fewer, large alphas come to nothing."""
 
 CONFIDENCE = 0.95
-ERRORS = 1.645
-"""So many standard errors above the mean the bound holds with that confidence (one-sided, normal)."""
+"""With which the bound holds (one-sided)."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,12 @@ class Sampled:
     @property
     def upper(self) -> float:
         """What no policy exceeds, with a confidence of `CONFIDENCE`."""
-        return self.mean + ERRORS * self.stderr
+        return self.mean + errors(self.paths) * self.stderr
+
+
+def errors(lucks: int) -> float:
+    """Give how many standard errors above the mean of so many lucks the bound holds (Student's t)."""
+    return float(stdtrit(lucks - 1, CONFIDENCE))
 
 
 Path = tuple[list[Graph], list[Wishes]]
@@ -168,12 +173,12 @@ class Clairvoyant:
             Called with how many lucks have been looked at; gives the share of the time that is left, 0 or less if none.
         """
         tried: list[list[float]] = []
-        while len(tried) < max(2, PILOT * paths) and (not tried or left(len(tried)) > FOR_ALPHA):
+        while len(tried) < max(2, PILOT * paths) and (len(tried) < 2 or left(len(tried)) > FOR_ALPHA):
             path = self.path(_luck(seed, 0, len(tried)))
             tried.append([self.bound(path, alpha) for alpha in ALPHAS])
         # With few lucks an alpha may look good that is lost on a rare one: the spread tells.
-        spread = np.std(tried, axis=0, ddof=1 if len(tried) > 1 else 0) / math.sqrt(len(tried))
-        alpha = ALPHAS[int((np.mean(tried, axis=0) + ERRORS * spread).argmin())]
+        spread = np.std(tried, axis=0, ddof=1) / math.sqrt(len(tried))
+        alpha = ALPHAS[int((np.mean(tried, axis=0) + errors(len(tried)) * spread).argmin())]
         found: list[float] = []
         while len(found) < 2 or (len(found) < paths and left(len(tried) + len(found)) > 0):
             found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
