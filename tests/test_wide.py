@@ -153,4 +153,6 @@ def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypa
     assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))
     kinds = kinds_of(pool, (0, 1), travel, 0, around=True)
     assert all(kind.outer is not None and kind.outer.nbytes > 10_000 for kind in kinds)
+    # With prices, and where the way takes time, a state of the part is not one of those around.
     assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), Travel.of(2, travel_time=1.0), 0, around=True))
+    assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 3, around=True))

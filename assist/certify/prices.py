@@ -123,7 +123,8 @@ def kinds_of(
     """Give a team's kinds, with prices of 0 on so many steps.
 
     Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
-    was no time for more; what is around the part that is looked at is given with `around`.
+    was no time for more; what is around the part that is looked at is given with `around`, if there are no prices and
+    the robot's way takes no time.
 
     Raises
     ------
@@ -144,7 +145,7 @@ def kinds_of(
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
         visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(Kind(pool, visits, tail, count, None if entry_steps else one.outer))
+        kinds.append(Kind(pool, visits, tail, count, None if entry_steps or window else one.outer))
     return kinds
 
 
