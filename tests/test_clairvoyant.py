@@ -227,8 +227,9 @@ def test_few_lucks_say_less() -> None:
         assert Sampled(-9.0, 0.5, lucks, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
 
 
-def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant) -> None:
+def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
-    sampled = robot.sampled(10, 0, lambda _: -1.0)
-    assert sampled.paths == 2
-    assert sampled.alpha < 0.7
+    drawn, path = [], robot.path
+    monkeypatch.setattr(robot, "path", lambda rng: drawn.append(rng) or path(rng))
+    assert robot.sampled(10, 0, lambda _: -1.0).paths == 2
+    assert len(drawn) == 2 + 2
