@@ -32,6 +32,8 @@ DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 CASES = {
     "kitting/tiny, 5 states": ("kitting/tiny", 5),
     "kitting/paper, 100 states": ("kitting/paper", 100),
+    "kitting/ladder-4x6, 3 states": ("kitting/ladder-4x6", 3),
+    "kitting/ladder-4x7, 10 states": ("kitting/ladder-4x7", 10),
     "kitting/ladder-4x8, 1 state": ("kitting/ladder-4x8", 1),
     "kitting/ladder-4x8, 300 states": ("kitting/ladder-4x8", 300),
     "kitting/ladder-4x9, 10 states": ("kitting/ladder-4x9", 10),
@@ -49,7 +51,7 @@ LARGEST = 100_000_000
 
 
 def number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+    return "-" if value is None else f"{value:#.2g}"
 
 
 COLUMNS: Columns = {

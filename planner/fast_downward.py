@@ -24,6 +24,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from .expressions import Expression
@@ -178,6 +179,7 @@ def optimal_plan(
     raise FastDownwardError(f"Fast Downward's search failed (exit {code}): {_last_line(output)}")
 
 
+@cache
 def _binary() -> Path:
     """Find the search program, without importing the package that holds it: that imports much."""
     package = importlib.util.find_spec("up_fast_downward")

@@ -2,14 +2,16 @@
 
 `cost_to_go` sweeps all states, as far as the limits allow, and answers on demand where they do not. Where only some
 states are wanted both ways are tried side by side, and whichever is done first is the answer: nothing is guessed, and
-it takes at most about twice as long as the better of the two, which would have had the processors for itself. A sweep
-that takes no longer than `HEAD_START` is left alone. Where there are too many states for a sweep, one state of each
+it takes at most about twice as long as the better of the two, which would have had the processors for itself. Each is
+left alone for a moment first, as what is done at once is not to share them: the sweep for `FIRST`, then the search for
+single states for `SECOND`. Where there are too many states for a sweep, one state of each
 orbit under the task's symmetries is swept, if these are few enough; then answers on demand are looked up. The result
 is a `Table` or an `OnDemand`; both are a `CostToGo`.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -30,8 +32,14 @@ from .reports import Progress
 from .sweep import sweep
 from .task import Task
 
-HEAD_START = 0.05
-"""Seconds before the first state is asked for while a sweep is under way."""
+FIRST = 0.008
+"""Seconds that a sweep has before the first state is asked for: as much as a task of some ten thousand states takes."""
+
+SECOND = 0.03
+"""Seconds in which the sweep then waits: Fast Downward takes half as long for a state that is easy."""
+
+LONGER = 4
+"""Times that asking would have to go on for as long as it has, when all states are enumerated, for it to end there."""
 
 PER_ORBIT = 4
 """An orbit counts as so many states: it takes more time and memory."""
@@ -42,6 +50,23 @@ class _Unswept(NamedTuple):
 
     reason: str
     orbits: Orbits | None
+
+
+class _Stop(threading.Event):
+    """Tells the sweep that it is not needed any more; a sweep that asks waits while it is not its turn."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._waits_until = -math.inf
+
+    def pause(self, seconds: float) -> None:
+        """Let who asks wait."""
+        self._waits_until = time.monotonic() + seconds
+
+    def is_set(self) -> bool:
+        """Whether it is over, which ends waiting."""
+        seconds = self._waits_until - time.monotonic()
+        return self.wait(seconds) if seconds > 0 else super().is_set()
 
 
 def cost_to_go(
@@ -95,7 +120,7 @@ def cost_to_go(
         The deadline has passed.
     """
 
-    def swept(stop: threading.Event | None = None) -> Table | _Unswept:
+    def swept(stop: threading.Event | None = None, progress: Progress | None = progress) -> Table | _Unswept:
         """Sweep; give the reason if that is not possible."""
         states = 0
         try:
@@ -133,7 +158,7 @@ def cost_to_go(
         return _Unswept(reason, found)
 
     if states is not None:
-        return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits)
+        return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits, progress)
     answer = swept()
     if isinstance(answer, _Unswept):
         return OnDemand(task, cache=cache, jobs=jobs, limits=limits, reason=answer.reason, orbits=answer.orbits)
@@ -143,34 +168,51 @@ def cost_to_go(
 def _race(
     task: Task,
     states: NDArray[np.int64],
-    swept: Callable[[threading.Event], Table | _Unswept],
+    swept: Callable[[threading.Event, Progress], Table | _Unswept],
     cache: Cache | None,
     jobs: int | None,
     limits: Limits,
+    progress: Progress | None,
 ) -> Table | OnDemand:
-    """Sweep and ask for states, of shape (N, variables), at the same time, until one of the two is done."""
+    """Sweep and ask for states, of shape (N, variables), at the same time, until one of the two is done.
+
+    How long a sweep takes is not known before the states are enumerated. Then what is left of it takes about as long
+    as that did; if what is left to ask for would take `LONGER` times that, the sweep has the processors for itself.
+    """
     asked = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
     wanted = asked.numbers(states)
     if not np.isnan(asked.known(wanted)).any():
         return asked.under(limits, f"the {len(states)} states that are wanted are known already")
-    enough, over = threading.Event(), threading.Event()  # the sweep is not needed any more; it is over
+    enough, over, late = _Stop(), threading.Event(), threading.Event()
+    answered = 0
+
+    def count(more: int) -> None:
+        nonlocal answered
+        answered += more
+
+    def told(what: str, done: int, of: int | None) -> None:
+        if what == "cost-to-go" and len(states) - answered > LONGER * (answered + 1):
+            late.set()
+        if progress is not None:
+            progress(what, done, of)
 
     def sweeping() -> Table | _Unswept:
         try:
-            return swept(enough)
+            return swept(enough, told)
         finally:
             over.set()
+            late.set()
 
     with ThreadPoolExecutor(1) as pool:
         sweep_of_all = pool.submit(sweeping)
         try:
-            over.wait(HEAD_START)
-            if over.is_set() and isinstance(table := sweep_of_all.result(), Table):
+            if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
                 return table
+            enough.pause(SECOND)
             start = time.monotonic()
             try:
-                asked.under(replace(limits, stop=over), None).lookup(wanted)
-            except LimitError:  # the sweep was faster, or has to do
+                asked.under(replace(limits, stop=late), None).lookup(wanted, count)
+            except LimitError:  # the sweep was faster, or will be, or has to do
                 found = sweep_of_all.result()
                 return found if isinstance(found, Table) else asked.under(limits, *found)
             seconds = time.monotonic() - start

@@ -24,7 +24,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -45,6 +45,9 @@ CANDIDATES = (
     "astar(hmax())",
 )
 """Search configurations of which the fastest on a task is used; all give the exact cost."""
+
+QUICK = 0.05
+"""Seconds of a search of which so much is Fast Downward's start that none is worth comparing with it."""
 
 DEAD_END = -1  # how the cache stores an infinite cost-to-go
 UNIT = 1000  # what a unit of cost is worth in prices, where an action is worth 1; plans are shorter
@@ -285,7 +288,10 @@ class OnDemand:
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:
-            self._search = fastest_search(self._priced, limits=self._limits)
+            chosen = fastest_search(self._priced, limits=self._limits)
+            self._search = chosen.search
+            if chosen.solved:
+                self._remember(self._labels(self._rows([self.initial]), chosen.plan))
 
         def search(key: bytes) -> dict[bytes, float]:
             if key in self._known:  # a plan that was found meanwhile leads through it
@@ -296,15 +302,7 @@ class OnDemand:
             if holds(row, *self._goal)[0]:
                 return {key: 0.0}
             values = tuple(self.packing.unpack(row)[0].tolist())
-            price, plan = astar(self._priced, values, search=self._search, limits=self._limits)
-            if plan is None:
-                return {key: price}
-            if self._unit > 1 and (len(plan) >= UNIT or price >= LARGEST):
-                raise LimitError(
-                    f"a plan of {len(plan)} actions and cost {self.task.plan_cost(plan)}: where actions cost nothing, "
-                    f"at most {UNIT - 1} actions and a cost below {LARGEST // UNIT} can be told apart"
-                )
-            return self._label(row, price, plan)
+            return self._labels(row, astar(self._priced, values, search=self._search, limits=self._limits)[1])
 
         failure: LimitError | None = None
         with ThreadPoolExecutor(self._jobs) as pool:
@@ -315,9 +313,7 @@ class OnDemand:
                     except LimitError as error:
                         failure = error
                         continue
-                    self._known |= found
-                    if self._cache and found:
-                        self._cache.write(found)
+                    self._remember(found)
                     if progress is not None:
                         progress(1)
             except BaseException:
@@ -327,8 +323,21 @@ class OnDemand:
             unknown = sum(key not in self._known for key in missing)
             raise LimitError(f"{unknown} of {len(missing)} states are not known: {failure}")
 
-    def _label(self, row: Words, price: float, plan: Sequence[str]) -> dict[bytes, float]:
-        """Give the price of what is to come in every state on an optimal plan."""
+    def _remember(self, found: dict[bytes, float]) -> None:
+        self._known |= found
+        if self._cache and found:
+            self._cache.write(found)
+
+    def _labels(self, row: Words, plan: Sequence[str] | None) -> dict[bytes, float]:
+        """Give the price of what is to come in every state on an optimal plan; None is that of a dead end."""
+        if plan is None:
+            return {row.tobytes(): np.inf}
+        price = float(self._priced.plan_cost(plan))
+        if self._unit > 1 and (len(plan) >= UNIT or price >= LARGEST):
+            raise LimitError(
+                f"a plan of {len(plan)} actions and cost {self.task.plan_cost(plan)}: where actions cost nothing, "
+                f"at most {UNIT - 1} actions and a cost below {LARGEST // UNIT} can be told apart"
+            )
         found = {row.tobytes(): price}
         for action in plan:
             row = self._successors.follow(row, self.task.action_index[action])
@@ -337,11 +346,19 @@ class OnDemand:
         return found
 
 
-def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> str:
+class Chosen(NamedTuple):
+    """A search configuration, and what it found on the way: the plan from the initial state, None from a dead end."""
+
+    search: str
+    solved: bool
+    plan: list[str] | None
+
+
+def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> Chosen:
     """Choose the search configuration that solves a task's initial state fastest.
 
-    Each gets as long as the best so far has taken. Configurations that do not support the task's features
-    are left out.
+    Each gets as long as the best so far has taken; once one took no longer than `QUICK`, no other is tried.
+    Configurations that do not support the task's features are left out.
 
     Raises
     ------
@@ -349,17 +366,19 @@ def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits
         None of them solved the initial state within the limits.
     """
     if fast_downward.has_axioms(task.sas):
-        return fast_downward.ASTAR_WITH_AXIOMS
+        return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
     best, shortest = None, limits.seconds
     for search in candidates:
         start = time.monotonic()
         try:
-            fast_downward.optimal_plan(task.sas, search=search, limits=replace(limits, seconds=shortest))
+            plan = fast_downward.optimal_plan(task.sas, search=search, limits=replace(limits, seconds=shortest))
         except (LimitError, FastDownwardError):
             continue
         seconds = time.monotonic() - start
         if shortest is None or seconds < shortest:
-            best, shortest = search, seconds
+            best, shortest = Chosen(search, True, plan), seconds
+            if seconds <= QUICK:
+                break
     if best is None:
         raise LimitError("no search configuration solved the initial state within the limits")
     return best

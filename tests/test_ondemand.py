@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from conftest import DOMAINS, KITTING, table_of, write_instance
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load
 from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
+from planner.methods import _Stop
 from planner.ondemand import fastest_search
 
 HUGE = KITTING / "ladder-6x12.pddl"
@@ -177,7 +179,7 @@ def test_the_choice_of_the_method(tiny: Table) -> None:
 
 def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiny = load(KITTING / "tiny.pddl")
-    assert fastest_search(tiny, ["astar(no_such_heuristic())", ASTAR]) == ASTAR
+    assert fastest_search(tiny, ["astar(no_such_heuristic())", ASTAR]).search == ASTAR
     with pytest.raises(LimitError):
         fastest_search(tiny, ["astar(no_such_heuristic())"])
     empty = write_instance(
@@ -185,7 +187,7 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
         (KITTING / "domain.pddl").read_text(),
         (KITTING / "tiny.pddl").read_text().split("(:goal")[0] + "(:goal (and)))",
     )
-    assert fastest_search(load(empty)) == ASTAR_WITH_AXIOMS
+    assert fastest_search(load(empty)).search == ASTAR_WITH_AXIOMS
 
     takes, clock, allowed = {"slow": 3.0, "fast": 1.0, "between": 2.0}, [0.0], list[float | None]()
 
@@ -198,9 +200,45 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr("planner.ondemand.fast_downward.optimal_plan", optimal_plan)
     monkeypatch.setattr("planner.ondemand.time", SimpleNamespace(monotonic=lambda: clock[0]))
-    assert fastest_search(tiny, ["slow", "fast", "between"]) == "fast"
+    assert fastest_search(tiny, ["slow", "fast", "between"]).search == "fast"
     assert allowed == [None, 3.0, 1.0]  # nobody gets longer than the best so far
-    assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)) == "between"
+    assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)).search == "between"
+
+
+def test_the_plan_that_chose_the_search_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked, others = OnDemand(load(KITTING / "tiny.pddl")), list[object]()
+    monkeypatch.setattr("planner.ondemand.astar", lambda *args, **_: others.append(args))
+    table = table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl"))
+    assert asked.lookup([asked.initial])[0] == table[table.initial]
+    assert others == []
+
+
+def test_a_sweep_waits_for_its_turn_and_not_when_it_is_over() -> None:
+    stop = _Stop()
+    assert not stop.is_set()
+    start = time.monotonic()
+    stop.pause(0.2)
+    assert not stop.is_set()
+    assert time.monotonic() - start >= 0.2
+    stop.pause(3600)
+    threading.Timer(0.05, stop.set).start()
+    assert stop.is_set()
+
+
+def test_asking_ends_when_all_states_are_enumerated_and_most_are_not_answered(tmp_path: Path) -> None:
+    table = table_of(Instance(KITTING / "ladder-3x5.pddl", KITTING / "domain.pddl"))
+    some = np.random.default_rng(0).permutation(len(table))[:100]
+    cache, told = Cache(table.task, tmp_path), list[int]()
+
+    def wait(what: str, *_: object) -> None:
+        """Hold the sweep up once it has enumerated the states, until nothing is answered any more."""
+        while what == "cost-to-go" and (not told or told[-1] < len(cache.read())):
+            told.append(len(cache.read()))
+            time.sleep(0.3)
+
+    answers = cost_to_go(load(KITTING / "ladder-3x5.pddl"), table.values(some), cache=cache, progress=wait)
+    np.testing.assert_array_equal(answers.lookup(answers.numbers(table.values(some))), table.lookup(some))
+    assert isinstance(answers, Table)
 
 
 def test_values_that_no_variable_has_are_refused(tiny: Table) -> None:

@@ -341,7 +341,7 @@ def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
 def test_where_few_states_are_wanted_orbits_may_be_first(monkeypatch):
     at = instance(KITTING / "ladder-3x5.pddl")
     table = table_of(at)
-    monkeypatch.setattr(importlib.import_module("planner.methods"), "HEAD_START", 60)
+    monkeypatch.setattr(importlib.import_module("planner.methods"), "FIRST", 60)
     known = cost_to_go(load(at), table.values(np.arange(50)), max_states=len(table) - 1)
     assert not known.searches
     np.testing.assert_array_equal(known.lookup(known.numbers(table.values(np.arange(50)))), table.h[:50])
