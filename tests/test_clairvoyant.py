@@ -208,6 +208,14 @@ def test_the_search_finds_the_least(
     assert given_up
 
 
+def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: Clairvoyant) -> None:
+    """Each person's bound is at these prices, so that the team's is theirs and all that the prices come to."""
+    lattices = [person.lattice for person in short_sighted.people]
+    gamma = lattices[0].arrays.gamma
+    paid = sum(gamma**step * price for step, price in enumerate((0.3, 0.35, 0.3)))
+    assert short_sighted.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
+
+
 def test_sampled_lucks_on_the_command_line() -> None:
     result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",

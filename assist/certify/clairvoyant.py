@@ -138,7 +138,8 @@ class Clairvoyant:
         conflicts = {id(lattice): Conflicts(lattice, self.scale) for lattice in lattices}
         self.people = [conflicts[id(lattice)] for lattice in lattices]
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
-        self.value = float(self.scale.paid[0]) + sum(lattice.value for lattice in lattices)
+        # All prices are paid, those of the steps as well whose conflicts U does not count.
+        self.value = float(self.price @ self.discount) + sum(lattice.value for lattice in lattices)
         self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
 
     def path(self, rng: np.random.Generator) -> Path:
