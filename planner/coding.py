@@ -207,6 +207,8 @@ class Coding:
     def encode(self, values: ArrayLike) -> Ints:
         """Give the indices of states with values of shape (n, variables); -1 where they fit no index."""
         array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
+        if len(array) > CHUNK:
+            return np.concatenate([self.encode(array[at : at + CHUNK]) for at in range(0, len(array), CHUNK)])
         legal = np.all((array >= 0) & (array < self.sizes), axis=1)
         legal_values = np.where(legal[:, None], array, 0)
         index = np.zeros(len(array), dtype=np.int64)

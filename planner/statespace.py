@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from .successors import Ints, Packing, Successors, Transitions
 from .task import Fact, Task
 
+BLOCK = 1 << 13
+"""States whose values are looked at together: those of more would not stay in the processor's cache."""
+
 
 class Numbering(Protocol):
     """How states are numbered: what a `StateSpace` needs of any way to enumerate them."""
@@ -121,7 +124,8 @@ class StateSpace:
         """Give the choices of some states, shape (N,), as compressed rows, without building those of all."""
         packing = self._successors.packing
         offsets, actions, after = self._successors.choices(packing.pack(self.values(states)))
-        return Transitions(offsets, actions, self.numbers(packing.unpack(after)))
+        parts = [after[at : at + BLOCK] for at in range(0, len(after) or 1, BLOCK)]
+        return Transitions(offsets, actions, np.concatenate([self.numbers(packing.unpack(part)) for part in parts]))
 
     def facts(self, state: int) -> list[str]:
         """Describe a state: the PDDL atoms that hold in it, of those that can change."""

@@ -113,6 +113,24 @@ def test_memory_is_asked_for_beforehand() -> None:
         bounded(kit("tiny"), Setting(), somebody(), PRIOR, entry=ENTRY, size=2, memory_limit_mb=0.01)
 
 
+def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    table, who = kit("paper"), somebody()
+    found = [
+        bounded(table, Setting(), who, PRIOR, entry=ENTRY, size=10, around=True, memory_limit_mb=most).outer
+        for most in (math.inf, 3.0)
+    ]
+    large, small = found
+    assert large is not None
+    assert small is not None
+    assert 10 < len(small.value) < len(large.value) / 2
+    # Less is known on it, and no bound is lower.
+    initial = [
+        (one.value[one.visits.pomdp.model.choices.initial] * one.visits.pomdp.prior).sum() for one in (large, small)
+    ]
+    assert initial[0] < initial[1]
+
+
 def test_without_time_nobody_errs_beyond() -> None:
     """The bounds are those of people who never err, which hold in any case."""
     table, setting = kit("tiny"), Setting()

@@ -137,7 +137,8 @@ def kinds_of(
     for done, (model, entry, _) in enumerate(members):
         tell("setting people's problems up", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
-        problems.append(_alone(pool, model, entry, around, share, memory_limit_mb))
+        room = memory_limit_mb / len(members) if around else memory_limit_mb  # what is around them is kept
+        problems.append(_alone(pool, model, entry, around, share, room))
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
