@@ -87,6 +87,33 @@ def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) 
     assert (values[:, 1] - values[:, 0]).max() > 0.3  # coming costs
 
 
+def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is all of the task, values are those of the problem in which each state is there for every step."""
+    for name, value in (("HIDDEN", 3), ("TIMED", 3), ("ERROR", 1e-6), ("SWEEPS", 10_000)):
+        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+    table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
+    found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, around=True)
+    between, timed = found.between, found.timed
+    assert between is not None
+    assert timed is not None
+    price = np.array([0.0, 0.6, 0.3, 0.5])
+    values = between.priced(price)
+    whole = Visits.of(setting.problem(between.visits.alone.model.choices, human, PRIOR), ENTRY, 0, price)
+    exact, layout = qmdp(whole.pomdp).value_mdp, whole.layout
+    own = between.visits.layout.number(0, layout.position, layout.x)
+    np.testing.assert_allclose(values[layout.step, own], exact, atol=1e-4)
+    assert (values[-1] - values[0]).max() > 0.5
+
+    visits = between.beyond(Visits.of(timed, ENTRY, 0, price), values)
+    frontier, inner = visits.pomdp.frontier, visits.layout
+    assert frontier is not None
+    states = frontier.states
+    x = between.place[inner.x[states]]
+    np.testing.assert_array_equal(between.visits.alone.model.choices.keys[x], visits.pomdp.model.choices.keys[states])
+    expected = exact[layout.number(inner.step[states], inner.position[states], x)]
+    np.testing.assert_allclose(frontier.upper, expected, atol=1e-4)
+
+
 def test_what_is_expected_beyond_is_known() -> None:
     """A suggestion moves trust by what the person expects of the state it leads to, looked at or not."""
     setting, human = Setting(), somebody()

@@ -123,6 +123,30 @@ def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table) -> None:
         parts[1].relaxed()
 
 
+def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They make the bound tighter, no tighter than on the whole task at the same prices; and there are some."""
+    for name, value in (("HIDDEN", 4), ("TIMED", 4), ("ERROR", 1e-4), ("SWEEPS", 10_000)):
+        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+    setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1, 2)
+    pools = [Pool.sample(tiny, 3, seed=0, setting=setting, **part) for part in ({"states": 0}, {})]
+    price = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
+    values = []
+    for pool in pools:
+        kinds = kinds_of(pool, team, setting.travel(3), len(price), around=True)
+        assert all((kind.between is not None) == pool.wide for kind in kinds)
+        parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
+        values.append([solve(visits.pomdp, gap=1e-4, best=best).upper for visits, best in parts])
+        busy = sum(kind.simulated(price, len(price), 4000, 1)[0] for kind in kinds)
+        values.append(busy)
+    part, part_busy, whole, busy = values
+    assert (np.array(part) > np.array(whole) - 1e-3).all()
+    assert np.sum(part) < np.sum(whole) + 1.0
+    np.testing.assert_allclose(part_busy, busy, atol=0.06)  # the larger part is all of the task
+    with_prices, without = upper_bound(pools[0], seed=1), upper_bound(pools[0], window=0, seed=1)
+    assert len(with_prices.price)
+    assert with_prices.upper < without.upper - 0.1
+
+
 def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """People who leave the part on which beta and theta are hidden conflict as before, and the bound holds."""
     monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)

@@ -31,6 +31,8 @@ from typing import Any
 
 import numpy as np
 
+from planner import LimitError
+
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
 from ..team.arguments import Seed, entropy, positive, whole
@@ -57,6 +59,10 @@ FOR_PATHS = 0.5
 
 FOR_FREE = 0.3
 """The share of that in which people's problems are bounded without prices, before."""
+
+
+LONG = 20
+"""On parts of large tasks prices are looked for on no more steps, unless they are wanted."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +175,7 @@ def upper_bound(
     window : int, optional
         Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a large
         team, for as long as `MANY` people would still be at work without a robot, but at most `LONGEST` times that.
-        On tasks that are not looked at whole none are looked for, so that states need no step.
+        On tasks that are not looked at whole on `LONG` at most, and on fewer where the memory does not allow more.
     gap : float
         Relative gap to which each person's problem is solved.
     time_limit : float, optional
@@ -202,25 +208,32 @@ def upper_bound(
     paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
     luck, tell = entropy(seed), progress or (lambda *_: None)
-    if window is None:  # lucks are sampled for as many steps in any case
-        together = window_of(pool, members, luck) if paths or not pool.wide else 0
-        steps = 0 if pool.wide else together
-    else:
-        together = steps = whole("window", window)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
-    kinds = kinds_of(
-        pool, members, travel, steps, around=paths > 0, memory_limit_mb=memory_limit_mb,
-        until=start + FOR_REGIONS * for_people, tell=tell,
-    )  # fmt: skip
+
+    def kinds_with(steps: int, around: bool) -> list[Kind]:
+        return kinds_of(
+            pool, members, travel, steps, around=around, memory_limit_mb=memory_limit_mb,
+            until=start + FOR_REGIONS * for_people, tell=tell,
+        )  # fmt: skip
+
+    together = window_of(pool, members, luck) if window is None else whole("window", window)
+    if pool.wide:
+        most = 0 if len(members) == 1 else together if window is not None else min(together, LONG)
+        kinds, steps = _timed(kinds_with, most, window is not None, paths > 0)
+    else:
+        kinds, steps = kinds_with(together, False), together
     price = np.zeros(0)
     if len(members) > 1 and steps:
-        price = search(kinds, steps, seed=luck, deadline=start + FOR_PRICES * for_people, tell=tell)
+        for_prices = FOR_PRICES + (FOR_REGIONS if pool.wide else 0.0)  # regions come before
+        price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
+        if pool.wide and not len(price):
+            kinds = kinds_with(0, paths > 0)
     relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell)
     sampled = None
     if paths and len(members) > 1:
         begun = time.perf_counter()
         if len(price):  # without prices states need no step: problems are so much smaller that this may be ahead
-            free = kinds_of(pool, members, travel, 0, memory_limit_mb=memory_limit_mb, tell=tell)
+            free = kinds_with(0, paths > 0)
             until = begun + FOR_FREE * (start + limit - begun)
             relaxed = min(
                 relaxed, _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell), key=lambda one: one.upper
@@ -235,6 +248,25 @@ def upper_bound(
         pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
         relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,
     )  # fmt: skip
+
+
+def _timed(
+    kinds_with: Callable[[int, bool], list[Kind]], steps: int, wanted: bool, around: bool
+) -> tuple[list[Kind], int]:
+    """Give a team's kinds on parts of a large task, and on how many steps they have prices: as memory allows.
+
+    None if it is not known what prices do where a part breaks off, unless they are wanted in any case.
+    """
+    while steps:
+        try:
+            kinds = kinds_with(steps, True)
+        except LimitError:
+            steps //= 2
+            continue
+        if wanted or all(kind.between is not None for kind in kinds):
+            return kinds, steps
+        break
+    return kinds_with(0, around), 0
 
 
 @dataclass(frozen=True)

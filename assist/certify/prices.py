@@ -13,11 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import LimitError
 
 from ..people.decision import Floats
-from ..person.qmdp import QMDP, qmdp
+from ..person.qmdp import QMDP, ahead, qmdp
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
 from ..team.arguments import positive
@@ -47,6 +48,8 @@ MANY = 5
 LONGEST = 6
 """They end after at most so many times what the longest task takes at best."""
 
+Ints = NDArray[np.int64]
+
 Tell = Callable[[str, int, int], None]
 """Called with what is being done, how much of it has been, and of how much."""
 
@@ -65,6 +68,8 @@ class Kind:
     count : int
     outer : Outer or None
         What is known around the part on which that is, if it is not the whole task.
+    between : Outer or None
+        The same where there are prices: people are looked at on it while prices are looked for.
     """
 
     pool: Pool
@@ -72,6 +77,7 @@ class Kind:
     tail: QMDP
     count: int
     outer: Outer | None = None
+    between: Outer | None = None
 
     def best(self, visits: Visits) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
@@ -83,19 +89,34 @@ class Kind:
 
     def at(self, price: Floats) -> Visits:
         """Give the problem at prices of any steps."""
-        return Visits.of(self.visits.alone, self.visits.entry, self.visits.entry_steps, price)
+        visits = Visits.of(self.visits.alone, self.visits.entry, self.visits.entry_steps, price)
+        return visits if self.between is None else self.between.beyond(visits, self.between.priced(price))
+
+    def _acting(self, price: Floats) -> tuple[Visits, Callable[[int, Ints], QMDP]]:
+        """Give a problem at these prices, and QMDP's policy in some of its states at each step."""
+        if self.between is None:
+            visits = self.visits.priced(price)
+            best = self.best(visits)
+            return visits, lambda *_: best
+        visits, values = self.between.visits, self.between.priced(price)
+
+        def policy(step: int, states: Ints) -> QMDP:
+            own = float(price[step]) if step < len(price) else 0.0
+            return ahead(visits.at_price(own), values[min(step + 1, len(price))], np.unique(states))
+
+        return visits, policy
 
     def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
         """Simulate QMDP's policy in the problem at these prices for so many steps.
 
         Return the share of people who are attended to at each step that has a price, and each episode's return.
         """
-        visits = self.visits.priced(price)
-        policy = self.best(visits)
+        visits, policy = self._acting(price)
         number = np.zeros(len(price))
 
         def act(team: TeamState) -> TeamAction:
-            robot = policy.choose(*team.known_of(np.arange(len(team.x))))
+            x, belief = team.known_of(np.arange(len(team.x)))
+            robot = policy(team.step, x).choose(x, belief)
             if team.step < len(price):
                 # On its way the robot has no other choice than to go on.
                 number[team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
@@ -104,7 +125,7 @@ class Kind:
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
         # The way is part of the problem, so that none is left to the simulation.
         setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps)
-        pool = Pool(setting, (human,), (policy,), np.zeros(1, dtype=np.int64))
+        pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
         return number / episodes, run.discounted_return
 
@@ -123,8 +144,8 @@ def kinds_of(
     """Give a team's kinds, with prices of 0 on so many steps.
 
     Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
-    was no time for more; what is around the part that is looked at is given with `around`, if there are no prices and
-    the robot's way takes no time.
+    was no time for more; what is around the part that is looked at is given with `around`, if the robot's way takes no
+    time.
 
     Raises
     ------
@@ -139,6 +160,8 @@ def kinds_of(
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members) if around else memory_limit_mb  # what is around them is kept
         problems.append(_alone(pool, model, entry, around, share, room))
+    if window:
+        problems = [replace(one, problem=one.timed or one.problem, outer=None) for one in problems]
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
@@ -146,7 +169,8 @@ def kinds_of(
         tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
         visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(Kind(pool, visits, tail, count, None if entry_steps or window else one.outer))
+        outer, between = (None, None) if entry_steps else (one.outer, one.between if window else None)
+        kinds.append(Kind(pool, visits, tail, count, outer, between))
     return kinds
 
 

@@ -149,6 +149,7 @@ def load_compiled(pomdp: AssistPOMDP) -> None:
     value = np.zeros((0, 0, 0))
     _sweep(value, nothing, nothing, 0, arrays)
     _q_values(value[None], value, nothing, arrays)
+    _backward(value, value, nothing, 0, arrays)
 
 
 def highest(pomdp: AssistPOMDP) -> Floats:
@@ -205,6 +206,18 @@ def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = 
     _q_values(q, value, read_only(order), Arrays.of(pomdp))
     q = np.ascontiguousarray(q.transpose(0, 2, 1, 3))
     return QMDP(pomdp, value, q)
+
+
+def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
+    """Give the values one step earlier, shape (n, B, T), of those that there are from the next step on.
+
+    Those of final states stay as they are.
+    """
+    arrays, order, found = Arrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])):
+            pass
+    return found
 
 
 def evaluate(
@@ -440,6 +453,20 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
             residual = max(residual, abs(best - value[x, b, t]))
             value[x, b, t] = best
     return residual
+
+
+@numba.njit(cache=True, nogil=True)
+def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: Arrays) -> None:
+    """Fill in the best values of states, for one beta, given those of what follows."""
+    thetas = len(m.theta)
+    q = np.empty((m.suggested.shape[1], thetas))
+    expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    for x in order:
+        _row(q, expected, mean, other, value, x, b, EACH, m)
+        for t in range(thetas):
+            found[x, b, t] = q[0, t]
+            for r in range(1, m.robot_actions[x]):
+                found[x, b, t] = max(found[x, b, t], q[r, t])
 
 
 @numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})

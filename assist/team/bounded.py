@@ -40,8 +40,8 @@ from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.compliance import around, at_most, mistaken_about_states
-from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import highest, improve
+from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.qmdp import backward, highest, improve
 from ..person.region import Region
 from ..person.visited import Visited
 from .settings import Setting
@@ -60,6 +60,12 @@ SEEN = 20_000
 On the same tasks three times 5,000 brought .01 to a person's bound of -23 to -25; on one of 3.7 million states where
 the goal is twice as far 20,000 gave -42.0 where 5,000 gave -40.1, and 50,000 brought .04.
 """
+
+TIMED = 1_000
+"""States of the region on which they are hidden where each is there once for every step."""
+
+BETWEEN = 5_000
+"""States of that on which prices are looked for, which takes value iteration at each step in every round."""
 
 COMPLYING = 600_000
 """States of that on which people comply, about; only a table's are known without asking for each."""
@@ -109,6 +115,27 @@ class Outer:
         """How many bytes it takes, about."""
         return self.value.nbytes + sum(array.nbytes for array in _arrays(self.visits.pomdp))
 
+    def priced(self, price: Floats) -> Floats:
+        """Bound what a robot gets at each step, where attention has a price, shape (W + 1, m, B, T): backwards.
+
+        Prices are of the steps from 0 on; in the last row, and beyond, it is free.
+        """
+        found = np.empty((len(price) + 1, *self.value.shape))
+        found[-1] = self.value
+        for step in range(len(price) - 1, -1, -1):
+            before = backward(self.visits.at_price(float(price[step])), found[step + 1])
+            np.minimum(before, self.value, out=found[step])  # prices make nobody better off
+        return found
+
+    def beyond(self, visits: Visits, priced: Floats) -> Visits:
+        """Give the problem of visits of the inner region, with prices, with what follows where that breaks off."""
+        layout, frontier = visits.layout, visits.pomdp.frontier
+        assert frontier is not None
+        step, position = layout.step[frontier.states], layout.position[frontier.states]
+        own = self.visits.layout.number(0, position, self.place[layout.x[frontier.states]])
+        upper = np.minimum(frontier.upper, priced[np.minimum(step, len(priced) - 1), own])
+        return replace(visits, pomdp=replace(visits.pomdp, frontier=Frontier(frontier.states, upper, upper)))
+
 
 @dataclass(frozen=True)
 class Bounded:
@@ -120,10 +147,16 @@ class Bounded:
         With a robot that is always there, on the region where beta and theta are hidden.
     outer : Outer or None
         What is known around it, if that has been asked for and anything is.
+    timed : AssistPOMDP or None
+        The same on a smaller region: with prices each of its states is there once for every step.
+    between : Outer or None
+        What is known around that one, on a region smaller than `outer`'s: prices are looked for on it.
     """
 
     problem: AssistPOMDP
     outer: Outer | None = None
+    timed: AssistPOMDP | None = None
+    between: Outer | None = None
 
 
 def bounded(
@@ -169,29 +202,51 @@ def bounded(
     inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
     assert problem.frontier is not None
-    kept: Outer | None = None
-    here = np.repeat(highest(problem)[inner.frontier][:, None], 2, axis=1)  # nobody gets more, away or here
     left = (until - time.perf_counter()) * FOR_REGIONS
-    if seen > hidden and len(inner.frontier) and left > 0:
-        limit = None if left == math.inf else left
-        outer = Region.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
+    if not (seen > hidden and len(inner.frontier) and left > 0):
+        return Bounded(_within(inner, problem, None, setting, human, prior))
+    limit = None if left == math.inf else left
+    outer = Region.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
+    around_it = _seen(outer, setting, human, prior)
+    if (share := memory_limit_mb * 1e6 / _bytes(around_it)) < 1:  # half of it, as small ones have larger frontiers
+        few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
+        outer = Region.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
         around_it = _seen(outer, setting, human, prior)
-        if (share := memory_limit_mb * 1e6 / _bytes(around_it)) < 1:  # half of it, as small ones have larger frontiers
-            few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
-            outer = Region.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
-            around_it = _seen(outer, setting, human, prior)
-        comply = _complying(outer, setting, human, prior, until, memory_limit_mb)
-        visits, value = _values(around_it, comply, entry, until, memory_limit_mb)
-        place = outer.local(inner.states)
-        if around and (place >= 0).all():
-            kept = Outer(visits, value, place)
-        at = place[inner.frontier]
-        away, there = (value[visits.states(0, position)] for position in (AWAY, HERE))
+    comply = _complying(outer, setting, human, prior, until, memory_limit_mb)
+    visits, value = _values(around_it, comply, entry, until, memory_limit_mb)
+    found = Outer(visits, value, outer.local(inner.states))
+    problem = _within(inner, problem, found, setting, human, prior)
+    if not around or (found.place < 0).any():
+        return Bounded(problem)
+    small = Region.of(known, states=min(hidden, TIMED), **who)  # type: ignore[arg-type]
+    middle = Region.of(known, states=min(BETWEEN, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
+    place = outer.local(middle.states)
+    if (place < 0).any() or (middle.local(small.states) < 0).any():  # time was over before
+        return Bounded(problem, found)
+    timed, between = (
+        _within(one, _seen(one, setting, human, prior), replace(found, place=where), setting, human, prior)
+        for one, where in ((small, outer.local(small.states)), (middle, place))
+    )
+    own = Visits.of(between, entry)
+    values = np.ascontiguousarray(value[visits.layout.number(0, own.layout.position, place[own.layout.x])])
+    return Bounded(problem, found, timed, Outer(own, values, middle.local(small.states)))
+
+
+def _within(
+    region: Region, problem: AssistPOMDP, outer: Outer | None, setting: Setting, human: Human | None,
+    prior: Population | Mixture,
+) -> AssistPOMDP:  # fmt: skip
+    """Give a region's problem with what is known where it breaks off; `outer.place` is of the region's states."""
+    assert problem.frontier is not None
+    here = np.repeat(highest(problem)[region.frontier][:, None], 2, axis=1)  # nobody gets more, away or here
+    if outer is not None:
+        at = outer.place[region.frontier]
+        away, there = (outer.value[outer.visits.states(0, position)] for position in (AWAY, HERE))
         found = np.stack([np.minimum(away, there), there], axis=1)  # to be here is never worse, as leaving is free
         here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
     upper = np.ascontiguousarray(here[:, 1])
     frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
-    return Bounded(setting.problem(inner.choices, human, prior, frontier=frontier), kept)
+    return setting.problem(region.choices, human, prior, frontier=frontier)
 
 
 def _seen(region: Region, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:

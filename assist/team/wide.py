@@ -107,6 +107,8 @@ class WidePolicy:
         self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf
     ) -> Bounded:
         """Give the problem of which a bound is wanted, worked out once; arguments as in `team.bounded`."""
+        if (entry, True) in self.bounds:  # which has all there is
+            return self.bounds[entry, True]
         if (entry, around) not in self.bounds:
             ground = self.ground
             self.bounds[entry, around] = bounded(
