@@ -145,6 +145,8 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     with_prices, without = upper_bound(pools[0], seed=1), upper_bound(pools[0], window=0, seed=1)
     assert len(with_prices.price)
     assert with_prices.upper < without.upper - 0.1
+    monkeypatch.setattr("assist.certify.bound.ROOM", 1e9)
+    assert not len(upper_bound(pools[0], seed=1).price)
 
 
 def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:

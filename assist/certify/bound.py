@@ -40,6 +40,7 @@ from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
 from ..team.subproblem import Visits
 from ..team.travel import Travel
+from ..team.wide import WidePolicy
 from .certificate import Certificate, horizon, returns
 from .clairvoyant import Clairvoyant, Sampled
 from .lattice import Lattice
@@ -60,6 +61,9 @@ FOR_PATHS = 0.5
 FOR_FREE = 0.3
 """The share of that in which people's problems are bounded without prices, before."""
 
+
+ROOM = 500.0
+"""Megabytes for each person's problem with which they are looked for there: what is around their parts is kept, too."""
 
 LONG = 20
 """On parts of large tasks prices are looked for on no more steps, unless they are wanted."""
@@ -216,10 +220,14 @@ def upper_bound(
             until=start + FOR_REGIONS * for_people, tell=tell,
         )  # fmt: skip
 
-    together = window_of(pool, members, luck) if window is None else whole("window", window)
+    priced = window is not None or not pool.wide or _worth_prices(pool, members, memory_limit_mb)
+    if window is not None:
+        together = whole("window", window)
+    else:
+        together = window_of(pool, members, luck) if priced or paths else 0
     if pool.wide:
-        most = 0 if len(members) == 1 else together if window is not None else min(together, LONG)
-        kinds, steps = _timed(kinds_with, most, window is not None, paths > 0)
+        most = together if window is not None else min(together, LONG)
+        kinds, steps = _timed(kinds_with, most if priced and len(members) > 1 else 0, window is not None, paths > 0)
     else:
         kinds, steps = kinds_with(together, False), together
     price = np.zeros(0)
@@ -248,6 +256,13 @@ def upper_bound(
         pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
         relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,
     )  # fmt: skip
+
+
+def _worth_prices(pool: Pool, team: tuple[int, ...], memory_limit_mb: float) -> bool:
+    """Tell whether prices are looked for on parts of a large task: not if states take searches or memory is short."""
+    models = set(pool.model[list(team)].tolist())
+    searches = any(isinstance(pool.policies[m], WidePolicy) and pool.policies[m].ground.known.searches for m in models)
+    return not searches and memory_limit_mb / len(models) >= ROOM
 
 
 def _timed(

@@ -20,7 +20,9 @@ What is known about people soon hardly differs from all there is to know: what t
 is worth is within a few steps of the beginning, in the innermost part.
 
 Who leaves that part can be followed on the larger region, where people's conflicts go on (`Outer`); for a robot whose
-way takes time that is left out, since there it takes none.
+way takes time that is left out, since there it takes none. Where attention has a price at each step, states are there
+once for every step; so they are fewer, and what follows where they break off is known from step to step
+(`Outer.priced`) on a region that is larger than theirs and smaller than that of all who leave.
 """
 
 from __future__ import annotations
