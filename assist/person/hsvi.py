@@ -33,7 +33,8 @@ from ..people.decision import Floats
 from .qmdp import ROUNDING
 
 DEPTH = 500  # of a trial
-TARGET = 0.6  # a trial ends where the gap, discounted, is below this share of the gap at the root
+TARGET = 0.2  # a trial ends where the gap, discounted, is below this share of the gap at the root
+FINER = (0.98, 0.1)  # what a trial that improves nothing makes of `trials`' two measures of fineness
 FEW = 32  # vectors of a state that are all looked at, whether or not they are of use
 PIVOTS = 5
 CANDIDATES = 256  # the latest beliefs of a state that a bound may rest on
@@ -674,12 +675,14 @@ def _begin(d, belief, mass, q, path, m):
 
 
 @numba.njit(cache=True, nogil=True)
-def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
+def trials(x0, prior, enough, backups, fineness, rng, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
+
+    A trial goes on to a child with a chance in proportion to what that adds to the gap beyond the target. Where it
+    always went to the one that adds most, it would meet people who err, and go back and forth, again and again.
 
     `fineness` says what is too little to be of use: [0] of a bound's gain, as a share of the gap aimed at, and [1] of
     what a child adds to the gap at the root, as a share of that. A trial that improves nothing makes one of them finer.
-    Without [1] a trial would follow people who err for hundreds of steps, to where hardly anybody ever gets.
     """
     work, room = np.empty((3, len(prior))), new_room(len(prior))
     plan, done = new_plan(len(prior), m.targets.shape[1]), 0
@@ -699,7 +702,7 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
             place = m.afterstate[x, r]
             if m.goal[place] or depth + 1 == len(path.state):
                 break
-            most, chosen = 0.0, NONE
+            beyond, chosen = 0.0, NONE
             target /= m.gamma
             reach *= m.gamma
             for a in range(m.counts[place]):
@@ -710,8 +713,10 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 excess = apart - target * path.mass[depth, r, a]
                 if excess > 0.0 and reach * apart < fineness[1] * gap:
                     cut = True
-                elif excess > most:
-                    most, chosen = excess, a
+                elif excess > 0.0:
+                    beyond += excess
+                    if rng.random() * beyond < excess:  # so each is chosen with a chance of excess / beyond in the end
+                        chosen = a
             if chosen == NONE:
                 break
             chance = path.mass[depth, r, chosen]
@@ -739,7 +744,8 @@ def trials(x0, prior, enough, backups, fineness, path, plans, hull, q, m):
                 lowered = path.bound[d] - min(value, now)
             improved |= _raise(d, step, work, path, plan, plans, m)
         if not improved:
-            fineness[1 if cut else 0] *= 0.1
+            finer = 1 if cut else 0
+            fineness[finer] *= FINER[finer]
         done += depth + 1
     return done
 

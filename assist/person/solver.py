@@ -10,11 +10,12 @@ over beliefs of B * T numbers.
 - Above, each state has a hull: the values of the problem with beta and theta seen (`qmdp.qmdp`), lowered at single
   beliefs by backups.
 
-A trial walks from the initial state and the prior through the most promising robot action to the child that
-contributes most to the gap, until the gap there is small or hardly anybody gets there, and backs both bounds up on the
-way home. What is off the way of later trials would stay as it was first found: so after as many backups as there are
-beliefs above, all of these and all vectors below are backed up again, in the order in which the task ends (as
-point-based value iteration does: Pineau, Gordon and Thrun, 2003).
+A trial walks from the initial state and the prior through the most promising robot action to a child, drawn by what
+each contributes to the gap (as in bounded real-time dynamic programming: McMahan, Likhachev and Gordon, 2005), until
+the gap there is small or hardly anybody gets there, and backs both bounds up on the way home. What is off the way of
+later trials would stay as it was first found: so after as many backups as there are beliefs above, all of these and all
+vectors below are backed up again, in the order in which the task ends (as point-based value iteration does: Pineau,
+Gordon and Thrun, 2003).
 
 Both bounds hold in floating point too: whatever is stored is moved outwards by `qmdp.ROUNDING`. They are bounds of
 the problem on its grid of beta and theta, and to someone who acts in steps as `AssistPOMDP` has them.
@@ -43,6 +44,7 @@ from .qmdp import QMDP, ROUNDING, Arrays, evaluate, load_compiled, qmdp, read_on
 BACKUPS = 1000  # between two looks at the clock
 MEMORY_LIMIT_MB = 4000.0  # unless another is given
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
+SEED = 0  # of what trials draw: with as many backups all comes out the same
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 
 
@@ -288,6 +290,7 @@ class _Search:
         self.renewed = len(self.order)  # how far in this order the present renewal has come
         self.tried = 0  # backups of trials since it began
         self.fineness = np.array([0.001, 0.01])  # as `hsvi.trials` has it; refined where nothing more is found
+        self.rng = np.random.default_rng(SEED)
 
     def begin(self, robot: NDArray[np.int64], max_sweeps: int = 100_000) -> float:
         """Add the vectors of a policy that looks only at x; return its value at the root."""
@@ -354,8 +357,9 @@ class _Search:
     def trials(self, x: int, belief: Floats, target: float) -> int:
         """Improve the bounds by some trials."""
         return hsvi.trials(
-            x, _own(belief), target, BACKUPS, self.fineness, self.path, self.plans, self.hull, self.q, self.arrays
-        )
+            x, _own(belief), target, BACKUPS, self.fineness, self.rng, self.path, self.plans, self.hull, self.q,
+            self.arrays,
+        )  # fmt: skip
 
     def solution(self, **facts: object) -> Solution:
         """Collect the result, sorted by state."""
