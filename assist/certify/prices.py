@@ -158,8 +158,9 @@ def kinds_of(
     for done, (model, entry, _) in enumerate(members):
         tell("setting people's problems up", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
-        room = memory_limit_mb / len(members) if around else memory_limit_mb  # what is around them is kept
-        problems.append(_alone(pool, model, entry, around, share, room))
+        room = memory_limit_mb / len(members)
+        # What is around them is kept as well, if it is wanted.
+        problems.append(_alone(pool, model, entry, around, share, room if around else memory_limit_mb, room))
     if window:
         problems = [replace(one, problem=one.timed or one.problem, outer=None) for one in problems]
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
@@ -175,7 +176,7 @@ def kinds_of(
 
 
 def _alone(
-    pool: Pool, model: int, entry: float, around: bool, until: float, memory_limit_mb: float
+    pool: Pool, model: int, entry: float, around: bool, until: float, memory_limit_mb: float, kept_mb: float
 ) -> Bounded:  # fmt: skip
     """Give the problem of a model with a robot that is always there: on a region, if the task is not looked at whole.
 
@@ -183,7 +184,7 @@ def _alone(
     """
     policy = pool.policies[model]
     if isinstance(policy, WidePolicy):
-        return policy.bounded(entry, around=around, until=until, memory_limit_mb=memory_limit_mb)
+        return policy.bounded(entry, around=around, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb)
     return Bounded(policy.pomdp)
 
 

@@ -49,12 +49,21 @@ from ..person.visited import Visited
 from .settings import Setting
 from .subproblem import AWAY, HERE, Visits
 
-HIDDEN = 3_000
-"""States of the region on which beta and theta are hidden.
+HIDDEN = 10_000
+"""States of the region on which beta and theta are hidden, if there are time and memory for so many.
 
-On tasks of 654,610 and of 7.2 million states 3,000 gave bounds of people lower by .07 to .1 than 1,000 did, in the same
-time; 8,000 to 10,000 brought no more in 20 seconds, and .05 in a minute.
+On tasks of 7.2 and of 3.7 million states 10,000 gave bounds of a person lower by .16 and .1 than 3,000 did (-25.41 and
+-42.18), in two minutes; 20,000 brought .01 in three.
 """
+
+FEW = 3_000
+"""So many in any case, and where it may take a search to look one up."""
+
+PER_SECOND = 400
+"""More than these for each second that there is for what is around them: the solver has more to do with them."""
+
+FOR_HIDDEN = 0.3
+"""The share of a person's memory that their problem may take for more than these."""
 
 SEEN = 20_000
 """States of that on which they are seen, if the memory does; none where it may take a search to look one up.
@@ -172,6 +181,7 @@ def bounded(
     around: bool = False,
     until: float = math.inf,
     memory_limit_mb: float = math.inf,
+    kept_mb: float = math.inf,
 ) -> Bounded:
     """Set up a person's problem with a robot that is always there, on a region with bounds of the whole task beyond.
 
@@ -193,6 +203,8 @@ def bounded(
         A time on `time.perf_counter()`'s clock: states that are met later are not looked at, and no sweep begins then.
     memory_limit_mb : float
         What it may take while it is worked out.
+    kept_mb : float
+        What it may take then.
 
     Raises
     ------
@@ -200,9 +212,14 @@ def bounded(
         It would take more memory than is allowed.
     """
     who = {"population": prior, "human": human}
-    hidden, seen = min(size, HIDDEN), 0 if known.searches else SEEN
+    hidden, seen = min(size, HIDDEN, FEW), 0 if known.searches else SEEN
     inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
+    more = int(min(size, HIDDEN, _affordable(problem, hidden, until, kept_mb)))
+    if more > hidden and len(inner.frontier) and not known.searches:
+        hidden = more
+        inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
+        problem = _seen(inner, setting, human, prior)
     assert problem.frontier is not None
     left = (until - time.perf_counter()) * FOR_REGIONS
     if not (seen > hidden and len(inner.frontier) and left > 0):
@@ -232,6 +249,14 @@ def bounded(
     own = Visits.of(between, entry)
     values = np.ascontiguousarray(value[visits.layout.number(0, own.layout.position, place[own.layout.x])])
     return Bounded(problem, found, timed, Outer(own, values, middle.local(small.states)))
+
+
+def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float) -> float:
+    """Give on how many states beta and theta can be hidden, with as much memory for each as a problem takes on some."""
+    states, robots = problem.suggested.shape
+    values = 8 * states * problem.prior.size * (robots + 2)  # of each robot action, one more than these, and the best
+    needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # away, and here
+    return min(PER_SECOND * (until - time.perf_counter()), FOR_HIDDEN * kept_mb * 1e6 / needed * hidden)
 
 
 def _within(

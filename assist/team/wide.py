@@ -104,8 +104,9 @@ class WidePolicy:
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
     def bounded(
-        self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf
-    ) -> Bounded:
+        self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
+        kept_mb: float = math.inf,
+    ) -> Bounded:  # fmt: skip
         """Give the problem of which a bound is wanted, worked out once; arguments as in `team.bounded`."""
         if (entry, True) in self.bounds:  # which has all there is
             return self.bounds[entry, True]
@@ -113,7 +114,7 @@ class WidePolicy:
             ground = self.ground
             self.bounds[entry, around] = bounded(
                 ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size, around=around,
-                until=until, memory_limit_mb=memory_limit_mb,
+                until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb,
             )  # fmt: skip
         return self.bounds[entry, around]
 
