@@ -33,6 +33,9 @@ from .task import Fact, Task
 CHUNK = 1 << 11
 """Most entries in one of the tables that decode an index: all of them together should fit the cache."""
 
+ENCODED = 1 << 11
+"""States whose indices are worked out at a time, so that what that takes fits the cache, too."""
+
 MANY = 1 << 33
 """Indices beyond which the dense coding is looked for: a bitmap of them takes a GB."""
 
@@ -207,8 +210,8 @@ class Coding:
     def encode(self, values: ArrayLike) -> Ints:
         """Give the indices of states with values of shape (n, variables); -1 where they fit no index."""
         array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
-        if len(array) > CHUNK:
-            return np.concatenate([self.encode(array[at : at + CHUNK]) for at in range(0, len(array), CHUNK)])
+        if len(array) > ENCODED:
+            return np.concatenate([self.encode(array[at : at + ENCODED]) for at in range(0, len(array), ENCODED)])
         legal = np.all((array >= 0) & (array < self.sizes), axis=1)
         legal_values = np.where(legal[:, None], array, 0)
         index = np.zeros(len(array), dtype=np.int64)

@@ -20,7 +20,7 @@ import sqlite3
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -291,7 +291,8 @@ class OnDemand:
             chosen = fastest_search(self._priced, limits=self._limits)
             self._search = chosen.search
             if chosen.solved:
-                self._remember(self._labels(self._rows([self.initial]), chosen.plan))
+                with suppress(LimitError):  # of a plan too long to be told: a state nearer to the goal may be asked for
+                    self._remember(self._labels(self._rows([self.initial]), chosen.plan))
 
         def search(key: bytes) -> dict[bytes, float]:
             if key in self._known:  # a plan that was found meanwhile leads through it

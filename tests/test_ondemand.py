@@ -213,6 +213,39 @@ def test_the_plan_that_chose_the_search_is_kept(monkeypatch: pytest.MonkeyPatch)
     assert others == []
 
 
+CORRIDOR = """
+(define (domain corridor)
+  (:requirements :strips :typing :action-costs)
+  (:types place)
+  (:constants f - place)
+  (:predicates (at ?a - place) (next ?a ?b - place) (rung))
+  (:functions (total-cost) - number)
+  (:action walk :parameters (?a ?b - place) :precondition (and (at ?a) (next ?a ?b))
+    :effect (and (not (at ?a)) (at ?b) (increase (total-cost) 0)))
+  (:action ring :parameters () :precondition (at f) :effect (and (rung) (increase (total-cost) 2))))
+"""
+CORRIDOR_PROBLEM = """
+(define (problem p) (:domain corridor)
+  (:objects a b c d e - place)
+  (:init (at a) (next a b) (next b c) (next c d) (next d e) (next e f) (= (total-cost) 0))
+  (:goal (rung))
+  (:metric minimize (total-cost)))
+"""
+
+
+def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_refuse_other_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("planner.ondemand.UNIT", 4)
+    asked = OnDemand(load(write_instance(tmp_path, CORRIDOR, CORRIDOR_PROBLEM)))
+    state = np.array([asked.initial])
+    for _ in range(4):
+        state = asked.choices(state).targets
+    assert asked.lookup(state).tolist() == [2.0]
+    with pytest.raises(LimitError, match="a plan of 6 actions and cost 2: where actions cost nothing, at most 3"):
+        asked.lookup([asked.initial])
+
+
 def test_a_sweep_waits_for_its_turn_and_not_when_it_is_over() -> None:
     stop = _Stop()
     assert not stop.is_set()
