@@ -52,7 +52,10 @@ FOR_BOUND = 0.8
 FOR_PRICES = 0.4
 """The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
 
-FOR_REGIONS = 0.4
+FOR_PRICES_THERE = 0.25
+"""The same on parts of large tasks, where the solver has most to do; what is around these parts comes before."""
+
+FOR_REGIONS = 0.3
 """The share of the time for a bound in which it is worked out what follows where parts of large tasks break off."""
 
 FOR_PATHS = 0.5
@@ -232,7 +235,7 @@ def upper_bound(
         kinds, steps = kinds_with(together, False), together
     price = np.zeros(0)
     if len(members) > 1 and steps:
-        for_prices = FOR_PRICES + (FOR_REGIONS if pool.wide else 0.0)  # regions come before
+        for_prices = FOR_REGIONS + FOR_PRICES_THERE if pool.wide else FOR_PRICES
         price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
         if pool.wide and not len(price):
             kinds = kinds_with(0, paths > 0)
