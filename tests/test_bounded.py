@@ -158,6 +158,19 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
     assert initial[0] < initial[1]
 
 
+def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("HIDDEN", 40), ("FEW", 5), ("TIMED", 30), ("TIMED_FEW", 4)):
+        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+    looked_at = []
+    for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
+        found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, around=True, **limits)
+        looked_at.append([0 if one is None else int((~one.final).sum()) for one in (found.problem, found.timed)])
+    everything, short, some, late = looked_at
+    assert everything == [40, 30]
+    assert short[0] == late[0] == 5
+    assert 5 < some[0] < 40
+
+
 def test_without_time_nobody_errs_beyond() -> None:
     """The bounds are those of people who never err, which hold in any case."""
     table, setting = kit("tiny"), Setting()
