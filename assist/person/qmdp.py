@@ -197,14 +197,15 @@ def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = 
     pomdp : AssistPOMDP
     value : float array, shape (n, B, T)
     states : int array, optional
-        Where it will be asked; everywhere unless given. Final states are left aside.
+        Where it will be asked; everywhere unless given.
     """
     order = sweep_order(pomdp) if states is None else states[~pomdp.final[states]]
-    betas, thetas = pomdp.grid.shape
-    q = np.full((len(value), betas, pomdp.suggested.shape[1], thetas), -np.inf)
-    q[pomdp.final, :, 0] = value[pomdp.final]
+    ends = np.flatnonzero(pomdp.final) if states is None else states[pomdp.final[states]]
+    # Rows that are not asked about are never written to, and so take neither time nor memory.
+    q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
+    q[ends] = -np.inf
+    q[ends, 0] = value[ends]
     _q_values(q, value, read_only(order), Arrays.of(pomdp))
-    q = np.ascontiguousarray(q.transpose(0, 2, 1, 3))
     return QMDP(pomdp, value, q)
 
 
@@ -484,9 +485,12 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
 
 @numba.njit(cache=True)
 def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: Arrays) -> None:
-    """Fill `q`, shape (n, B, R, T), with the return of every robot action."""
-    thetas = len(m.theta)
-    expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    """Fill `q`, shape (n, R, B, T), with the return of every robot action; minus infinity in padding."""
+    robots, thetas = q.shape[1], len(m.theta)
+    row, expected, mean, other = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
         for b in range(value.shape[1]):
-            _row(q[x, b], expected, mean, other, value, x, b, EACH, m)
+            _row(row, expected, mean, other, value, x, b, EACH, m)
+            for r in range(robots):
+                for t in range(thetas):
+                    q[x, r, b, t] = row[r, t] if r < m.robot_actions[x] else -np.inf
