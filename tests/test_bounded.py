@@ -14,7 +14,7 @@ from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
 from assist.person import AssistPOMDP, qmdp
 from assist.person.region import never_erring
-from assist.team.bounded import bounded
+from assist.team.bounded import bounded, likely
 from assist.team.settings import Setting
 from assist.team.subproblem import AWAY, HERE, Visits
 from planner import Instance, LimitError, Table
@@ -87,31 +87,72 @@ def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) 
     assert (values[:, 1] - values[:, 0]).max() > 0.3  # coming costs
 
 
-def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it is all of the task, values are those of the problem in which each state is there for every step."""
-    for name, value in (("HIDDEN", 3), ("TIMED", 3), ("ERROR", 1e-6), ("SWEEPS", 10_000)):
+@pytest.mark.parametrize("steps", [0, 2])
+def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
+    """Where it is all of the task, values are those of the problem in which each state is there for every step.
+
+    For a robot whose way takes time they are no less.
+    """
+    for name, value in (("HIDDEN", 3), ("ERROR", 1e-6), ("SWEEPS", 10_000)):
         monkeypatch.setattr(f"assist.team.bounded.{name}", value)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
     found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, around=True)
-    between, timed = found.between, found.timed
-    assert between is not None
-    assert timed is not None
+    assert found.outer is not None
+    assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
-    values = between.priced(price)
-    whole = Visits.of(setting.problem(between.visits.alone.model.choices, human, PRIOR), ENTRY, 0, price)
+    everything = setting.problem(found.outer.visits.alone.model.choices, human, PRIOR)
+    whole = Visits.of(everything, ENTRY, steps, price)
     exact, layout = qmdp(whole.pomdp).value_mdp, whole.layout
-    own = between.visits.layout.number(0, layout.position, layout.x)
-    np.testing.assert_allclose(values[layout.step, own], exact, atol=1e-4)
-    assert (values[-1] - values[0]).max() > 0.5
+    for around in (found.outer, found.between) if not steps else ():
+        values = dict(around.priced(price))
+        own = around.visits.layout.number(0, layout.position, layout.x)
+        priced = np.array([values[step][state] for step, state in zip(layout.step.tolist(), own.tolist(), strict=True)])
+        np.testing.assert_allclose(priced, exact, atol=1e-4)
+        assert (values[len(price)] - values[0]).max() > 0.5
 
-    visits = between.beyond(Visits.of(timed, ENTRY, 0, price), values)
+    kept = likely(found.problem, len(price), 6)
+    visits = found.outer.beyond(Visits.of(found.problem, ENTRY, steps, price, kept=kept))
     frontier, inner = visits.pomdp.frontier, visits.layout
     assert frontier is not None
     states = frontier.states
-    x = between.place[inner.x[states]]
-    np.testing.assert_array_equal(between.visits.alone.model.choices.keys[x], visits.pomdp.model.choices.keys[states])
+    assert 0 < found.problem.final[inner.x[states]].sum() < len(states)  # some are only left out at their step
+    x = found.outer.place[inner.x[states]]
+    np.testing.assert_array_equal(
+        found.outer.visits.alone.model.choices.keys[x], visits.pomdp.model.choices.keys[states]
+    )
     expected = exact[layout.number(inner.step[states], inner.position[states], x)]
-    np.testing.assert_allclose(frontier.upper, expected, atol=1e-4)
+    if steps:
+        assert (frontier.upper > expected - 1e-4).all()
+    else:
+        np.testing.assert_allclose(frontier.upper, expected, atol=1e-4)
+
+
+def test_the_likeliest_states_at_each_step_are_kept() -> None:
+    """Counted by hand: of what people do by themselves, and advised, at each step and later."""
+    setting, human = Setting(), somebody()
+    problem, _, _ = part_and_whole("tiny", 8, setting, human)
+    choices, betas = problem.model.choices, range(len(problem.grid.beta))
+    visits: dict[tuple[int, int], float] = dict.fromkeys(np.ndindex(4, len(choices)), 0.0)
+    for b in betas:
+        there = {choices.initial: float(problem.prior[b].sum())}
+        for step in range(9):
+            after: dict[int, float] = {}
+            for x, chance in there.items():
+                visits[min(step, 3), x] += chance
+                if problem.final[x]:
+                    continue
+                best = choices.optimal[x].sum()
+                for slot in np.flatnonzero(choices.applicable[x]):
+                    p = 0.7 * problem.chosen[x, slot, b] + 0.3 * choices.optimal[x, slot] / best
+                    y = int(choices.targets[x, slot])
+                    after[y] = after.get(y, 0.0) + chance * p
+            there = after
+    chances = np.array([0.0 if problem.final[x] else chance for (_, x), chance in visits.items()])
+    kept = likely(problem, 3, 9).ravel()
+    assert kept.sum() == 9
+    assert chances[kept].min() >= chances[~kept].max() - 1e-12
+    assert kept[choices.initial]
+    assert likely(problem, 3, 10**6).sum() == (chances > 0).sum()
 
 
 def test_what_is_expected_beyond_is_known() -> None:
@@ -159,14 +200,14 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
 
 
 def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("HIDDEN", 40), ("FEW", 5), ("TIMED", 30), ("TIMED_FEW", 4)):
+    for name, value in (("HIDDEN", 40), ("FEW", 5), ("PAIRS", 300), ("PAIRS_FEW", 50)):
         monkeypatch.setattr(f"assist.team.bounded.{name}", value)
     looked_at = []
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
         found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, around=True, **limits)
-        looked_at.append([0 if one is None else int((~one.final).sum()) for one in (found.problem, found.timed)])
+        looked_at.append([int((~found.problem.final).sum()), found.pairs])
     everything, short, some, late = looked_at
-    assert everything == [40, 30]
+    assert everything == [40, 300]
     assert short[0] == late[0] == 5
     assert 5 < some[0] < 40
 

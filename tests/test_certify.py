@@ -160,7 +160,7 @@ def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
     to."""
     (kind,) = kinds_of(strangers, (0, 1, 2), SETTING.travel(3), 3)
     layout, found = kind.visits.layout, kind.best(kind.visits)
-    always = kind.tail.value_mdp[layout.position * layout.states + layout.x]
+    always = kind.tail[layout.position * layout.states + layout.x]
     np.testing.assert_allclose(found.value_mdp, always, atol=1e-3)
     assert np.ptp(always) > 1
     shares, values = kind.simulated(np.full(3, 1e6), 4, 50, 0)

@@ -317,7 +317,9 @@ class _Relaxed:
 
     def lattices(self) -> list[Lattice]:
         """Give each person's; people of a kind share one."""
-        lattices = [Lattice(*part, kind.outer) for kind, part in zip(self.kinds, self.parts, strict=True)]
+        # For a robot whose way takes time, what is around a part is of one whose way takes none.
+        around = [kind.outer if not len(self.price) and not kind.visits.entry_steps else None for kind in self.kinds]
+        lattices = [Lattice(*part, outer) for part, outer in zip(self.parts, around, strict=True)]
         return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
 
 

@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from planner import LimitError
 
 from ..people.decision import Floats
-from ..person.qmdp import QMDP, ahead, qmdp
+from ..person.qmdp import QMDP, ahead, highest, improve, qmdp
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
 from ..team.arguments import positive
 from ..team.attention import NoAssistance
-from ..team.bounded import Bounded, Outer
+from ..team.bounded import Bounded, Outer, likely
 from ..team.pool import Pool, policy_bytes
 from ..team.state import TeamAction, TeamState
 from ..team.subproblem import HERE, Layout, Visits
@@ -62,35 +62,41 @@ class Kind:
     ----------
     pool : Pool
     visits : Visits
-        Their problem, at prices of 0.
-    tail : QMDP
-        What it is worth from the step on from which attention is free.
+        Their problem, at prices of 0; without prices where it is on a part of a task.
+    tail : float array, shape (P * n, B, T)
+        What it is worth from the step on from which attention is free, by position and state.
     count : int
     outer : Outer or None
         What is known around the part on which that is, if it is not the whole task.
     between : Outer or None
-        The same where there are prices: people are looked at on it while prices are looked for.
+        The same on a smaller region: people are looked at on it while prices are looked for.
+    pairs : int
+        On how many states, each with one step, people are looked at where there are prices and something is known
+        around these.
     """
 
     pool: Pool
     visits: Visits
-    tail: QMDP
+    tail: Floats
     count: int
     outer: Outer | None = None
     between: Outer | None = None
+    pairs: int = 0
 
     def best(self, visits: Visits) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
         layout = visits.layout
         above = np.zeros((len(layout), *visits.pomdp.grid.shape))
         last = layout.step == len(visits.price)
-        above[last] = self.tail.value_mdp[layout.position[last] * layout.states + layout.x[last]]
+        above[last] = self.tail[layout.position[last] * layout.states + layout.x[last]]
         return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
     def at(self, price: Floats) -> Visits:
         """Give the problem at prices of any steps."""
-        visits = Visits.of(self.visits.alone, self.visits.entry, self.visits.entry_steps, price)
-        return visits if self.between is None else self.between.beyond(visits, self.between.priced(price))
+        alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
+        if self.outer is None or not len(price):
+            return Visits.of(alone, entry, steps, price)
+        return self.outer.beyond(Visits.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs)))
 
     def _acting(self, price: Floats) -> tuple[Visits, Callable[[int, Ints], QMDP]]:
         """Give a problem at these prices, and QMDP's policy in some of its states at each step."""
@@ -98,7 +104,7 @@ class Kind:
             visits = self.visits.priced(price)
             best = self.best(visits)
             return visits, lambda *_: best
-        visits, values = self.between.visits, self.between.priced(price)
+        visits, values = self.between.visits, dict(self.between.priced(price))
 
         def policy(step: int, states: Ints) -> QMDP:
             own = float(price[step]) if step < len(price) else 0.0
@@ -161,17 +167,15 @@ def kinds_of(
         room = memory_limit_mb / len(members)
         # What is around them is kept as well, if it is wanted.
         problems.append(_alone(pool, model, entry, around, share, room if around else memory_limit_mb, room))
-    if window:
-        problems = [replace(one, problem=one.timed or one.problem, outer=None) for one in problems]
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
-        alone = one.problem
-        tail = qmdp(Visits.of(alone, entry, entry_steps).pomdp, tolerance=1e-5)
-        visits = Visits.of(alone, entry, entry_steps, np.zeros(window))
+        free = Visits.of(one.problem, entry, entry_steps)
+        tail = highest(free.pomdp)
+        improve(free.pomdp, tail, tolerance=1e-5)
+        visits = free if one.outer is not None else Visits.of(one.problem, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        outer, between = (None, None) if entry_steps else (one.outer, one.between if window else None)
-        kinds.append(Kind(pool, visits, tail, count, outer, between))
+        kinds.append(Kind(pool, visits, tail, count, one.outer, one.between, one.pairs))
     return kinds
 
 
@@ -193,7 +197,8 @@ def _allow(problems: list[Bounded], entry_steps: list[int], window: int, limit_m
     needed, states = 0.0, 0
     for one, steps in zip(problems, entry_steps, strict=True):
         alone = one.problem
-        states = len(Layout.of(alone, 2 + steps, window))
+        timed = window and one.outer is None
+        states = len(Layout.of(alone, 2 + steps, window if timed else 0))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
     needed *= 1 + 1 / len(problems)  # one is solved anew in every round

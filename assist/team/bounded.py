@@ -21,14 +21,15 @@ is worth is within a few steps of the beginning, in the innermost part.
 
 Who leaves that part can be followed on the larger region, where people's conflicts go on (`Outer`); for a robot whose
 way takes time that is left out, since there it takes none. Where attention has a price at each step, states are there
-once for every step; so they are fewer, and what follows where they break off is known from step to step
-(`Outer.priced`) on a region that is larger than theirs and smaller than that of all who leave.
+once for every step; so only those are looked at that are met most likely at each (`likely`), and what follows where
+they break off is known from step to step (`Outer.beyond`).
 """
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,6 +46,7 @@ from ..person.compliance import around, at_most, mistaken_about_states
 from ..person.pomdp import AssistPOMDP, Frontier
 from ..person.qmdp import backward, highest, improve
 from ..person.region import Region
+from ..person.solver import first_bounds_bytes
 from ..person.visited import Visited
 from .settings import Setting
 from .subproblem import AWAY, HERE, Visits
@@ -72,18 +74,27 @@ On the same tasks three times 5,000 brought .01 to a person's bound of -23 to -2
 the goal is twice as far 20,000 gave -42.0 where 5,000 gave -40.1, and 50,000 brought .04.
 """
 
-TIMED = 4_000
-"""States of the region on which they are hidden where each is there once for every step, if there is time for so many.
-
-For a person on a task of 7.2 million states, with prices on 18 steps, 300 gave -25.93 in 25 seconds, 1,000 -25.97 in 40
-and 2,000 -26.12 in 150; on one of 3.7 million states, with 20 steps, 4,000 gave .14 less than 1,000 in two minutes.
+PAIRS = 20_000
+"""States, each with one step, on which they are hidden where each is there once for every step, if time and memory do.
 """
 
-TIMED_FEW = 300
+PAIRS_FEW = 3_000
 """So many of these in any case."""
 
-TIMED_PER_SECOND = 40
+PAIRS_PER_SECOND = 200
 """More than these for each second that there is for what is around them."""
+
+FOR_PAIRS = 0.5
+"""The share of a person's memory that their problem may take for more than these."""
+
+NEXT_TO = 3.3
+"""How many states there are to be stored for each of them, with those where they break off, roughly."""
+
+ADVISED = 0.3
+"""The share of people who are advised, in each step, of those by whose chances states are chosen."""
+
+LATER = 3
+"""States are chosen by what is met within so many times the steps that are told apart."""
 
 BETWEEN = 5_000
 """States of that on which prices are looked for, which takes value iteration at each step in every round."""
@@ -136,26 +147,32 @@ class Outer:
         """How many bytes it takes, about."""
         return self.value.nbytes + sum(array.nbytes for array in _arrays(self.visits.pomdp))
 
-    def priced(self, price: Floats) -> Floats:
-        """Bound what a robot gets at each step, where attention has a price, shape (W + 1, m, B, T): backwards.
+    def priced(self, price: Floats) -> Iterator[tuple[int, Floats]]:
+        """Bound what a robot gets at each step, where attention has a price, shape (m, B, T): backwards, with the step.
 
-        Prices are of the steps from 0 on; in the last row, and beyond, it is free.
+        Prices are of the steps from 0 on; after the last, which comes first, it is free.
         """
-        found = np.empty((len(price) + 1, *self.value.shape))
-        found[-1] = self.value
+        found = self.value
+        yield len(price), found
         for step in range(len(price) - 1, -1, -1):
-            before = backward(self.visits.at_price(float(price[step])), found[step + 1])
-            np.minimum(before, self.value, out=found[step])  # prices make nobody better off
-        return found
+            found = backward(self.visits.at_price(float(price[step])), found)
+            np.minimum(found, self.value, out=found)  # prices make nobody better off
+            yield step, found
 
-    def beyond(self, visits: Visits, priced: Floats) -> Visits:
-        """Give the problem of visits of the inner region, with prices, with what follows where that breaks off."""
+    def beyond(self, visits: Visits) -> Visits:
+        """Give the problem of visits of the inner region, with prices, with what follows where that breaks off.
+
+        A robot on its way gets no more than one that is there, and is paid for as well.
+        """
         layout, frontier = visits.layout, visits.pomdp.frontier
         assert frontier is not None
-        step, position = layout.step[frontier.states], layout.position[frontier.states]
-        own = self.visits.layout.number(0, position, self.place[layout.x[frontier.states]])
-        upper = np.minimum(frontier.upper, priced[np.minimum(step, len(priced) - 1), own])
-        return replace(visits, pomdp=replace(visits.pomdp, frontier=Frontier(frontier.states, upper, upper)))
+        states, upper = frontier.states, frontier.upper.copy()
+        position = np.minimum(layout.position[states], HERE)
+        own = self.visits.layout.number(0, position, self.place[layout.x[states]])
+        for step, most in self.priced(visits.price):
+            at = np.flatnonzero(layout.step[states] == step)
+            upper[at] = np.minimum(upper[at], most[own[at]])
+        return replace(visits, pomdp=replace(visits.pomdp, frontier=Frontier(states, upper, upper)))
 
 
 @dataclass(frozen=True)
@@ -168,16 +185,16 @@ class Bounded:
         With a robot that is always there, on the region where beta and theta are hidden.
     outer : Outer or None
         What is known around it, if that has been asked for and anything is.
-    timed : AssistPOMDP or None
-        The same on a smaller region: with prices each of its states is there once for every step.
     between : Outer or None
-        What is known around that one, on a region smaller than `outer`'s: prices are looked for on it.
+        The same on a smaller region: prices are looked for on it.
+    pairs : int
+        On how many states, each with one step, they are hidden where each is there once for every step.
     """
 
     problem: AssistPOMDP
     outer: Outer | None = None
-    timed: AssistPOMDP | None = None
     between: Outer | None = None
+    pairs: int = 0
 
 
 def bounded(
@@ -222,7 +239,7 @@ def bounded(
         It would take more memory than is allowed.
     """
     who = {"population": prior, "human": human}
-    most_timed = max(TIMED_FEW, TIMED_PER_SECOND * (until - time.perf_counter()))
+    in_time = PAIRS_PER_SECOND * (until - time.perf_counter())
     hidden, seen = min(size, HIDDEN, FEW), 0 if known.searches else SEEN
     inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
@@ -248,18 +265,40 @@ def bounded(
     problem = _within(inner, problem, found, setting, human, prior)
     if not around or (found.place < 0).any():
         return Bounded(problem)
-    small = Region.of(known, states=int(min(hidden, TIMED, most_timed)), **who)  # type: ignore[arg-type]
+    room = FOR_PAIRS * kept_mb * 1e6 / (2 * NEXT_TO * _bytes_of_a_state(problem))
+    pairs = int(max(PAIRS_FEW, min(PAIRS, in_time, room)))
     middle = Region.of(known, states=min(BETWEEN, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
     place = outer.local(middle.states)
-    if (place < 0).any() or (middle.local(small.states) < 0).any():  # time was over before
-        return Bounded(problem, found)
-    timed, between = (
-        _within(one, _seen(one, setting, human, prior), replace(found, place=where), setting, human, prior)
-        for one, where in ((small, outer.local(small.states)), (middle, place))
-    )
+    if (place < 0).any():  # time was over before
+        return Bounded(problem, found, found, pairs)
+    between = _within(middle, _seen(middle, setting, human, prior), replace(found, place=place), setting, human, prior)
     own = Visits.of(between, entry)
     values = np.ascontiguousarray(value[visits.layout.number(0, own.layout.position, place[own.layout.x])])
-    return Bounded(problem, found, timed, Outer(own, values, middle.local(small.states)))
+    return Bounded(problem, found, Outer(own, values, middle.local(inner.states)), pairs)
+
+
+def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
+    """Tell which states are met most likely at each of so many steps, and later, shape (steps + 1, n): `most` in all.
+
+    By people who are advised in a share of steps (`ADVISED`), each optimal action alike, and follow; else they choose
+    as they do by themselves.
+    """
+    choices = alone.model.choices
+    row, slot = np.nonzero(choices.applicable & ~alone.final[:, None])
+    target, advised = choices.targets[row, slot], choices.optimal[row, slot].astype(float)
+    advised /= np.maximum(np.bincount(row, advised, len(choices)), 1)[row]
+    chance = np.zeros((steps + 1, len(choices)))
+    for chosen, share in zip(np.moveaxis(alone.chosen, 2, 0), alone.prior.sum(axis=1), strict=True):
+        goes = (1 - ADVISED) * chosen[row, slot] + ADVISED * advised
+        there = np.zeros(len(choices))
+        there[choices.initial] = share
+        for step in range(LATER * steps):
+            chance[min(step, steps)] += there
+            there = np.bincount(target, there[row] * goes, len(choices)).astype(float)
+    chance[:, alone.final] = 0.0
+    kept, order = np.zeros(chance.size, dtype=bool), np.argsort(-chance, axis=None, kind="stable")[:most]
+    kept[order] = chance.ravel()[order] > 0.0
+    return kept.reshape(chance.shape)
 
 
 def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float) -> float:
@@ -357,6 +396,11 @@ def _bytes(problem: AssistPOMDP) -> int:
     """Give about how many bytes `_values` takes beside a problem: one of visits, values, and copies of both."""
     values = 8 * len(problem.robot_actions) * problem.prior.size
     return 3 * sum(array.nbytes for array in _arrays(problem)) + 4 * values
+
+
+def _bytes_of_a_state(problem: AssistPOMDP) -> float:
+    """Give about how many bytes a solver takes before its search begins, and the problem, for one of its states."""
+    return (sum(array.nbytes for array in _arrays(problem)) + first_bounds_bytes(problem)) / len(problem.robot_actions)
 
 
 def _arrays(problem: AssistPOMDP) -> tuple[NDArray[Any], ...]:

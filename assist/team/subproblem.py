@@ -39,14 +39,18 @@ class Layout:
         How many the robot has.
     layers : tuple of int arrays
         The task's states that are there at each step, ascending; the last for all later steps.
+    kept : bool array, shape (len(layers), states), or None
+        Where the problem goes on at each step, if it breaks off at other states. These are there, too, if they can be
+        reached.
     """
 
     states: int
     positions: int
     layers: tuple[NDArray[np.int64], ...]
+    kept: NDArray[np.bool_] | None = None
 
     @classmethod
-    def of(cls, alone: AssistPOMDP, positions: int, steps: int) -> Layout:
+    def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> Layout:
         """Keep what can be reached at each of so many steps; with none, every state of the task."""
         choices = alone.model.choices
         if not steps:
@@ -55,14 +59,17 @@ class Layout:
         def and_executed(states: NDArray[np.int64]) -> NDArray[np.int64]:
             return np.union1d(states, alone.afterstate[states].ravel())
 
+        def after(step: int, states: NDArray[np.int64]) -> NDArray[np.int64]:
+            return np.unique(choices.targets[states if kept is None else states[kept[step, states]]])
+
         layers = [and_executed(np.array([choices.initial]))]
-        for _ in range(steps):
-            layers.append(and_executed(np.unique(choices.targets[layers[-1]])))
+        for step in range(steps):
+            layers.append(and_executed(after(step, layers[-1])))
         known = 0
         while len(layers[-1]) > known:  # all later steps are in the last layer
             known = len(layers[-1])
-            layers[-1] = and_executed(np.union1d(layers[-1], choices.targets[layers[-1]].ravel()))
-        return cls(len(choices), positions, tuple(layers))
+            layers[-1] = and_executed(np.union1d(layers[-1], after(steps, layers[-1])))
+        return cls(len(choices), positions, tuple(layers), kept)
 
     def __len__(self) -> int:
         return self.positions * sum(map(len, self.layers))
@@ -81,6 +88,11 @@ class Layout:
     def x(self) -> NDArray[np.int64]:
         """The task's state in each state, shape (m,)."""
         return np.concatenate([np.tile(layer, self.positions) for layer in self.layers])
+
+    @cached_property
+    def cut(self) -> NDArray[np.bool_]:
+        """Where the problem breaks off though the task's does not, shape (m,)."""
+        return np.zeros(len(self), dtype=bool) if self.kept is None else ~self.kept[self.step, self.x]
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
@@ -184,6 +196,7 @@ class Visits:
         price: ArrayLike = (),
         *,
         longest: int | None = None,
+        kept: NDArray[np.bool_] | None = None,
     ) -> Visits:
         """Set the problem up; it begins with the robot away, at step 0.
 
@@ -193,15 +206,19 @@ class Visits:
         ----------
         longest : int, optional
             So many steps away there are states, though nothing leads to them if that is more than `entry_steps`.
+        kept : bool array, shape (W + 1, n), optional
+            Where the problem goes on at each step; elsewhere it breaks off, with an upper bound of 0. Only where that
+            of the person alone breaks off as well, and it is known what a robot gets there that is away.
         """
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
-        layout = Layout.of(alone, positions, len(price))
+        layout = Layout.of(alone, positions, len(price), kept)
         choices = _choices(alone.model.choices, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
-        count = np.where(alone.final[x], 1, moves.count(position, alone.robot_actions[x]))
+        final = alone.final[x] | layout.cut
+        count = np.where(final, 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
         row, meant = x[:, None], moves.meant[position]
         afterstate = layout.number(layout.step[:, None], moves.then[position], alone.afterstate[row, meant])
@@ -216,7 +233,7 @@ class Visits:
             unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
-            order=_order(choices, layout, alone.final[x]),
+            order=_order(choices, layout, final),
             frontier=_frontier(alone, layout, price, entry),
         )
         free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
@@ -250,6 +267,7 @@ def _choices(alone: Choices, layout: Layout) -> Choices:
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
     targets = layout.number(layout.step[:, None] + 1, position[:, None], alone.targets[x])
+    applicable = alone.applicable[x] & ~layout.cut[:, None]
     return replace(
         alone,
         state=None,
@@ -258,9 +276,9 @@ def _choices(alone: Choices, layout: Layout) -> Choices:
         key=None if alone.key is None else alone.key[x],
         h=alone.h[x],
         goal=alone.goal[x],
-        applicable=alone.applicable[x],
+        applicable=applicable,
         actions=alone.actions[x],
-        targets=np.where(alone.applicable[x], targets, own[:, None]),
+        targets=np.where(applicable, targets, own[:, None]),
         costs=alone.costs[x],
         optimal=alone.optimal[x],
         initial=int(layout.number(0, AWAY, alone.initial)),
@@ -287,13 +305,18 @@ def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -
         return None
     place = np.full(layout.states, -1)
     place[alone.frontier.states] = np.arange(len(alone.frontier.states))
+    if alone.frontier.away is not None:
+        ends = place[layout.x] >= 0
+        states = np.flatnonzero(ends | (layout.cut & ~alone.model.choices.goal[layout.x]))
+        known = np.stack([alone.frontier.away, alone.frontier.upper])
+        upper = np.zeros((len(states), *known.shape[2:]))  # no more than that, as costs are positive
+        upper[ends[states]] = known[np.minimum(layout.position[states], HERE), place[layout.x[states]]][ends[states]]
+        return Frontier(states, upper, upper)
+    assert layout.kept is None
     states = np.flatnonzero(place[layout.x] >= 0)
     at = place[layout.x[states]]
     position = layout.position[states]
     upper = alone.frontier.upper[at]
-    if alone.frontier.away is not None:
-        upper = np.where((position == AWAY)[:, None, None], alone.frontier.away[at], upper)
-        return Frontier(states, upper, upper)
     paid = np.append(np.cumsum((price * alone.gamma ** np.arange(len(price)))[::-1])[::-1], 0.0)
     paid = (paid / alone.gamma ** np.arange(len(paid)))[layout.step[states]]
     lower = alone.frontier.lower[at] - (paid + entry * (position == AWAY))[:, None]
