@@ -1,12 +1,13 @@
 """Bounds against time on one person's problem: this project's solver beside SARSOP, and pomdp-py's planners.
 
-    python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--out DIR]
+    python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--no-cold]
+        [--out DIR]
 
 A case is a kitting instance, gamma, c_suggest, sigma and the seed of the person's misconception, which the robot knows.
 Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.interop.pomdpx` writes:
 
 - `kitassist`: `assist.person.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is
-  also run cold, with nothing compiled yet;
+  also run cold, with nothing compiled yet, unless that is left out;
 - `sarsop`: APPL's `pomdpsol`, the program that the environment variable SARSOP names;
 - `pomdp-py`: what its POUCT and POMCP get in simulation, by the time of a decision. They give no bounds, so that they
   have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
@@ -169,8 +170,8 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
     return row
 
 
-def own(case: Case, options: dict[str, Any], cache: Path, *, warm: bool) -> Row:
-    """Run this project's solver."""
+def own(case: Case, options: dict[str, Any], cache: Path | None, *, warm: bool) -> Row:
+    """Run this project's solver, with compiled code in a folder, or else where it is kept."""
     row: Row = {"solver": "kitassist" if warm else "kitassist (cold)", "curve": []}
 
     def on_line(_: float, line: str) -> None:
@@ -184,7 +185,8 @@ def own(case: Case, options: dict[str, Any], cache: Path, *, warm: bool) -> Row:
     settings = {**case._asdict(), "timeout": options["timeout"], "gap": options["gap"], "warm": warm}
     command = [sys.executable, str(HERE / "peers" / "pomdp.py"), "kitassist", json.dumps(settings)]
     limit = options["timeout"] * 3 + 300
-    code, measured, last = run(command, on_line, limit, options["memory"], NUMBA_CACHE_DIR=str(cache))
+    environment = {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
+    code, measured, last = run(command, on_line, limit, options["memory"], **environment)
     row |= {**measured, "status": "failed" if code else "ok", "note": last if code else ""}
     return row
 
@@ -366,10 +368,11 @@ def parse(settings: Sequence[str]) -> list[tuple[float, float, float]]:
 @click.option("--gap", type=click.FloatRange(min=0, min_open=True), default=GAPS[-1], show_default=True)
 @click.option("--memory", type=click.IntRange(min=500), default=12_000, show_default=True, help="MB for one solver.")
 @click.option("--solvers", default=",".join(SOLVERS), show_default=True, help="Which to run, with commas.")
+@click.option("--cold/--no-cold", default=True, show_default=True, help="Whether code is compiled anew for the first.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=OUT, show_default=True)
 def main(
     instances: str, settings: tuple[str, ...], seeds: int, timeout: float, gap: float, memory: int, solvers: str,
-    out: Path,
+    cold: bool, out: Path,
 ) -> None:  # fmt: skip
     """Compare bounds against time."""
     wanted = solvers.split(",")
@@ -383,8 +386,7 @@ def main(
     wrong: list[str] = []
     behind: list[str] = []
     with tempfile.TemporaryDirectory(prefix="pomdp-") as scratch, (out / "results.jsonl").open("w") as stream:
-        model, cache = Path(scratch, "problem.pomdpx"), Path(scratch, "cache")
-        cold = True
+        model, cache = Path(scratch, "problem.pomdpx"), Path(scratch, "cache") if cold else None
         for case in cases:
             name = f"{case.instance} {case.gamma:g}/{case.c_suggest:g}/{case.sigma:g} #{case.seed}"
             with console.status(name):

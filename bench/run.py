@@ -55,7 +55,7 @@ CASES = {
     "people huge": ("--people 8", "--instance kitting/tiny --people 4 --actions 10"),
     "pomdp": (
         "--timeout 10 --solvers kitassist --settings 0.95/1/1 --settings 0.99/0.5/0.5",
-        "--timeout 2 --solvers kitassist --settings 0.95/1/0",
+        "--timeout 2 --solvers kitassist --settings 0.95/1/0 --no-cold",
     ),
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),
@@ -67,7 +67,7 @@ CASES = {
     ),
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
-    "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5"),
+    "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5 --settings 1"),
     "wide": ("--instance kitting/ladder-3x5 --episodes 2000", "--instance kitting/tiny --people 2 --episodes 20"),
 }
 NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}

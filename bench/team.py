@@ -361,14 +361,15 @@ def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path |
 @click.option("--time-limit", type=float, default=20.0, show_default=True, help="Seconds for each joint problem.")
 @click.option("--episodes", type=click.IntRange(min=2), default=100_000, show_default=True)
 @click.option("--paths", type=click.IntRange(min=1), default=400, show_default=True, help="Sampled lucks.")
+@click.option("--settings", type=click.IntRange(min=1), default=5, show_default=True, help="Only so many of the five.")
 @out_option
 @record_option
-def joint(time_limit: float, episodes: int, paths: int, out: Path, record: Path | None) -> None:
+def joint(time_limit: float, episodes: int, paths: int, settings: int, out: Path, record: Path | None) -> None:
     """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare."""
     choices, population = choices_of("tiny"), Population(sigma=(0.5, 1.0))
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
-    rows = []
-    for c_suggest, c_move, seed in ((0.05, 0.1, 0), (0.2, 0.3, 0), (0.5, 0.5, 0), (0.05, 0.1, 1), (0.2, 0.3, 1)):
+    rows, cases = [], ((0.05, 0.1, 0), (0.2, 0.3, 0), (0.5, 0.5, 0), (0.05, 0.1, 1), (0.2, 0.3, 1))
+    for c_suggest, c_move, seed in cases[:settings]:
         people = population.sample(choices, 2, np.random.default_rng(seed))
         pomdps = [
             AssistPOMDP.of(
