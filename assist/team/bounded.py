@@ -76,6 +76,9 @@ the goal is twice as far 20,000 gave -42.0 where 5,000 gave -40.1, and 50,000 br
 
 PAIRS = 20_000
 """States, each with one step, on which they are hidden where each is there once for every step, if time and memory do.
+
+For a person on a task of 7.2 million states, with prices on 18 steps, 1,000 states at all steps gave -25.97 and 2,000
+gave -26.12; the 10,000 likeliest of such pairs gave -26.24 in 100 seconds, and 20,000 -26.25 in 180.
 """
 
 PAIRS_FEW = 3_000
@@ -135,7 +138,7 @@ class Outer:
     value : float array, shape (m, B, T)
         What no robot exceeds in its states.
     place : int array, shape (n,)
-        Which of the region's states each of the inner one's is.
+        Which of the region's states each of the inner one's is; -1 where it is none of them.
     """
 
     visits: Visits
