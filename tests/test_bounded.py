@@ -111,7 +111,8 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
         assert (values[len(price)] - values[0]).max() > 0.5
 
     kept = likely(found.problem, len(price), 6)
-    visits = found.outer.beyond(Visits.of(found.problem, ENTRY, steps, price, kept=kept))
+    free = qmdp(Visits.of(found.problem, ENTRY, steps).pomdp).value_mdp
+    visits = found.outer.beyond(Visits.of(found.problem, ENTRY, steps, price, kept=kept), free)
     frontier, inner = visits.pomdp.frontier, visits.layout
     assert frontier is not None
     states = frontier.states

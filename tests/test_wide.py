@@ -134,7 +134,9 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
         kinds = kinds_of(pool, team, setting.travel(3), len(price), around=True)
         assert all((kind.between is not None) == pool.wide for kind in kinds)
         parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
-        values.append([solve(visits.pomdp, gap=1e-4, best=best).upper for visits, best in parts])
+        solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
+        assert all(one.lower <= one.upper for one in solved)
+        values.append([one.upper for one in solved])
         busy = sum(kind.simulated(price, len(price), 4000, 1)[0] for kind in kinds)
         values.append(busy)
     part, part_busy, whole, busy = values

@@ -96,7 +96,8 @@ class Kind:
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
         if self.outer is None or not len(price):
             return Visits.of(alone, entry, steps, price)
-        return self.outer.beyond(Visits.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs)))
+        visits = Visits.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
+        return self.outer.beyond(visits, self.tail)
 
     def _acting(self, price: Floats) -> tuple[Visits, Callable[[int, Ints], QMDP]]:
         """Give a problem at these prices, and QMDP's policy in some of its states at each step."""

@@ -162,14 +162,16 @@ class Outer:
             np.minimum(found, self.value, out=found)  # prices make nobody better off
             yield step, found
 
-    def beyond(self, visits: Visits) -> Visits:
+    def beyond(self, visits: Visits, free: Floats) -> Visits:
         """Give the problem of visits of the inner region, with prices, with what follows where that breaks off.
 
-        A robot on its way gets no more than one that is there, and is paid for as well.
+        A robot on its way gets no more than one that is there, and is paid for as well. Nor does anybody get more than
+        where attention costs nothing: `free`, shape (P * n, B, T), by position and state.
         """
         layout, frontier = visits.layout, visits.pomdp.frontier
         assert frontier is not None
-        states, upper = frontier.states, frontier.upper.copy()
+        states = frontier.states
+        upper = np.minimum(frontier.upper, free[layout.position[states] * layout.states + layout.x[states]])
         position = np.minimum(layout.position[states], HERE)
         own = self.visits.layout.number(0, position, self.place[layout.x[states]])
         for step, most in self.priced(visits.price):
