@@ -51,7 +51,7 @@ bench: $(VENV)/.test
 	$(BIN)/python bench/run.py
 
 bench-smallest: $(VENV)/.test
-	$(BIN)/python bench/run.py --smallest
+	$(BIN)/python bench/run.py --smallest --jobs "$$(nproc)"
 
 study: $(VENV)/.test
 	$(BIN)/python bench/study.py --check

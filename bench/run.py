@@ -1,17 +1,18 @@
 """Runs every benchmark: as it stands, or its smallest case, which shows that it still works.
 
-    python bench/run.py [--smallest] [--only NAME] [--out DIR]
+    python bench/run.py [--smallest] [--only NAME] [--jobs N] [--out DIR]
 
 A script that fails does not stop the others; the exit code is then 1. What needs another program (SARSOP, other
-planners) is left out.
+planners) is left out. Several at a time are for whoever wants to know whether they work, as they take time from each
+other; what each says is then shown when it is over.
 """
 
 from __future__ import annotations
 
-import resource
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import click
@@ -58,7 +59,7 @@ CASES = {
         "--timeout 2 --solvers kitassist --settings 0.95/1/0 --no-cold",
     ),
     "start": ("--repeat 3", "--repeat 1"),
-    "study": ("--humans 2 --people 4", "--pools 2 --humans 2 --people 2 --instance paper-fixed"),
+    "study": ("--humans 2 --people 4", "--check"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),
     "team rate": ("--repeat 1", "--repeat 1 --instance tiny --jobs 1 --people 4000"),
     "team gap": (
@@ -68,7 +69,10 @@ CASES = {
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
     "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5 --settings 1"),
-    "wide": ("--instance kitting/ladder-3x5 --episodes 2000", "--instance kitting/tiny --people 2 --episodes 20"),
+    "wide": (
+        "--instance kitting/ladder-3x5 --episodes 2000",
+        "--instance kitting/tiny --people 2 --episodes 20 --policy priority",
+    ),
 }
 NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}
 """Scripts that nobody can run without other people's files or programs, or without a browser."""
@@ -76,31 +80,38 @@ NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
 
 
-def _processor_seconds() -> float:
-    """How long processors have worked for those that this process has started."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+def _command(name: str, smallest: bool, out: Path) -> list[str]:
+    """Give a case's script and arguments."""
+    script, *command = name.split()
+    written = ["--out", str(out / script)] if name in WRITES else []
+    return [f"{script}.py", *command, *CASES[name][smallest].split(), *written]
+
+
+def _run(command: list[str], shown: bool) -> int:
+    """Run a case; what it says is shown at once, or when it is over. Give its exit code."""
+    if shown:
+        print(f"== bench/{' '.join(command)}", flush=True)
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, str(BENCH / command[0]), *command[1:]], check=False, text=True,
+        stdout=None if shown else subprocess.PIPE, stderr=None if shown else subprocess.STDOUT,
+    )  # fmt: skip
+    took = f"-- {time.perf_counter() - start:.0f} s, exit code {done.returncode}"
+    print(took if shown else f"== bench/{' '.join(command)}\n{done.stdout}{took}", flush=True)
+    return done.returncode
 
 
 @click.command()
 @click.option("--smallest", is_flag=True, help="The smallest case of each.")
 @click.option("--only", type=click.Choice(sorted(CASES)), multiple=True, help="These alone.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="So many at a time.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench"), show_default=True)
-def main(smallest: bool, only: tuple[str, ...], out: Path) -> None:
+def main(smallest: bool, only: tuple[str, ...], jobs: int, out: Path) -> None:
     """Run all benchmarks."""
-    failed = []
-    for name in only or CASES:
-        script, *command = name.split()
-        arguments = [*command, *CASES[name][smallest].split()]
-        if name in WRITES:
-            arguments += ["--out", str(out / script)]
-        print(f"== bench/{script}.py {' '.join(arguments)}", flush=True)
-        start, before = time.perf_counter(), _processor_seconds()
-        code = subprocess.run([sys.executable, str(BENCH / f"{script}.py"), *arguments], check=False).returncode
-        took = f"{time.perf_counter() - start:.0f} s, {_processor_seconds() - before:.0f} s of processors"
-        print(f"-- {took}, exit code {code}", flush=True)
-        if code:
-            failed.append(name)
+    names = only or tuple(CASES)
+    with ThreadPoolExecutor(jobs) as pool:
+        codes = pool.map(lambda name: _run(_command(name, smallest, out), jobs == 1), names)
+        failed = [name for name, code in zip(names, codes, strict=True) if code]
     if failed:
         print(f"failed: {', '.join(failed)}", file=sys.stderr)
         sys.exit(1)

@@ -101,8 +101,9 @@ def test_outside_its_region_a_policy_goes_by_the_cost_to_go(fixed: Table) -> Non
     assert len(ground.visited) < len(fixed)
 
 
-def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table) -> None:
+def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a region of one state, some, and all; what is known of the whole task is never above it."""
+    monkeypatch.setattr("assist.certify.prices.ROUNDS", 8)  # bounds hold at all prices
     setting = Setting(c_suggest=0.2)
 
     def bound(**part: int) -> TeamBound:
@@ -126,6 +127,7 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     """They make the bound tighter, no tighter than on the whole task at the same prices; and there are some."""
     for name, value in (("HIDDEN", 4), ("PAIRS", 9), ("PAIRS_FEW", 9), ("ERROR", 1e-4), ("SWEEPS", 10_000)):
         monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+    monkeypatch.setattr("assist.certify.prices.ROUNDS", 8)
     setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1, 2)
     pools = [Pool.sample(tiny, 3, seed=0, setting=setting, **part) for part in ({"states": 0}, {})]
     price = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
