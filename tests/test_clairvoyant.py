@@ -14,7 +14,7 @@ from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant
 from assist.certify.clairvoyant import Clairvoyant, Path, Sampled
-from assist.certify.conflicts import lost
+from assist.certify.conflicts import FADING, Scale, lost
 from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
 from assist.person.solver import solve
@@ -132,6 +132,31 @@ def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_price
             compared.append(total)
             assert lost(t + 1, mean, robot.scale) == pytest.approx(total, abs=1e-9)
     assert max(compared) > 0.05
+
+
+def test_nobody_gains_by_a_conflict(robot: Clairvoyant) -> None:
+    """What is lost in each step is nothing at least: the search takes that for granted where later steps count less."""
+    steps, rng, found = len(robot.scale.price), np.random.default_rng(0), []
+    for s in range(steps):
+        nodes = [np.flatnonzero(person.rows.depth > s) for person in robot.people]
+        rows = [person.rows.row[person.rows.of[own]] for person, own in zip(robot.people, nodes, strict=True)]
+        one = robot.scale._replace(weight=np.eye(steps + 1)[s])
+        for _ in range(200):
+            met = np.array([own[rng.integers(len(own))] for own in rows + rows])
+            found.append(lost(0, met, one))
+    assert min(found) >= -1e-9
+    assert max(found) > 0.5
+
+
+def test_later_conflicts_count_less() -> None:
+    """U is the sum over steps ahead of what is lost in each, by hand for two people who want the robot at once."""
+    scale = Scale.of(np.array([0.3, 0.2]), 0.9, 1.0)
+    rows = np.zeros((2, 2 * scale.size))
+    rows.reshape(2, 2, -1)[:, :, 4:-1] = 1.0  # both want it at 0.5 above its price, in both steps
+    rows.reshape(2, 2, -1)[:, :, -1] = 0.5
+    each = 0.5  # two times 0.5 above the price, and one is served: lambda + 0.5 + 0.5 - (lambda + 0.5)
+    assert lost(0, rows, scale) == pytest.approx(each + FADING * 0.9 * each)
+    assert lost(1, rows, scale) == pytest.approx(0.9 * each)
 
 
 def test_a_belief_is_divided_so_that_least_is_promised(robot: Clairvoyant) -> None:

@@ -65,14 +65,6 @@ FOR_FREE = 0.3
 """The share of that in which people's problems are bounded without prices, before."""
 
 
-DISTRACTED = 0.3
-"""Where lucks are sampled the solver's trials are distracted in this share of their steps: there the robot is often
-with somebody else, and a bound that is loose then tells it more than it can know.
-
-For four people on `kitting/paper` (c_suggest 0.5, gamma .99; 40 seconds for each, 12 lucks, +- 0.06) the mean was
--54.67 instead of -54.58, while what is proven rose by .01.
-"""
-
 ROOM = 500.0
 """Megabytes for each person's problem with which they are looked for there: what is around their parts is kept, too."""
 
@@ -247,16 +239,16 @@ def upper_bound(
         price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
         if pool.wide and not len(price):
             kinds = kinds_with(0, paths > 0)
-    distracted = DISTRACTED if paths else 0.0
-    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, distracted, tell)
+    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell)
     sampled = None
     if paths and len(members) > 1:
         begun = time.perf_counter()
         if len(price):  # without prices states need no step: problems are so much smaller that this may be ahead
             free = kinds_with(0, paths > 0)
             until = begun + FOR_FREE * (start + limit - begun)
-            unpriced = _relax(free, price[:0], gap, until, memory_limit_mb, workers, distracted, tell)
-            relaxed = min(relaxed, unpriced, key=lambda one: one.upper)
+            relaxed = min(
+                relaxed, _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell), key=lambda one: one.upper
+            )
 
         def left(done: int) -> float:
             tell("sampling lucks", done, paths)
@@ -332,9 +324,8 @@ class _Relaxed:
 
 
 def _relax(
-    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int,
-    distracted: float, tell: Tell,
-) -> _Relaxed:  # fmt: skip
+    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Tell
+) -> _Relaxed:
     """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
 
     def one(number: int, kind: Kind) -> tuple[Visits, Solution]:
@@ -344,7 +335,7 @@ def _relax(
         share = (until - time.perf_counter()) / still
         return visits, solve(
             visits.pomdp, gap=gap, time_limit=None if until == math.inf else max(0.0, share),
-            memory_limit_mb=memory_limit_mb, best=best, distracted=distracted,
+            memory_limit_mb=memory_limit_mb, best=best,
         )  # fmt: skip
 
     parts: list[tuple[Visits, Solution]] = []

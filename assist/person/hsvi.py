@@ -675,7 +675,7 @@ def _begin(d, belief, mass, q, path, m):
 
 
 @numba.njit(cache=True, nogil=True)
-def trials(x0, prior, enough, backups, fineness, distracted, rng, path, plans, hull, q, m):
+def trials(x0, prior, enough, backups, fineness, rng, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
 
     A trial goes on to a child with a chance in proportion to what that adds to the gap beyond the target. Where it
@@ -683,8 +683,6 @@ def trials(x0, prior, enough, backups, fineness, distracted, rng, path, plans, h
 
     `fineness` says what is too little to be of use: [0] of a bound's gain, as a share of the gap aimed at, and [1] of
     what a child adds to the gap at the root, as a share of that. A trial that improves nothing makes one of them finer.
-
-    With a chance of `distracted` the robot does nothing (0) in a step, whatever promises most.
     """
     work, room = np.empty((3, len(prior))), new_room(len(prior))
     plan, done = new_plan(len(prior), m.targets.shape[1]), 0
@@ -699,11 +697,7 @@ def trials(x0, prior, enough, backups, fineness, distracted, rng, path, plans, h
         depth, target, reach, cut = ZERO, TARGET * gap, 1.0, False
         while True:
             x = path.state[depth]
-            if distracted > 0.0 and rng.random() < distracted:
-                r = ZERO
-                _look_up(depth, r, work, room, path, hull, m)
-            else:
-                r = _promising(depth, work, room, path, hull, m)
+            r = _promising(depth, work, room, path, hull, m)
             path.robot[depth] = r
             place = m.afterstate[x, r]
             if m.goal[place] or depth + 1 == len(path.state):

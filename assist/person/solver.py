@@ -184,7 +184,6 @@ def solve(
     time_limit: float | None = None,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
     best: QMDP | None = None,
-    distracted: float = 0.0,
     progress: Callable[[float, float, float], None] | None = None,
 ) -> Solution:
     """Solve one person's problem.
@@ -201,9 +200,6 @@ def solve(
         Stop before vectors and beliefs take more.
     best : QMDP, optional
         The QMDP policy, if it is known already.
-    distracted : float
-        In this share of the steps of a trial the robot does nothing, whatever is best: for bounds that are also good
-        where it has been kept from doing what is best, and a little longer in coming close at the beginning.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
 
@@ -226,7 +222,7 @@ def solve(
     x0 = pomdp.model.choices.initial
     prior = pomdp.prior.reshape(-1)
     best = best or qmdp(pomdp, deadline=math.inf if time_limit is None else start + time_limit)
-    work = _Search(pomdp, best, distracted)
+    work = _Search(pomdp, best)
     never = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
     value_never = work.begin(never)
     value_always = work.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), SWEEPS)
@@ -281,8 +277,8 @@ def _informed(best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None
 class _Search:
     """The bounds of one problem while they are improved."""
 
-    def __init__(self, pomdp: AssistPOMDP, best: QMDP, distracted: float = 0.0) -> None:
-        self.pomdp, self.arrays, self.distracted = pomdp, Arrays.of(pomdp), distracted
+    def __init__(self, pomdp: AssistPOMDP, best: QMDP) -> None:
+        self.pomdp, self.arrays = pomdp, Arrays.of(pomdp)
         states, size = len(pomdp.robot_actions), pomdp.prior.size
         margin = ROUNDING / (1 - pomdp.gamma)
         corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)
@@ -361,8 +357,8 @@ class _Search:
     def trials(self, x: int, belief: Floats, target: float) -> int:
         """Improve the bounds by some trials."""
         return hsvi.trials(
-            x, _own(belief), target, BACKUPS, self.fineness, self.distracted, self.rng, self.path, self.plans,
-            self.hull, self.q, self.arrays,
+            x, _own(belief), target, BACKUPS, self.fineness, self.rng, self.path, self.plans, self.hull, self.q,
+            self.arrays,
         )  # fmt: skip
 
     def solution(self, **facts: object) -> Solution:
