@@ -26,8 +26,9 @@ sound.
 
 The least sum is found by A* over all people's graphs at a time. That the mean of U, with the weights that it had,
 falls by no more than `Wishes.fall`, and that what comes nearer counts no less and is nowhere below 0, makes D at least
-a sum over people, which prices for this luck take apart: the least of that is the estimate that guides the search. Where it is given up, after `POPPED` states, the least estimate of what is open
-stands for the least sum, and is not above it.
+a sum over people, which prices for this luck take apart: the least of that is the estimate that guides the search.
+Where it is given up, after `POPPED` states, the least estimate of what is open stands for the least sum, and is not
+above it.
 
 The mean over lucks has a standard error, so that the bound holds with a confidence.
 """
