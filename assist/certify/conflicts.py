@@ -112,7 +112,7 @@ class Wishes(NamedTuple):
         Of each edge: the mean of the rows that may follow.
     fall : float array, shape (e,)
         By how much U, with the weights that it has before, can be lower in the mean after the edge than after the best
-        one.
+        one; and by how much the best is ahead of the node's bound, where parts too slight to count were left aside.
     """
 
     of: Ints
@@ -234,7 +234,7 @@ def _row(
         row[0] = min(1.0, max(0.0, -excess / price[x])) if price[x] > 0.0 else 1.0
         for i in range(levels):
             row[i + 1] = min(1.0, max(0.0, (scale.level[i + 1] - excess) / scale.width[i]))
-        row[size - 1] = nodes.regret[best] + max(0.0, excess)
+        row[size - 1] = max(0.0, nodes.regret[best]) + max(0.0, excess)
         _follow(best, (d - 1) * size, row[size:], rows, nodes)
         rows.depth[n] = d
         stack.pop()
@@ -270,7 +270,7 @@ def _wishes(
                 if nodes.regret[number] < least:
                     best, least = e, nodes.regret[number]
             for e in range(graph.edge[j], graph.edge[j + 1]):
-                fall = 0.0
+                fall = scale.discount[t] * max(0.0, -least)  # which the node's own row does not have
                 for s in range(depth - 1):
                     one = wishes.mean[best, (s + 1) * size - 1] - wishes.mean[e, (s + 1) * size - 1]
                     for i in range(levels + 1):
