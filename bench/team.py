@@ -349,7 +349,7 @@ def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path |
         rows.append(
             {"K": humans, "c_suggest": c_suggest, "c_move": c_move, "travel time": travel_time,
              "places": "line" if line else "all at 1", "attention": float(mean), "priority ahead": float(gain.mean()),
-             "stderr": float(error), "z": float(gain.mean() / error), "percent": float(100 * gain.mean() / abs(mean)),
+             "stderr": float(error), "percent": float(100 * gain.mean() / abs(mean)),
              "ahead of attention-never": float(never.mean()),
              "its stderr": float(never.std(ddof=1) / np.sqrt(len(never)))}
         )  # fmt: skip

@@ -7,9 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import KITTING, invoke
+from conftest import KITTING, invoke, kit
 
 from assist.learning.population import mixture
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from planner import CostToGo, OnDemand
 
 TINY = KITTING / "tiny.pddl"
 
@@ -51,6 +55,25 @@ silent.uses_belief = False
 def leaves(team):
     raise SystemExit(0)
 """
+
+
+def test_the_region_is_of_so_many_states_however_the_cost_to_go_is_found() -> None:
+    def printed(known: CostToGo, *options: object) -> tuple[float, float]:
+        """What the command says of a task with this cost-to-go, and what Python does at so small a region."""
+        pool = Pool.sample(known, 2, seed=0, setting=Setting(c_suggest=0.2), states=1, region=5)
+        expected = simulate(pool, "attention", humans=2, episodes=20, seed=0).discounted_return.mean()
+        command = ["simulate", TINY, "--humans", 2, "--pool", 2, "--policy", "attention", "--episodes", 20]
+        done = invoke(*command, "--c-suggest", 0.2, "--json", *options)
+        (found,) = json.loads(done.stdout)["policies"]
+        return found["return"]["mean"], float(expected)
+
+    table = kit("tiny")
+    swept, expected = printed(table, "--region-states", 5)
+    assert swept == pytest.approx(expected)
+    asked, expected = printed(OnDemand(table.task), "--region-states", 5, "--max-states", 5)
+    assert asked == pytest.approx(expected)
+    unasked, _ = printed(OnDemand(table.task), "--max-states", 5)
+    assert abs(unasked - asked) > 0.01  # the region is larger then
 
 
 @pytest.fixture

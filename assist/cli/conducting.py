@@ -9,12 +9,12 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 import click
-from click.core import ParameterSource
 
 from planner.errors import MissingExtraError
 from planner.solving import SolveOptions
 
 from .console import EXIT_USAGE, fail
+from .options import is_given
 from .task import costs_of
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
     """Serve a user study; after a rehearsal write its export and report."""
     context = click.get_current_context()
     for name in context.params:
-        if context.get_parameter_source(name) == ParameterSource.COMMANDLINE and name not in OF_STUDIES:
+        if is_given(name) and name not in OF_STUDIES:
             option = next(one for one in context.command.params if one.name == name)
             raise click.UsageError(f"{option.opts[0]} does not go with --study, whose file says what is to be done")
     try:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from planner import storage
 from planner.solving import SolveOptions
@@ -64,6 +65,11 @@ class Output(click.Path):
 INPUT_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 OUTPUT_FILE = Output()
 OUTPUT_FOLDER = Output(folder=True)
+
+
+def is_given(name: str) -> bool:
+    """Tell whether the command that runs was given this parameter, and does not go by its default."""
+    return click.get_current_context().get_parameter_source(name) == ParameterSource.COMMANDLINE
 
 
 def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from .options import INPUT_FILE, Command, Option, Range, range_option, with_options
+from .options import INPUT_FILE, Command, Option, Range, is_given, range_option, with_options
 
 if TYPE_CHECKING:
     from ..people.human import Mixture, Population
@@ -60,9 +59,8 @@ def population_of(
         if file is None:
             found = Population(beta, theta) if sigma is None else Population(beta, theta, sigma)
             return found if people is None else choosing(found, people)
-        context = click.get_current_context()
         for name in RANGES if sigma is not None else RANGES[:2]:
-            if context.get_parameter_source(name) == ParameterSource.COMMANDLINE:
+            if is_given(name):
                 raise click.UsageError(f"--population {file} says what --{name} says; expected one of them")
         if people is not None:
             raise click.UsageError(

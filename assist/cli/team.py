@@ -17,6 +17,7 @@ from .options import (
     Command,
     Option,
     Range,
+    is_given,
     max_states_option,
     megabytes_option,
     range_option,
@@ -56,7 +57,10 @@ def team_options(command: Command) -> Command:
         range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
         megabytes_option("MB for policies.", default=4000.0),
         max_states_option("Ask for the cost-to-go of a larger task on demand."),
-        region_states_option("Of a larger task work policies out on so many states, those that are met most likely."),
+        region_states_option(
+            "Of a larger task work policies out on so many states, those that are met most likely. Of one of which "
+            "orbits were swept, unless given, on 3,000; of one that is asked on demand on 200."
+        ),
     )  # fmt: skip
     return with_options(command, options)
 
@@ -106,7 +110,7 @@ def team_of(
             pool = Pool.sample(
                 known, size, seed=seed, setting=chosen, population=population, prior=believed,
                 memory_limit_mb=memory_limit, states=region_states,
-                region=region_states if known.method == "sweep" else None,
+                region=region_states if known.method == "sweep" or is_given("region_states") else None,
                 progress=lambda done, total: show("solving people's POMDPs", done, total),
             )  # fmt: skip
         except LimitError as error:
