@@ -12,9 +12,9 @@ from conftest import KITTING, invoke
 from scipy.optimize import linprog
 from test_joint import COSTS, pool_of
 
-from assist.certify import clairvoyant
+from assist.certify import clairvoyant, conflicts
 from assist.certify.clairvoyant import Clairvoyant, Path, Sampled
-from assist.certify.conflicts import FADING, Scale, lost
+from assist.certify.conflicts import FADING, OutOfTimeError, Scale, lost
 from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
 from assist.person.solver import solve
@@ -264,5 +264,35 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: 
     """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
     drawn, path = [], robot.path
     monkeypatch.setattr(robot, "path", lambda rng: drawn.append(rng) or path(rng))
-    assert robot.sampled(10, 0, lambda _: -1.0).paths == 2
+    monkeypatch.setattr(robot, "left", lambda _: -1.0)
+    assert robot.sampled(10, 0).paths == 2
     assert len(drawn) == 2 + 2
+
+
+def test_wishes_are_worked_out_bit_by_bit(
+    robot: Clairvoyant, paths: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often it is asked whether to go on, they are the same."""
+    monkeypatch.setattr(conflicts, "PAUSE", 3)
+    asked: list[int] = []
+    again = Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0)
+    assert again.lost == robot.lost
+    assert len(asked) > 20
+    path = again.path(np.random.default_rng(0))
+    assert [again.bound(path, alpha) for alpha in (0.3, 0.8)] == [robot.bound(paths[0], alpha) for alpha in (0.3, 0.8)]
+
+
+def test_a_time_limit_holds_while_wishes_are_worked_out(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time is over after it was asked for so many times: nothing is sampled then, or fewer lucks than were wanted."""
+    monkeypatch.setattr(conflicts, "PAUSE", 20)
+    lattices, lucks = [person.lattice for person in robot.people], []
+    for asks in (3, 1000, 10**9):
+        asked = iter(range(asks))
+        try:
+            found = Clairvoyant(lattices, PRICE, left=lambda _, asked=asked: 1.0 if next(asked, -1) >= 0 else 0.0)
+            lucks.append(found.sampled(6, 0).paths)
+        except OutOfTimeError:
+            lucks.append(0)
+    assert lucks[0] == 0
+    assert lucks[2] == 6
+    print(lucks)

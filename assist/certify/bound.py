@@ -26,6 +26,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -43,6 +44,7 @@ from ..team.travel import Travel
 from ..team.wide import WidePolicy
 from .certificate import Certificate, horizon, returns
 from .clairvoyant import Clairvoyant, Sampled
+from .conflicts import OutOfTimeError
 from .lattice import Lattice
 from .prices import Kind, Tell, kinds_of, search, window_of
 
@@ -96,7 +98,7 @@ class TeamBound:
     proven : float
         What holds in any case.
     sampled : Sampled or None
-        What the sampled lucks gave.
+        What the sampled lucks gave; None where none were asked for, or there was no time for any.
     """
 
     pool: Pool
@@ -194,7 +196,8 @@ def upper_bound(
         of those that are solved at a time may.
     paths : int
         Lucks that are sampled to make the bound tighter; with 0, none are, and the bound holds in any case. Worth while
-        in teams of up to about six people. What a time limit leaves no time for is left out, but for a few.
+        in teams of up to about six people. What a time limit leaves no time for is left out, but for a few; all of them
+        where it takes longer to work out what people will want.
     seed : int or Generator
     jobs : int, optional
         Problems that are solved at a time; as many as there are processors unless given.
@@ -254,7 +257,8 @@ def upper_bound(
             tell("sampling lucks", done, paths)
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
-        sampled = Clairvoyant(relaxed.lattices(), relaxed.price, together).sampled(paths, luck, left)
+        with suppress(OutOfTimeError):
+            sampled = Clairvoyant(relaxed.lattices(), relaxed.price, together, left).sampled(paths, luck)
     return TeamBound(
         pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
         relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,

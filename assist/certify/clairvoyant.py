@@ -47,7 +47,7 @@ from numba.typed import Dict, List
 from scipy.special import stdtrit
 
 from ..people.decision import Floats
-from .conflicts import Conflicts, Scale, Wishes, lost
+from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
 from .lattice import END, Graph, Lattice
 
 ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.8)
@@ -127,21 +127,35 @@ class Clairvoyant:
         Of the steps that the lattices' problems tell apart.
     steps : int
         For so many, at least, and for `AFTER` without a price, the robot is in one place at a time.
+    left : callable
+        Called with how many lucks have been looked at; gives the share of the time that is left, 0 or less if none.
+
+    Raises
+    ------
+    OutOfTimeError
+        It was over before what people will want was worked out.
     """
 
-    def __init__(self, lattices: Sequence[Lattice], price: Floats, steps: int = 0) -> None:
+    def __init__(
+        self, lattices: Sequence[Lattice], price: Floats, steps: int = 0, left: Callable[[int], float] = lambda _: 1.0
+    ) -> None:
+        self.left, self.done = left, 0
         gamma = lattices[0].arrays.gamma
         tasks = [lattice.visits.alone.model.choices for lattice in lattices]
         unit = min(float(task.costs[task.applicable].min()) for task in tasks)
         self.steps = max(steps, len(price) + AFTER)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.scale = Scale.of(self.price[: min(self.steps, WISHES)], gamma, unit)
-        conflicts = {id(lattice): Conflicts(lattice, self.scale) for lattice in lattices}
+        conflicts = {id(lattice): Conflicts(lattice, self.scale, self._go_on) for lattice in lattices}
         self.people = [conflicts[id(lattice)] for lattice in lattices]
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, those of the steps as well whose conflicts U does not count.
         self.value = float(self.price @ self.discount) + sum(lattice.value for lattice in lattices)
         self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
+
+    def _go_on(self) -> None:
+        if self.left(self.done) <= 0:
+            raise OutOfTimeError
 
     def path(self, rng: np.random.Generator) -> Path:
         """Draw everybody's luck."""
@@ -166,24 +180,30 @@ class Clairvoyant:
         )  # fmt: skip
         return self.value - alpha * self.lost - found
 
-    def sampled(self, paths: int, seed: int, left: Callable[[int], float] = lambda _: 1.0) -> Sampled:
+    def sampled(self, paths: int, seed: int) -> Sampled:
         """Average over so many lucks, or fewer where time is short, but no fewer than 2.
 
-        Parameters
-        ----------
-        left : callable
-            Called with how many lucks have been looked at; gives the share of the time that is left, 0 or less if none.
+        Raises
+        ------
+        OutOfTimeError
+            It was over before these were looked at: where what people will want takes long to work out.
         """
         tried: list[list[float]] = []
-        while len(tried) < max(2, PILOT * paths) and (len(tried) < 2 or left(len(tried)) > FOR_ALPHA):
+        while len(tried) < max(2, PILOT * paths) and (len(tried) < 2 or self.left(self.done) > FOR_ALPHA):
             path = self.path(_luck(seed, 0, len(tried)))
             tried.append([self.bound(path, alpha) for alpha in ALPHAS])
+            self.done += 1
         # With few lucks an alpha may look good that is lost on a rare one: the spread tells.
         spread = np.std(tried, axis=0, ddof=1) / math.sqrt(len(tried))
         alpha = ALPHAS[int((np.mean(tried, axis=0) + errors(len(tried)) * spread).argmin())]
         found: list[float] = []
-        while len(found) < 2 or (len(found) < paths and left(len(tried) + len(found)) > 0):
-            found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
+        try:
+            while len(found) < 2 or (len(found) < paths and self.left(self.done) > 0):
+                found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
+                self.done += 1
+        except OutOfTimeError:
+            if len(found) < 2:
+                raise
         return Sampled(
             float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(len(found))), len(found), alpha
         )  # fmt: skip

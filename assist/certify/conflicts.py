@@ -21,6 +21,7 @@ penalty whose mean can be worked out for any number of people.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numba
@@ -42,6 +43,13 @@ For four people on `kitting/paper` (c_suggest 0.5, gamma .99; the same 24 lucks)
 the best alpha, 0.6, and -54.42 +- 0.09 at 0.8; with 0.9 it was -54.55 +- 0.04 and -54.59 +- 0.05, in half of the time.
 With 16 lucks 0.95 was .04 behind 0.9 at the best alpha, 0.8 as much, and 0.6 was .13 behind.
 """
+
+PAUSE = 1_000
+"""Rows that are worked out before it is asked whether to go on; on tasks of millions of states about a second's."""
+
+
+class OutOfTimeError(Exception):
+    """What people will want takes longer to work out than there is time."""
 
 
 class Scale(NamedTuple):
@@ -92,7 +100,8 @@ class Rows(NamedTuple):
     row : float array, shape (rows, W * (L + 2))
         In each block P(G <= g), as a mean between two levels, and what adds up: the mean of (G - lambda)^+ and of what
         the bound is too high by.
-    used : int array, shape (1,)
+    used : int array, shape (2,)
+        Rows so far, and how many may be worked out until it is asked whether to go on.
     """
 
     of: Ints
@@ -121,14 +130,20 @@ class Wishes(NamedTuple):
 
 
 class Conflicts:
-    """The wishes of one person, as far as they have been worked out."""
+    """The wishes of one person, as far as they have been worked out.
 
-    def __init__(self, lattice: Lattice, scale: Scale) -> None:
-        self.lattice, self.scale = lattice, scale
+    Parameters
+    ----------
+    go_on : callable
+        Called from time to time, where that takes long; what it raises leaves what has been worked out as it is.
+    """
+
+    def __init__(self, lattice: Lattice, scale: Scale, go_on: Callable[[], None] = lambda: None) -> None:
+        self.lattice, self.scale, self.go_on = lattice, scale, go_on
         count = len(lattice.nodes.first)
         self.rows = Rows(
             np.full(count, -1), np.zeros(count, dtype=np.int64), np.empty((1 << 10, len(scale.price) * scale.size)),
-            np.ones(1, dtype=np.int64),
+            np.array([1, PAUSE]),
         )  # fmt: skip
         self.rows.row[0] = np.tile(np.append(np.ones(scale.size - 1), 0.0), len(scale.price))
         layout, price = lattice.visits.layout, lattice.visits.price
@@ -144,7 +159,7 @@ class Conflicts:
             graph, wishes, self.rows, self.scale, self.price, self.lattice.attended, self.lattice.nodes,
             self.lattice.known, self.lattice.arrays, self.lattice.order,
         ):  # fmt: skip
-            self._grow()
+            self._resume()
         return wishes
 
     def at_root(self) -> Floats:
@@ -154,11 +169,14 @@ class Conflicts:
                 node, len(self.scale.price), self.rows, self.scale, self.price, self.lattice.attended,
                 self.lattice.nodes, self.lattice.known, self.lattice.arrays, self.lattice.order,
             ):  # fmt: skip
-                self._grow()
+                self._resume()
         return np.asarray(self.lattice.chance @ self.rows.row[self.rows.of[self.lattice.root]])
 
-    def _grow(self) -> None:
-        if self.rows.used[0] + 1 >= len(self.rows.row):
+    def _resume(self) -> None:
+        if self.rows.used[1] == 0:
+            self.go_on()
+            self.rows.used[1] = PAUSE
+        elif self.rows.used[0] + 1 >= len(self.rows.row):
             self.rows = self.rows._replace(row=np.concatenate([self.rows.row, np.empty_like(self.rows.row)]))
         else:
             self.lattice.grow()
@@ -197,7 +215,7 @@ def _row(
     node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
 ) -> bool:  # fmt: skip
-    """Work out so many blocks of the row of a node, and what of later nodes that takes; tell whether there was room."""
+    """Work out so many blocks of the row of a node, and what of later nodes that takes; tell whether that is done."""
     levels = len(scale.width)
     size = levels + 2
     stack, depths = [node], [depth]
@@ -223,6 +241,9 @@ def _row(
                 ready = False
         if not ready:
             continue
+        if rows.used[1] == 0:
+            return False
+        rows.used[1] -= 1
         if rows.of[n] < 0:
             if rows.used[0] + 1 >= len(rows.row):
                 return False
@@ -247,7 +268,7 @@ def _wishes(
     graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
 ) -> bool:  # fmt: skip
-    """Fill in the rows of a graph; tell whether there was room."""
+    """Fill in the rows of a graph; tell whether that is done."""
     levels, steps = len(scale.width), len(scale.price)
     size = levels + 2
     for t in range(min(steps, len(graph.layer) - 1)):

@@ -78,3 +78,8 @@ def bound(
             f"the bound is that of {found.sampled.paths} sampled courses of events, and holds with {CONFIDENCE:.0%} "
             f"confidence; {found.proven:.3f} holds in any case"
         )
+    elif paths and len(found.team) > 1:
+        click.echo(
+            "no course of events was sampled: working out what people will want takes longer than there was time "
+            "(--time-limit)"
+        )
