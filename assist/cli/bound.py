@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 import click
-from rich.table import Table
+from rich.table import Column, Table
 
 from planner.solving import versions
 
@@ -46,11 +46,11 @@ def bound(
     with policy_errors():
         policies = policies_of(names)
         made = team_of(instance, size=team["humans"], **team)
-        left = max(1e-3, start + time_limit - time.perf_counter())
         with stages() as show:
             found, certificates = certify(
-                made.pool, policies, episodes=episodes, seed=team["seed"], time_limit=left, progress=show,
-                travel=made.travel, gap=gap, paths=paths, jobs=jobs, memory_limit_mb=team["memory_limit"],
+                made.pool, policies, time_limit=max(1e-3, start + time_limit - time.perf_counter()), progress=show,
+                episodes=episodes, seed=team["seed"], travel=made.travel, gap=gap, paths=paths, jobs=jobs,
+                memory_limit_mb=team["memory_limit"],
             )  # fmt: skip
     best = max(certificates, key=lambda certificate: certificate.value)
     if as_json:
@@ -63,9 +63,8 @@ def bound(
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return
-    table = Table(box=None, pad_edge=False)
-    for column in ("policy", "value", "upper bound", "gap at most"):
-        table.add_column(column, justify="left" if column == "policy" else "right")
+    figures = [Column(name, justify="right") for name in ("value", "upper bound", "gap at most")]
+    table = Table("policy", *figures, box=None, pad_edge=False)
     for c in certificates:
         table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", f"{c.gap_percent:.2f} %")
     print_table(table)
@@ -74,12 +73,7 @@ def bound(
         f"solved so far that the bound is at most {best.slack_percent:.2f} of these percent too high for it"
     )
     if found.sampled:
-        click.echo(
-            f"the bound is that of {found.sampled.paths} sampled courses of events, and holds with {CONFIDENCE:.0%} "
-            f"confidence; {found.proven:.3f} holds in any case"
-        )
+        sampled = f"that of {found.sampled.paths} sampled courses of events, and holds with {CONFIDENCE:.0%} confidence"
+        click.echo(f"the bound is {sampled}; {found.proven:.3f} holds in any case")
     elif paths and len(found.team) > 1:
-        click.echo(
-            "no course of events was sampled: working out what people will want takes longer than there was time "
-            "(--time-limit)"
-        )
+        click.echo("no course of events was sampled: what people will want takes longer to work out (--time-limit)")
