@@ -66,6 +66,10 @@ CASES = {
         "--instance paper-fixed --gamma .95 --humans 2 --humans 100 --time-limit 10",
         "--instance tiny --gamma .95 --humans 2 --time-limit 1",
     ),
+    "team prices": (
+        "--humans 12 --time-limit 60",
+        "--instance tiny --humans 3 --gamma .95 --time-limit 2 --episodes 40",
+    ),
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
     "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5 --settings 1"),

@@ -3,12 +3,13 @@
     python bench/team.py latency    time of one decision, and memory, against K
     python bench/team.py rate       person-steps per second against K
     python bench/team.py gap        certified gap against K
+    python bench/team.py prices     certified gap of priority at one price, and at the bound's for each step
     python bench/team.py settings   the own policy against Algorithm 1 in 20 settings
     python bench/team.py fluid      many robots, each for so many people
     python bench/team.py joint      tiny teams whose whole problem can be solved
 
-Each prints a table and writes it as JSON, and all but `settings` and `joint` draw a picture, into --out; --record
-writes the table that the documentation shows.
+Each prints a table and writes it as JSON, and all but `prices`, `settings` and `joint` draw a picture, into --out;
+--record writes the table that the documentation shows.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from rich.table import Table
 from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.certify.bound import upper_bound
+from assist.certify.certificate import Certificate, returns
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -76,6 +78,13 @@ GAP: Columns = {
     "lucks": cell("lucks"), "solver": cell("left to solver %", ".2f"),
     "attention": cell("attention gap %", ".2f"), "reactive": cell("reactive gap %", ".2f"),
     "nobody": cell("none gap %", ".2f"), "if seen": cell("if beta, theta seen %", ".2f"),
+}  # fmt: skip
+PRICES: Columns = {
+    "instance": cell("instance"), "c_suggest": cell("c_suggest", "g"), "gamma": cell("gamma", "g"),
+    "people": cell("humans"), "bound": cell("upper", ".2f"), "at one price": cell("priority", ".2f", "stderr"),
+    "its gap": lambda row: f"{row['gap %']:.2f} %", "at each step's": cell("priced", ".2f", "its stderr"),
+    "gap": lambda row: f"**{row['priced gap %']:.2f} %**", "ahead": cell("ahead", ".2f", "ahead stderr"),
+    "solver": cell("left to solver %", ".2f"),
 }  # fmt: skip
 JOINT: Columns = {
     "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"), "pool": cell("seed"),
@@ -319,6 +328,49 @@ def gap(
 
 
 @main.command()
+@instance_option
+@click.option("--gamma", type=float, default=0.99, show_default=True)
+@click.option("--humans", "sizes", type=int, multiple=True, default=(6, 12, 100), show_default=True)
+@click.option("--own", type=int, default=12, show_default=True, help="Larger teams share one model (knowledge exact).")
+@click.option("--c-suggest", type=float, default=1.0, show_default=True)
+@click.option("--time-limit", type=float, default=800.0, show_default=True, help="Seconds for each team's bound.")
+@click.option("--episodes", type=click.IntRange(min=2), default=4000, show_default=True)
+@out_option
+@record_option
+@more_option
+def prices(
+    instances: tuple[str, ...], gamma: float, sizes: tuple[int, ...], own: int, c_suggest: float, time_limit: float,
+    episodes: int, out: Path, record: Path | None, more: bool,
+) -> None:  # fmt: skip
+    """Compare priority at the bound's prices, one for each step, with priority at one price, with the same luck."""
+    rows = []
+    for name in instances:
+        for humans in sizes:
+            knowledge = "own" if humans <= own else "exact"
+            pool = pool_of(name, humans, 0, gamma=gamma, c_suggest=c_suggest, knowledge=knowledge)
+            found = upper_bound(pool, gap=5e-4, time_limit=time_limit)
+            one, each = (
+                returns(pool, policy, found.team, found.travel, episodes=episodes, seed=0)
+                for policy in ("priority", found.policy())
+            )
+            at_one, at_each = (
+                Certificate.of("priority", some, humans=humans, upper=found.upper, slack=found.slack)
+                for some in (one, each)
+            )
+            ahead = each - one
+            rows.append(
+                {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
+                 "prices": len(found.price), "priority": at_one.value, "stderr": at_one.value_stderr,
+                 "gap %": at_one.gap_percent, "priced": at_each.value, "its stderr": at_each.value_stderr,
+                 "priced gap %": at_each.gap_percent, "ahead": float(ahead.mean()),
+                 "ahead stderr": float(ahead.std(ddof=1) / np.sqrt(episodes)),
+                 "left to solver %": at_each.slack_percent, "seconds": found.seconds}
+            )  # fmt: skip
+            write(out, "prices", rows, "Priority at one price, and at the bound's for each step")
+    write_record(record, PRICES, rows, more=more)
+
+
+@main.command()
 @click.option("--instance", default="paper-fixed", show_default=True)
 @seeds_option
 @click.option("--episodes", type=click.IntRange(min=2), default=2000, show_default=True, help="Of each pool.")
@@ -469,8 +521,8 @@ def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: 
         active = np.flatnonzero(~choices.goal[people.x])
         if not len(active):
             break
-        q = solved.policy.q_values(solved.states[HERE][people.x[active]], people.belief[active])
-        gain = q - q[:, :1] + priority.price
+        q = solved.policy.q_values(solved.states[0, HERE][people.x[active]], people.belief[active])
+        gain = q - q[:, :1] + priority.price[-1]
         speak, hold = gain[:, 2:].max(axis=1), np.where(here[active], gain[:, 1], -np.inf)
         worth = np.full(size, -np.inf)
         worth[active] = np.maximum(speak - np.where(here[active], 0.0, setting.c_move), hold)

@@ -38,6 +38,7 @@ from ..people.decision import Floats
 from ..person.solver import Solution, solve
 from ..team.arguments import Seed, entropy, positive, whole
 from ..team.pool import MEMORY_LIMIT_MB, Pool
+from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.subproblem import Visits
 from ..team.travel import Travel
@@ -132,6 +133,18 @@ class TeamBound:
             total += kind.count * float(value.mean())
             variance += kind.count**2 * float(value.var(ddof=1)) / episodes
         return total, math.sqrt(variance)
+
+    def policy(self) -> Priority:
+        """Give priority at this bound's prices, one for each step, for this team from its beginning.
+
+        Where many wait for the robot it is ahead of priority at one price; without prices it is that.
+
+        Raises
+        ------
+        ValueError
+            The task is not looked at whole, and there are prices.
+        """
+        return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else None)
 
     def certify(
         self,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planner import LimitError
 
 from ..people.decision import Floats
-from ..person.qmdp import QMDP, ahead, highest, improve, qmdp
+from ..person.qmdp import QMDP, ahead, highest, improve
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
 from ..team.arguments import positive
@@ -26,7 +26,7 @@ from ..team.attention import NoAssistance
 from ..team.bounded import Bounded, Outer, likely
 from ..team.pool import Pool, policy_bytes
 from ..team.state import TeamAction, TeamState
-from ..team.subproblem import HERE, Layout, Visits
+from ..team.subproblem import HERE, Layout, Visits, backwards
 from ..team.travel import Travel
 from ..team.wide import WidePolicy
 
@@ -85,11 +85,7 @@ class Kind:
 
     def best(self, visits: Visits) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
-        layout = visits.layout
-        above = np.zeros((len(layout), *visits.pomdp.grid.shape))
-        last = layout.step == len(visits.price)
-        above[last] = self.tail[layout.position[last] * layout.states + layout.x[last]]
-        return qmdp(visits.pomdp, above=above, tolerance=1e-5)
+        return backwards(visits, self.tail)
 
     def at(self, price: Floats) -> Visits:
         """Give the problem at prices of any steps."""

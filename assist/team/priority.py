@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
 from .state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
-from .subproblem import HERE, Visits
+from .subproblem import HERE, Visits, backwards
 from .travel import Travel
 from .wide import Around, WidePolicy
 
@@ -42,8 +43,9 @@ class Presence:
     visits : Visits
     policy : QMDP
         Its policy.
-    states : int array, shape (P, n)
-        Its states, by the robot's position and the state of the person's own problem.
+    states : int array, shape (W + 1, P, n)
+        Its states, by the step, the robot's position and the state of the person's own problem; -1 where that cannot be
+        reached at that step.
     """
 
     visits: Visits
@@ -53,8 +55,8 @@ class Presence:
     @classmethod
     def of(cls, visits: Visits, policy: QMDP) -> Presence:
         """Number the states."""
-        positions = range(visits.layout.positions)
-        return cls(visits, policy, np.stack([visits.states(0, position) for position in positions]))
+        steps, positions = range(len(visits.layout.layers)), range(visits.layout.positions)
+        return cls(visits, policy, np.array([[visits.states(t, position) for position in positions] for t in steps]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,9 +74,9 @@ class Priority:
         What coming costs.
     entry_steps, longest : int
         How many steps it takes, and how many at most.
-    price : float
-        What a step of the robot's attention will be worth to others. It counts from the next step on, since what
-        others need in this one is seen.
+    price : float array, shape (W + 1,)
+        What each step of the robot's attention is worth to others, the last also at any later one. It counts from the
+        next step on, since what others need in this one is seen.
     known : ByPolicy of Presence
         For people on tasks that are looked at whole.
     """
@@ -82,7 +84,7 @@ class Priority:
     entry: float
     entry_steps: int
     longest: int
-    price: float
+    price: Floats
     known: ByPolicy[Presence]
     uses_belief = True
 
@@ -91,7 +93,7 @@ class Priority:
         cls,
         policies: Sequence[Policy],
         travel: Travel,
-        price: float | None = None,
+        price: ArrayLike | None = None,
         *,
         progress: Callable[[int, int], None] | None = None,
     ) -> Priority:
@@ -103,12 +105,18 @@ class Priority:
         ----------
         policies : sequence of Policy
         travel : Travel
-        price : float, optional
-            What a step of the robot's attention will be worth to others, in cost units. Values from 0.1 to 0.2 of the
-            cheapest action's cost were about equally good for teams of 2 to 100.
+        price : float or float array, shape (W,), optional
+            What a step of the robot's attention is worth to others, in cost units: at every step, where values from
+            0.1 to 0.2 of the cheapest action's cost were about equally good for teams of 2 to 100; or at each of the
+            steps from 0 on, and then nothing, for people on tasks that are looked at whole who all begin at step 0.
         progress : callable, optional
             Called with how many problems of people on tasks that are not looked at whole have been solved, and of how
             many.
+
+        Raises
+        ------
+        ValueError
+            Prices of several steps for tasks that are not looked at whole.
         """
         wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
         whole = [policy for policy in policies if not isinstance(policy, WidePolicy)]
@@ -117,16 +125,24 @@ class Priority:
             cheapest = [float(task.costs[task.applicable].min()) for task in tasks]
             price = PRICE * min(cheapest + [min(policy.ground.known.task.costs, default=1) for policy in wide])
         entry, steps, longest = coming(travel)
+        each = np.asarray(price, dtype=float)
+        if each.ndim and wide:
+            raise ValueError(f"prices of {each.size} steps: expected one price where tasks are not looked at whole")
 
         def presence(policy: Policy) -> Presence:
             visits = Visits.of(policy.pomdp, entry, steps, longest=longest)
-            return Presence.of(visits, qmdp(visits.at_price(price)))
+            if not each.ndim:
+                return Presence.of(visits, qmdp(visits.at_price(float(each))))
+            tail = qmdp(visits.pomdp).value_mdp
+            visits = Visits.of(policy.pomdp, entry, steps, each, longest=longest)
+            return Presence.of(visits, backwards(visits, tail))
 
-        made = cls(entry, steps, longest, price, ByPolicy(whole, presence))
+        prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
+        made = cls(entry, steps, longest, prices, ByPolicy(whole, presence))
         for done, policy in enumerate(wide):
             if progress is not None:
                 progress(done, len(wide))
-            policy.visited(entry, steps, longest, price)
+            policy.visited(entry, steps, longest, float(each))
         return made
 
     def __call__(self, team: TeamState, /) -> TeamAction:
@@ -147,16 +163,17 @@ class Priority:
             )
         if not team.active.any():
             return robot, going, holding
-        values = team.of_each(self._values)
+        price = self.price[min(team.step, len(self.price) - 1)]
+        values = team.of_each(partial(self._values, team.step))
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
         # Nothing is worth infinitely little to those who are not there.
         gain = np.full(q.shape, -np.inf)
-        np.subtract(q[:, :, 1:] + self.price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
+        np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         if q.shape[2] > 2:
             robot = np.where(team.active, gain[:, :, 2:].argmax(axis=2) + 1, 0)
             going = gain[:, :, 2:].max(axis=2)
         e, k = np.nonzero(team.active & (steps > 0))
-        going[e, k] = arriving[e, k, steps[e, k] - 1] + self.price - q[e, k, 0]
+        going[e, k] = arriving[e, k, steps[e, k] - 1] + price - q[e, k, 0]
         with_them = np.flatnonzero(team.location != BASE)
         with_them = with_them[team.active[with_them, team.location[with_them]]]
         holding[with_them] = gain[with_them, team.location[with_them], 1]
@@ -165,14 +182,16 @@ class Priority:
     def presence(self, policy: Policy) -> Presence:
         """Give the problem of the people of a policy with a robot that comes and goes."""
         if isinstance(policy, Around):
-            return Presence.of(*policy.visits(self.entry, self.entry_steps, self.longest, self.price))
+            return Presence.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
         return self.known[policy]
 
-    def _values(self, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
+    def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give what it is worth that the robot is on its way, by how long, then what each of its actions is there."""
         solved = self.presence(policy)
-        arriving = [
-            solved.policy.q_values(solved.states[HERE + steps][x], belief)[:, :1]
-            for steps in range(1, 1 + self.longest)
-        ]
-        return np.concatenate([*arriving, solved.policy.q_values(solved.states[HERE][x], belief)], axis=1)
+        states = solved.states[min(step, len(solved.states) - 1)][:, x]
+        if (states < 0).any():
+            raise ValueError(
+                f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
+            )
+        arriving = [solved.policy.q_values(states[HERE + steps], belief)[:, :1] for steps in range(1, 1 + self.longest)]
+        return np.concatenate([*arriving, solved.policy.q_values(states[HERE], belief)], axis=1)

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1
 """Positions of the robot. At HERE + s it is on its way, and here after s more steps."""
@@ -260,6 +261,21 @@ class Visits:
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
         return self.layout.number(step, position, np.arange(self.layout.states))
+
+
+def backwards(visits: Visits, tail: Floats) -> QMDP:
+    """Solve a problem with beta and theta seen, from the steps on at which attention is free back to the first.
+
+    Parameters
+    ----------
+    tail : float array, shape (P * n, B, T)
+        What it is worth from then on, by position and the task's state; at least that.
+    """
+    layout = visits.layout
+    above = np.zeros((len(layout), *visits.pomdp.grid.shape))
+    last = layout.step == len(visits.price)
+    above[last] = tail[layout.position[last] * layout.states + layout.x[last]]
+    return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
 
 def _choices(alone: Choices, layout: Layout) -> Choices:
