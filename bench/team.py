@@ -29,6 +29,7 @@ import numpy as np
 from joint import joint_bounds
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from pooled import pooled
 from rich.console import Console
 from rich.table import Table
 from tables import Columns, cell, more_option, record_option, write_record
@@ -39,14 +40,12 @@ from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import Arrays, qmdp
-from assist.simulation.dynamics import Minds, People, act
+from assist.person.qmdp import qmdp
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
-from assist.team.subproblem import HERE
 from planner import load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
@@ -464,7 +463,7 @@ def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: 
     ).discounted_return  # fmt: skip
     rows = [_fluid_row(1, "own people only", one, found.upper, per_robot)]
     for robots in (1, 2, 4, 8, 16, 32, 64):
-        values = _pooled(pool, priority, robots, robots * per_robot, max(50, episodes // (4 * robots)))
+        values = pooled(pool, priority, robots, robots * per_robot, max(50, episodes // (4 * robots)))
         rows.append(_fluid_row(robots, "anybody", values / robots, found.upper, per_robot))
     write(out, "fluid", rows, f"{per_robot} people for each robot, {instance}")
     write_record(record, FLUID, rows)
@@ -494,57 +493,6 @@ def _fluid_row(robots: int, serves: str, values: np.ndarray, upper: float, per_r
         "robots": robots, "people": robots * per_robot, "serves": serves, "value per robot": mean, "upper": upper,
         "gap %": 100 * (upper - mean) / abs(mean), "stderr %": 100 * error / abs(mean),
     }  # fmt: skip
-
-
-def _pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: int) -> np.ndarray:
-    """Simulate teams with several robots, shape (episodes,): the m largest worths are acted on.
-
-    All people have one model, and all places are equally far from each other.
-    """
-    solved, pomdp = priority.presence(pool.policies[0]), pool.policies[0].pomdp
-    model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
-    arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
-    minds = Minds(
-        np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.h, model.eta / model.utility_scale,
-        model.lapse, True,
-    )  # fmt: skip
-    size = episodes * humans
-    cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
-    b, t = np.divmod(cell, len(pomdp.grid.theta))
-    people = People(
-        np.full(size, choices.initial), np.zeros(size, dtype=np.int64), b, pomdp.grid.theta[t].copy(),
-        np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
-        np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),
-    )  # fmt: skip
-    here, total = np.zeros(size, dtype=bool), np.zeros(episodes)
-    for step in range(2000):
-        active = np.flatnonzero(~choices.goal[people.x])
-        if not len(active):
-            break
-        q = solved.policy.q_values(solved.states[0, HERE][people.x[active]], people.belief[active])
-        gain = q - q[:, :1] + priority.price[-1]
-        speak, hold = gain[:, 2:].max(axis=1), np.where(here[active], gain[:, 1], -np.inf)
-        worth = np.full(size, -np.inf)
-        worth[active] = np.maximum(speak - np.where(here[active], 0.0, setting.c_move), hold)
-        ranked = np.argsort(-worth.reshape(episodes, humans), axis=1)[:, :robots]
-        chosen = (ranked + humans * np.arange(episodes)[:, None]).ravel()
-        chosen = chosen[worth[chosen] > 0]
-        speaks = np.zeros(size, dtype=bool)
-        speaks[active] = speak - np.where(here[active], 0.0, setting.c_move) >= hold
-        robot, best = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
-        best[active] = gain[:, 2:].argmax(axis=1) + 1
-        robot[chosen] = np.where(speaks[chosen], best[chosen], 0)
-        paid = np.zeros(size)
-        paid[chosen] = setting.c_move * ~here[chosen]
-        paid += pomdp.robot_costs[people.x, robot]
-        here[:] = False
-        here[chosen] = True
-        people.robot[:] = robot
-        people.cost[:] = 0.0
-        people.luck[active] = rng.random((len(active), 2))
-        act(active, people, minds, arrays)
-        total -= setting.gamma**step * (paid + people.cost).reshape(episodes, humans).sum(axis=1)
-    return total
 
 
 if __name__ == "__main__":
