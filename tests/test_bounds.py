@@ -19,6 +19,7 @@ from assist.person.solver import solve
 from assist.simulation.simulate import simulate
 from assist.team.policies import POLICIES
 from assist.team.pool import Pool
+from assist.team.priority import PRICE
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.subproblem import AWAY, HERE, Visits
@@ -147,6 +148,16 @@ def test_prices_make_the_bound_tighter(pool: Pool, together: TeamBound) -> None:
     apart = sum(upper_bound(pool, (person,)).upper for person in range(3))
     assert together.price.max() > 0.05
     assert together.upper < apart - 0.01
+
+
+def test_a_bounds_own_policy_goes_by_its_prices(pool: Pool, together: TeamBound) -> None:
+    policy = together.policy()
+    np.testing.assert_array_equal(policy.price, [*together.price, 0.0])
+    certificate = together.certify(policy, "at its prices", episodes=2000)
+    assert certificate.policy == "at its prices"
+    assert 0 < certificate.gap_percent < 2.0
+    without = upper_bound(pool, window=0)
+    assert without.policy().price == pytest.approx([PRICE])
 
 
 def test_people_with_one_model_share_one_problem(tiny_choices: Choices) -> None:

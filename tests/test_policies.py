@@ -13,6 +13,7 @@ from assist.person.qmdp import evaluate, qmdp
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.pool import Pool
+from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
 from assist.team.travel import Travel
@@ -167,3 +168,36 @@ def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) 
     value = pool.policies[0].q_values(np.array([x]), pomdp.prior[None]).max()
     assert robot[0, 0] > 0
     assert score[0, 0] == pytest.approx(value - never - pool.setting.c_move, abs=1e-9)
+
+
+def with_them(pool: Pool, price: object, step: int, x: list[int]) -> list[float]:
+    """What going to each of them is worth in this step, and holding on to the first, with these prices."""
+    team = replace(state(pool, x, location=0), step=step)
+    _, going, holding = Priority.of(pool.policies, team.travel, price).worth(team)
+    return [*going[0].tolist(), *holding.tolist()]
+
+
+def test_priority_goes_by_the_prices_of_the_steps_to_come(pool: Pool) -> None:
+    """The same at all steps they are one price; and what is over does not matter any more."""
+    x, prices = [pool.choices(0).initial] * 3, np.array([0.3, 0.0, 0.5, 0.1, 0.4, 0.2])
+    # Fetching a box and returning it leads back.
+    assert with_them(pool, np.full(200, 0.2), 2, x) == pytest.approx(with_them(pool, 0.2, 0, x), abs=1e-4)
+    later = with_them(pool, prices, 2, x)
+    np.testing.assert_allclose(later, with_them(pool, prices[2:], 0, x), atol=1e-4)
+    assert np.abs(np.subtract(later, with_them(pool, prices, 0, x))).max() > 0.01
+    np.testing.assert_allclose(with_them(pool, prices, 6, x), with_them(pool, 0.0, 0, x), atol=1e-4)
+    one, each = (
+        simulate(pool, Priority.of(pool.policies, pool.setting.travel(3), price), humans=3, episodes=50, seed=2)
+        for price in (0.2, np.full(200, 0.2))
+    )
+    assert equal(one, each)
+
+
+def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool: Pool, tiny: Table) -> None:
+    table, travel = pool.choices(0), pool.setting.travel(3)
+    nearly = int(np.flatnonzero((table.h > 0) & (table.h <= table.h[table.h > 0].min()))[0])
+    with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
+        with_them(pool, np.full(4, 0.2), 1, [table.initial, nearly, table.initial])
+    part = Pool.sample(tiny, 3, seed=0, states=1)
+    with pytest.raises(ValueError, match="prices of 4 steps: expected one price where tasks are not looked at whole"):
+        Priority.of(part.policies, travel, np.full(4, 0.2))
