@@ -353,8 +353,8 @@ def prices(
                 for policy in ("priority", found.policy())
             )
             at_one, at_each = (
-                Certificate.of("priority", some, humans=humans, upper=found.upper, slack=found.slack)
-                for some in (one, each)
+                Certificate.of(label, some, humans=humans, upper=found.upper, slack=found.slack)
+                for label, some in (("priority", one), ("priority, prices of steps", each))
             )
             ahead = each - one
             rows.append(

@@ -283,16 +283,27 @@ def test_wishes_are_worked_out_bit_by_bit(
 
 
 def test_a_time_limit_holds_while_wishes_are_worked_out(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time is over after it was asked for so many times: nothing is sampled then, or fewer lucks than were wanted."""
+    """Nothing is sampled where time is over before two lucks have been looked at; later, those are what there is."""
     monkeypatch.setattr(conflicts, "PAUSE", 20)
-    lattices, lucks = [person.lattice for person in robot.people], []
-    for asks in (3, 1000, 10**9):
-        asked = iter(range(asks))
-        try:
-            found = Clairvoyant(lattices, PRICE, left=lambda _, asked=asked: 1.0 if next(asked, -1) >= 0 else 0.0)
-            lucks.append(found.sampled(6, 0).paths)
-        except OutOfTimeError:
-            lucks.append(0)
-    assert lucks[0] == 0
-    assert lucks[2] == 6
-    print(lucks)
+    asked = iter((1.0, 1.0, 1.0, 0.0))
+    with pytest.raises(OutOfTimeError):
+        Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda _: next(asked))
+    assert list(asked) == []  # it went on while there was time
+
+    def sampled(draws: int) -> int:
+        """Let time be over while so many draws are followed by another: two, on which alpha is chosen, come first."""
+        path, drawn = robot.path, []
+
+        def until(rng: np.random.Generator) -> Path:
+            drawn.append(rng)
+            if len(drawn) > draws:
+                raise OutOfTimeError
+            return path(rng)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(robot, "path", until)
+            return robot.sampled(6, 0).paths
+
+    assert [sampled(draws) for draws in (4, 5, 9)] == [2, 3, 6]
+    with pytest.raises(OutOfTimeError):
+        sampled(3)

@@ -3,7 +3,8 @@
 Algorithm 1 scores a suggestion to a person as if the way to them were to be paid for this suggestion alone, and
 as if they were always within reach afterwards. Here each person's problem knows whether the robot is with them
 (`assist.team.subproblem`), so that coming is worth what can be said later without coming again, staying silently has
-a worth of its own, and a way that takes time is looked at to its end.
+a worth of its own, and a way that takes time is looked at to its end. What the robot's attention is worth to
+others is one price at all steps, or one for each, as a bound on the team has them.
 """
 
 from __future__ import annotations
@@ -130,12 +131,11 @@ class Priority:
             raise ValueError(f"prices of {each.size} steps: expected one price where tasks are not looked at whole")
 
         def presence(policy: Policy) -> Presence:
-            visits = Visits.of(policy.pomdp, entry, steps, longest=longest)
+            free = Visits.of(policy.pomdp, entry, steps, longest=longest)
             if not each.ndim:
-                return Presence.of(visits, qmdp(visits.at_price(float(each))))
-            tail = qmdp(visits.pomdp).value_mdp
+                return Presence.of(free, qmdp(free.at_price(float(each))))
             visits = Visits.of(policy.pomdp, entry, steps, each, longest=longest)
-            return Presence.of(visits, backwards(visits, tail))
+            return Presence.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
         made = cls(entry, steps, longest, prices, ByPolicy(whole, presence))
