@@ -72,7 +72,8 @@ $(VENV)/.compiled: $(VENV)/bin/python $(SHARED)
 $(VENV)/.warm: $(VENV)/.test $(VENV)/.compiled $(wildcard planner/*.py assist/*/*.py)
 	@echo "Compiling ..."
 	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && $(BIN)/kitassist solve $$tiny >$$folder/solved && \
-		{ $(BIN)/kitassist policy $$tiny --gap 0.1 >$$folder/policy & \
+		{ { $(BIN)/kitassist policy $$tiny --gap 0.1 >$$folder/policy && \
+		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --paths 2 >$$folder/bound; } & \
 		$(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl >$$folder/team && \
 		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception >$$folder/people; wait; } 2>$$folder/said; \
 		rm -rf $$folder

@@ -117,7 +117,8 @@ def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     assert values["none"] < values["attention"]
 
 
-@pytest.mark.parametrize(("time", "gap"), [pytest.param(1.0, 1.53, marks=pytest.mark.slow), (2.0, 1.36)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("time", "gap"), [(1.0, 1.53), (2.0, 1.36)])
 def test_the_bound_holds_where_the_way_takes_time(pool: Pool, together: TeamBound, time: float, gap: float) -> None:
     slow = replace(pool, setting=replace(pool.setting, travel_time=time))
     found = upper_bound(slow, gap=1e-3)

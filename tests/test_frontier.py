@@ -32,7 +32,7 @@ numbers = st.fixed_dictionaries(
         "lapse": st.sampled_from([0.0, 1e-3, 0.1]),
     }
 )
-examples = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+examples = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:

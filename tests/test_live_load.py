@@ -14,6 +14,7 @@ from userstudies import written
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_nothing_acknowledged_is_lost_when_the_service_is_killed(tmp_path: Path) -> None:
     """What is compared, and with what, stands in `live_load.check`."""
     seen = asyncio.run(live_load.run(TINY, 6, seconds=3.0, every=0.1, kills=1, data=tmp_path, seed=1))

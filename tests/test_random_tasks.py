@@ -25,7 +25,7 @@ def conjunction(positive: list[str], negative: list[str]) -> str:
     return f"(and {' '.join(positive)} {' '.join(f'(not {atom})' for atom in negative)})"
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(actions, some_atoms, several_atoms, st.booleans())
 def test_every_state_equals_fast_downward(
     drawn: list[tuple[list[str], list[str], list[str], list[str], int]], init: list[str], goal: list[str], costs: bool
