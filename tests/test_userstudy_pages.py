@@ -224,8 +224,10 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         second.click('button:text("Begin as the next participant")')
         second.click("text=I agree and take part")
         second.click('h2:text("What you will do") ~ form >> button')
+        second.wait_for_selector("#drawing svg")  # which moves the link downwards as it comes
         second.click('#leave:not([hidden]) a[href*="?leave"]')  # in the middle of practice
         second.click("#stay")
+        second.wait_for_selector("#drawing svg")
         second.click('#leave:not([hidden]) a[href*="?leave"]')
         second.click("#leave-now")
         second.wait_for_selector('h2:text("You have left the study")')
