@@ -140,6 +140,8 @@ def test_nobody_gains_by_a_conflict(robot: Clairvoyant) -> None:
     for s in range(steps):
         nodes = [np.flatnonzero(person.rows.depth > s) for person in robot.people]
         rows = [person.rows.row[person.rows.of[own]] for person, own in zip(robot.people, nodes, strict=True)]
+        for own in rows:
+            own[:, (s + 1) * robot.scale.size :] = 0.0  # not worked out for all of them
         one = robot.scale._replace(weight=np.eye(steps + 1)[s])
         for _ in range(200):
             met = np.array([own[rng.integers(len(own))] for own in rows + rows])

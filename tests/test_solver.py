@@ -212,6 +212,20 @@ def test_search_ends_where_rounding_stops_it(tiny_choices: Choices) -> None:
     assert 0 < solution.gap < 1e-9
 
 
+def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> None:
+    """And no policy is above them: one that is nearly the best is not."""
+    pomdp = make(tiny_choices, c_suggest=0.5)
+    rng = np.random.default_rng(0)
+    states = rng.choice(np.flatnonzero(~pomdp.final), 200)
+    beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
+    before = solve(pomdp, gap=0.5).upper_bound(states, beliefs)
+    after = solve(pomdp, gap=0.5, met=(states, beliefs)).upper_bound(states, beliefs)
+    best = solve(pomdp, gap=1e-3, met=(states, beliefs), time_limit=3)
+    assert (after <= before + 1e-9).all()
+    assert np.count_nonzero(after < before - 1e-3) > 50
+    assert (best.value(states, beliefs) <= after + 1e-9).all()
+
+
 def test_dead_ends_cost_for_ever(sealed: Table) -> None:
     """From a dead end both bounds are those of never getting out."""
     solution = solution_of("sealed")

@@ -31,6 +31,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planner import LimitError
 
@@ -43,8 +44,8 @@ from ..team.state import TeamPolicy
 from ..team.subproblem import Visits
 from ..team.travel import Travel
 from ..team.wide import WidePolicy
-from .certificate import Certificate, horizon, returns
-from .clairvoyant import Clairvoyant, Sampled
+from .certificate import Certificate, Meeting, horizon, returns
+from .clairvoyant import AFTER, Clairvoyant, Sampled
 from .conflicts import OutOfTimeError
 from .lattice import Lattice
 from .prices import Kind, Tell, kinds_of, search, window_of
@@ -67,6 +68,12 @@ FOR_PATHS = 0.5
 FOR_FREE = 0.3
 """The share of that in which people's problems are bounded without prices, before."""
 
+
+MEETINGS = 1_000
+"""Episodes of priority from which it is known with what beliefs a robot is met that has others to see to."""
+
+ALIKE = 1 / 200
+"""Beliefs that differ by less than this share, in each type, count as one there."""
 
 ROOM = 500.0
 """Megabytes for each person's problem with which they are looked for there: what is around their parts is kept, too."""
@@ -255,7 +262,8 @@ def upper_bound(
         price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
         if pool.wide and not len(price):
             kinds = kinds_with(0, paths > 0)
-    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell)
+    met = _met(pool, members, travel, price, together + AFTER, luck) if paths and not pool.wide else None
+    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell, met)
     sampled = None
     if paths and len(members) > 1:
         begun = time.perf_counter()
@@ -263,7 +271,9 @@ def upper_bound(
             free = kinds_with(0, paths > 0)
             until = begun + FOR_FREE * (start + limit - begun)
             relaxed = min(
-                relaxed, _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell), key=lambda one: one.upper
+                relaxed,
+                _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell, met),
+                key=lambda one: one.upper,
             )
 
         def left(done: int) -> float:
@@ -340,9 +350,35 @@ class _Relaxed:
         return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
 
 
+def _met(pool: Pool, team: tuple[int, ...], travel: Travel, price: Floats, steps: int, seed: int) -> Meeting:
+    """Simulate priority at these prices for so many steps.
+
+    A robot with one person only hardly ever leaves them alone for long, so that the solver looks there last; in a team
+    it does, and where bounds are poor a belief is divided among types that are told apart, which tells it too much.
+    """
+    policies = [pool.policies[model] for model in sorted(set(pool.model[list(team)].tolist()))]
+    meeting = Meeting(Priority.of(policies, travel, price if len(price) else None), len(team), steps)
+    returns(pool, meeting, team, travel, episodes=MEETINGS, seed=seed)
+    return meeting
+
+
+def _beliefs(kind: Kind, visits: Visits, met: Meeting) -> tuple[NDArray[np.int64], Floats]:
+    """Give the states of a problem and the beliefs with which people of a kind are met, the latest first."""
+    found = [one for place in kind.places for one in met.met[place] if len(one[1])]
+    states = np.concatenate([visits.layout.number(step, here, x) for step, x, here, _ in found])
+    steps = np.concatenate([np.full(len(x), step) for step, x, _, _ in found])
+    beliefs = np.concatenate([belief for *_, belief in found])
+    alike = np.column_stack([states, np.rint(beliefs.reshape(len(states), -1) / ALIKE)])
+    first = np.unique(alike.astype(np.int32), axis=0, return_index=True)[1]
+    first = first[(states[first] >= 0) & ~visits.pomdp.final[states[first]]]
+    first = first[np.argsort(-steps[first], kind="stable")]
+    return states[first], beliefs[first]
+
+
 def _relax(
-    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Tell
-) -> _Relaxed:
+    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Tell,
+    met: Meeting | None = None,
+) -> _Relaxed:  # fmt: skip
     """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
 
     def one(number: int, kind: Kind) -> tuple[Visits, Solution]:
@@ -353,6 +389,7 @@ def _relax(
         return visits, solve(
             visits.pomdp, gap=gap, time_limit=None if until == math.inf else max(0.0, share),
             memory_limit_mb=memory_limit_mb, best=best,
+            met=None if met is None else _beliefs(kind, visits, met),
         )  # fmt: skip
 
     parts: list[tuple[Visits, Solution]] = []

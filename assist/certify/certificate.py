@@ -7,11 +7,13 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..simulation.simulate import simulate
 from ..team.pool import Pool
-from ..team.state import TeamPolicy
+from ..team.state import TeamAction, TeamPolicy, TeamState
+from ..team.subproblem import AWAY, HERE
 from ..team.travel import Travel
 
 BEYOND = 1e-6
@@ -103,3 +105,30 @@ def returns(
         left = (~run.finished).sum(axis=1) * dearest * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - left)
     return np.concatenate(parts)
+
+
+class Meeting:
+    """A team policy that does as another one does and notes down with what the robot was met, in each place.
+
+    Attributes
+    ----------
+    met : list of lists of (int, int array, int array, float array)
+        For each place: a step, then of each team in which somebody is at work there their task's state, the robot's
+        position (`team.subproblem`) and its belief, shape (n, B, T).
+    """
+
+    uses_belief = True
+
+    def __init__(self, policy: TeamPolicy, places: int, steps: int) -> None:
+        self.policy, self.steps = policy, steps
+        self.met: list[list[tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]]] = [[] for _ in range(places)]
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        """Note down what is known of the teams, and choose."""
+        if team.step < self.steps:
+            assert team.belief is not None
+            for k, met in enumerate(self.met):
+                at = np.flatnonzero(team.active[:, k])
+                here = np.where(team.location[at] == k, HERE, AWAY)
+                met.append((team.step, team.x[at, k], here, team.belief[at, k]))
+        return self.policy(team)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -65,7 +64,8 @@ class Kind:
         Their problem, at prices of 0; without prices where it is on a part of a task.
     tail : float array, shape (P * n, B, T)
         What it is worth from the step on from which attention is free, by position and state.
-    count : int
+    places : tuple of int
+        Theirs in the team.
     outer : Outer or None
         What is known around the part on which that is, if it is not the whole task.
     between : Outer or None
@@ -78,10 +78,15 @@ class Kind:
     pool: Pool
     visits: Visits
     tail: Floats
-    count: int
+    places: tuple[int, ...]
     outer: Outer | None = None
     between: Outer | None = None
     pairs: int = 0
+
+    @property
+    def count(self) -> int:
+        """How many they are."""
+        return len(self.places)
 
     def best(self, visits: Visits) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
@@ -156,7 +161,9 @@ def kinds_of(
         Their problems would take more memory than is allowed.
     """
     entries, steps = travel.entry.tolist(), travel.entry_steps.tolist()
-    members = Counter((int(pool.model[person]), entries[k], steps[k]) for k, person in enumerate(team))
+    members: dict[tuple[int, float, int], list[int]] = {}
+    for k, person in enumerate(team):
+        members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
     problems = []
     for done, (model, entry, _) in enumerate(members):
         tell("setting people's problems up", done, len(members))
@@ -166,13 +173,13 @@ def kinds_of(
         problems.append(_alone(pool, model, entry, around, share, room if around else memory_limit_mb, room))
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
-    for one, ((_, entry, entry_steps), count) in zip(problems, members.items(), strict=True):
+    for one, ((_, entry, entry_steps), places) in zip(problems, members.items(), strict=True):
         free = Visits.of(one.problem, entry, entry_steps)
         tail = highest(free.pomdp)
         improve(free.pomdp, tail, tolerance=1e-5)
         visits = free if one.outer is not None else Visits.of(one.problem, entry, entry_steps, np.zeros(window))
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(Kind(pool, visits, tail, count, one.outer, one.between, one.pairs))
+        kinds.append(Kind(pool, visits, tail, tuple(places), one.outer, one.between, one.pairs))
     return kinds
 
 

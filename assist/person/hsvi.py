@@ -787,3 +787,24 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
             _raise(ZERO, step, work, path, plan, plans, m)
             done += 1
     return len(order), done
+
+
+@numba.njit(cache=True, nogil=True)
+def lower_at(start, states, beliefs, step, path, hull, q, m):
+    """Back the upper bound up at beliefs, shape (N, H), of some states, from one on; gains up to `step` are none.
+
+    Return where to go on when room is short, and how many of them are of use.
+    """
+    work, room, gained = np.empty((3, beliefs.shape[1])), new_room(beliefs.shape[1]), 0
+    for i in range(start, len(states)):
+        if len(hull.drop) == hull.space[0]:
+            return i, gained
+        x, belief = states[i], beliefs[i]
+        path.state[0] = x
+        _begin(ZERO, belief, 1.0, q, path, m)
+        value = path.q[0, _promising(ZERO, work, room, path, hull, m)]
+        value += 2 * ROUNDING * abs(value)
+        if value < upper(x, belief, hull, room) - step - 4 * ROUNDING * abs(value):
+            add_point(x, belief, value, hull)
+            gained += 1
+    return len(states), gained

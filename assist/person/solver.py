@@ -45,6 +45,9 @@ BACKUPS = 1000  # between two looks at the clock
 MEMORY_LIMIT_MB = 4000.0  # unless another is given
 SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be evaluated where it matters
 SEED = 0  # of what trials draw: with as many backups all comes out the same
+FOR_MET = 1 / 3  # of the time, for beliefs that are given
+MET_FINENESS = (0.01, 0.05)  # as `hsvi.trials` has it, there
+MET_BACKUPS = 60  # at one of these, before another is drawn
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 
 
@@ -184,6 +187,7 @@ def solve(
     time_limit: float | None = None,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
     best: QMDP | None = None,
+    met: tuple[NDArray[np.int64], Floats] | None = None,
     progress: Callable[[float, float, float], None] | None = None,
 ) -> Solution:
     """Solve one person's problem.
@@ -200,6 +204,9 @@ def solve(
         Stop before vectors and beliefs take more.
     best : QMDP, optional
         The QMDP policy, if it is known already.
+    met : int array, shape (m,), and float array, shape (m, B, T), optional
+        States, none of them final, and beliefs at which the bounds are to be good as well, wherever the best policy
+        goes; what comes last is best first. A third of a time limit is for these, and what is left of the rest.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
 
@@ -233,6 +240,7 @@ def solve(
 
     # A value of 0 is approached from below for ever, and the gap remains 1.
     smallest = ROUNDING * (pomdp.robot_costs.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
+    searching = None if time_limit is None else time_limit * (1 - FOR_MET if met is not None else 1)
     stopped, backups = "gap", 0
     lower, upper = -np.inf, np.inf
     begun = time.perf_counter()
@@ -248,7 +256,7 @@ def solve(
             progress(seconds, lower, upper)
         if relative_gap(lower, upper) <= gap:
             break
-        if time_limit is not None and seconds >= time_limit:
+        if searching is not None and seconds >= searching:
             stopped = "time"
             break
         if not work.make_room(memory_limit_mb):
@@ -260,6 +268,10 @@ def solve(
             stopped = "stalled"
             break
         backups += done
+    if met is not None and len(met[0]):
+        work.widen(*met, gap, None if time_limit is None else start + time_limit, memory_limit_mb)
+        below, above = work.bounds(x0, prior)
+        lower, upper = max(lower, below), min(upper, above)
     return work.solution(
         lower=lower, upper=upper, value_qmdp=float((best.value_mdp[x0] * pomdp.prior).sum()), value_never=value_never,
         value_always=value_always, seconds=time.perf_counter() - start, backups=backups, stopped=stopped,
@@ -360,6 +372,30 @@ class _Search:
             x, _own(belief), target, BACKUPS, self.fineness, self.rng, self.path, self.plans, self.hull, self.q,
             self.arrays,
         )  # fmt: skip
+
+    def widen(
+        self, states: NDArray[np.int64], beliefs: Floats, gap: float, until: float | None, memory_limit_mb: float
+    ) -> None:
+        """Improve the bounds at beliefs: first each by one backup, then by trials from some, drawn until it is time."""
+        flat = np.array(beliefs, dtype=float).reshape(len(states), -1)
+        states, step = np.array(states, dtype=np.int64), FINEST * abs(self.bounds(int(states[0]), flat[0])[0])
+        fineness = np.array(MET_FINENESS)
+
+        def once() -> None:
+            at = 0
+            while at < len(states) and self.make_room(memory_limit_mb):
+                at, _ = hsvi.lower_at(at, states, flat, step, self.path, self.hull, self.q, self.arrays)
+
+        once()
+        while until is not None and time.perf_counter() < until and self.make_room(memory_limit_mb):
+            i = int(self.rng.integers(len(states)))
+            fineness[:] = MET_FINENESS
+            enough = gap * abs(self.bounds(int(states[i]), flat[i])[0])
+            hsvi.trials(
+                int(states[i]), flat[i], enough, MET_BACKUPS, fineness, self.rng, self.path, self.plans, self.hull,
+                self.q, self.arrays,
+            )  # fmt: skip
+        once()
 
     def solution(self, **facts: object) -> Solution:
         """Collect the result, sorted by state."""
