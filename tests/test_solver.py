@@ -220,10 +220,12 @@ def test_bounds_are_lower_at_beliefs_that_are_named(tiny_choices: Choices) -> No
     beliefs = rng.dirichlet(np.full(pomdp.prior.size, 0.3), 200).reshape(-1, *pomdp.prior.shape)
     before = solve(pomdp, gap=0.5).upper_bound(states, beliefs)
     after = solve(pomdp, gap=0.5, met=(states, beliefs)).upper_bound(states, beliefs)
-    best = solve(pomdp, gap=1e-3, met=(states, beliefs), time_limit=3)
+    best = solve(pomdp, gap=1e-3, met=(states, beliefs), time_limit=3600)  # it ends long before, as nothing is gained
+    below, above = best.value(states, beliefs), best.upper_bound(states, beliefs)
     assert (after <= before + 1e-9).all()
     assert np.count_nonzero(after < before - 1e-3) > 50
-    assert (best.value(states, beliefs) <= after + 1e-9).all()
+    assert (below <= after + 1e-9).all()
+    assert np.count_nonzero(above - below <= 2e-3 * np.abs(below)) > 150
 
 
 def test_dead_ends_cost_for_ever(sealed: Table) -> None:

@@ -47,7 +47,8 @@ SWEEPS = 20  # over a policy that suggests, which hardly ever needs more to be e
 SEED = 0  # of what trials draw: with as many backups all comes out the same
 FOR_MET = 1 / 3  # of the time, for beliefs that are given
 MET_FINENESS = (0.01, 0.05)  # as `hsvi.trials` has it, there
-MET_BACKUPS = 60  # at one of these, before another is drawn
+MET_BACKUPS = 60  # at one of these, before it is another's turn
+MET_GAIN = 0.05  # it has another turn if that made less of what is between its bounds by more than this share
 FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
 
 
@@ -206,7 +207,8 @@ def solve(
         The QMDP policy, if it is known already.
     met : int array, shape (m,), and float array, shape (m, B, T), optional
         States, none of them final, and beliefs at which the bounds are to be good as well, wherever the best policy
-        goes; what comes last is best first. A third of a time limit is for these, and what is left of the rest.
+        goes; what comes last is best first. That ends where nothing is gained any more; a third of a time limit is for
+        it, and what is left of the rest.
     progress : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
 
@@ -269,7 +271,7 @@ def solve(
             break
         backups += done
     if met is not None and len(met[0]):
-        work.widen(*met, gap, None if time_limit is None else start + time_limit, memory_limit_mb)
+        work.widen(*met, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         below, above = work.bounds(x0, prior)
         lower, upper = max(lower, below), min(upper, above)
     return work.solution(
@@ -374,9 +376,9 @@ class _Search:
         )  # fmt: skip
 
     def widen(
-        self, states: NDArray[np.int64], beliefs: Floats, gap: float, until: float | None, memory_limit_mb: float
+        self, states: NDArray[np.int64], beliefs: Floats, gap: float, until: float, memory_limit_mb: float
     ) -> None:
-        """Improve the bounds at beliefs: first each by one backup, then by trials from some, drawn until it is time."""
+        """Improve the bounds at beliefs: each by one backup, then by trials from those where that goes on to gain."""
         flat = np.array(beliefs, dtype=float).reshape(len(states), -1)
         states, step = np.array(states, dtype=np.int64), FINEST * abs(self.bounds(int(states[0]), flat[0])[0])
         fineness = np.array(MET_FINENESS)
@@ -386,15 +388,29 @@ class _Search:
             while at < len(states) and self.make_room(memory_limit_mb):
                 at, _ = hsvi.lower_at(at, states, flat, step, self.path, self.hull, self.q, self.arrays)
 
-        once()
-        while until is not None and time.perf_counter() < until and self.make_room(memory_limit_mb):
-            i = int(self.rng.integers(len(states)))
+        def gains(i: int) -> bool:
+            below, above = self.bounds(int(states[i]), flat[i])
+            if relative_gap(below, above) <= gap:
+                return False
             fineness[:] = MET_FINENESS
-            enough = gap * abs(self.bounds(int(states[i]), flat[i])[0])
             hsvi.trials(
-                int(states[i]), flat[i], enough, MET_BACKUPS, fineness, self.rng, self.path, self.plans, self.hull,
-                self.q, self.arrays,
+                int(states[i]), flat[i], gap * abs(below), MET_BACKUPS, fineness, self.rng, self.path, self.plans,
+                self.hull, self.q, self.arrays,
             )  # fmt: skip
+            lower, upper = self.bounds(int(states[i]), flat[i])
+            return upper - lower < (1 - MET_GAIN) * (above - below)
+
+        once()
+        left = list(range(len(states)))
+        while left:
+            kept: list[int] = []
+            for i in self.rng.permutation(left).tolist():
+                if time.perf_counter() >= until or not self.make_room(memory_limit_mb):
+                    kept = []
+                    break
+                if gains(i):
+                    kept.append(i)
+            left = kept
         once()
 
     def solution(self, **facts: object) -> Solution:
