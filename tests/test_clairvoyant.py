@@ -14,7 +14,7 @@ from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant, conflicts
 from assist.certify.clairvoyant import Clairvoyant, Path, Sampled
-from assist.certify.conflicts import FADING, OutOfTimeError, Scale, lost
+from assist.certify.conflicts import DYING, FADING, LATE, OutOfTimeError, Scale, lost
 from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
 from assist.person.solver import solve
@@ -161,6 +161,18 @@ def test_later_conflicts_count_less() -> None:
     assert lost(1, rows, scale) == pytest.approx(0.9 * each)
 
 
+def test_late_conflicts_never_count_in_full() -> None:
+    """However near they are: two people who want the robot at once in any step of a long episode."""
+    scale = Scale.of(np.zeros(LATE + 4), 1.0, 1.0)
+    rows = np.zeros((2, len(scale.price) * scale.size))
+    rows.reshape(2, -1, scale.size)[:, 0, 4:-1] = 1.0  # both want it at 0.5 now, and nothing afterwards
+    rows.reshape(2, -1, scale.size)[:, 0, -1] = 0.5
+    rows.reshape(2, -1, scale.size)[:, 1:, :-1] = 1.0
+    assert [lost(step, rows, scale) for step in range(LATE - 1, LATE + 4)] == pytest.approx(
+        [0.5, 0.5, *(0.5 * np.exp(-np.arange(1, 4) / DYING))]
+    )
+
+
 def test_a_belief_is_divided_so_that_least_is_promised(robot: Clairvoyant) -> None:
     """Among nodes that are known, by the linear program: no other parts make a smaller mean of bounds."""
     lattice, rng, spread = robot.people[0].lattice, np.random.default_rng(0), 0
@@ -264,6 +276,7 @@ def test_few_lucks_say_less() -> None:
 
 def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
+    robot.sampled(2, 0)  # what people will want after these lucks takes time, too
     drawn, path = [], robot.path
     monkeypatch.setattr(robot, "path", lambda rng: drawn.append(rng) or path(rng))
     monkeypatch.setattr(robot, "left", lambda _: -1.0)

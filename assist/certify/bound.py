@@ -69,8 +69,9 @@ FOR_FREE = 0.3
 """The share of that in which people's problems are bounded without prices, before."""
 
 
-MEETINGS = 1_000
-"""Episodes of priority from which it is known with what beliefs a robot is met that has others to see to."""
+MEETINGS = 10_000
+"""Episodes of priority from which it is known with what beliefs a robot is met that has others to see to, and each kind
+of people; with 1,000 it is still told much of those who are left alone for long (`docs/teams.md`)."""
 
 ALIKE = 1 / 200
 """Beliefs that differ by less than this share, in each type, count as one there."""
@@ -262,7 +263,7 @@ def upper_bound(
         price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
         if pool.wide and not len(price):
             kinds = kinds_with(0, paths > 0)
-    met = _met(pool, members, travel, price, together + AFTER, luck) if paths and not pool.wide else None
+    met = _met(pool, members, travel, kinds, price, together + AFTER, luck) if paths and not pool.wide else None
     relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell, met)
     sampled = None
     if paths and len(members) > 1:
@@ -350,7 +351,9 @@ class _Relaxed:
         return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
 
 
-def _met(pool: Pool, team: tuple[int, ...], travel: Travel, price: Floats, steps: int, seed: int) -> Meeting:
+def _met(
+    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[Kind], price: Floats, steps: int, seed: int
+) -> Meeting:
     """Simulate priority at these prices for so many steps.
 
     A robot with one person only hardly ever leaves them alone for long, so that the solver looks there last; in a team
@@ -358,7 +361,8 @@ def _met(pool: Pool, team: tuple[int, ...], travel: Travel, price: Floats, steps
     """
     policies = [pool.policies[model] for model in sorted(set(pool.model[list(team)].tolist()))]
     meeting = Meeting(Priority.of(policies, travel, price if len(price) else None), len(team), steps)
-    returns(pool, meeting, team, travel, episodes=MEETINGS, seed=seed)
+    episodes = math.ceil(MEETINGS / max(kind.count for kind in kinds))
+    returns(pool, meeting, team, travel, episodes=episodes, seed=seed)
     return meeting
 
 

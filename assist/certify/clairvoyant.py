@@ -50,7 +50,7 @@ from ..people.decision import Floats
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
 from .lattice import END, Graph, Lattice
 
-ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.8)
+ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.7, 0.8)
 """What share of U the penalty takes into account: the best of these."""
 
 PILOT = 0.1
@@ -62,13 +62,8 @@ FOR_ALPHA = 0.6
 AFTER = 10
 """Steps without prices in which the robot is still in one place at a time."""
 
-WISHES = 12
-"""Steps from the beginning whose conflicts U counts.
-
-With more of them a robot that knows the luck finds ever more ways to have U come out above its mean, so that only a
-smaller alpha pays, and working wishes out takes most of the time: for four people on `kitting/paper` (c_suggest 0.5)
-the best mean was -54.22 with 12 steps, -54.29 with 16 and -54.22 with all 20, for a sixth of the time that all take.
-"""
+WISHES = 22
+"""Steps from the beginning whose conflicts U counts; what later ones would count is next to nothing."""
 
 ROUNDS = 60
 """Times that the prices for one luck are changed."""
@@ -165,14 +160,13 @@ class Clairvoyant:
     def bound(self, path: Path, alpha: float) -> float:
         """Give what the robot gets at most that knows this luck, less its penalty."""
         graphs, wishes = path
-        wishing = len(self.scale.price)  # in later steps D is what people lose, whole
+        told = np.zeros(len(self.price))  # what U counts of each step's conflict; of the rest D is what people lose
+        told[: len(self.scale.price)] = alpha * self.scale.counts[:-1]
         least = []
         for graph, wish in zip(graphs, wishes, strict=True):
-            end = graph.edge[graph.layer[min(wishing, len(graph.layer) - 1)]]
-            early = (1 - alpha) * graph.cost[:end] - alpha * wish.fall[:end]
-            least.append(graph._replace(cost=np.concatenate([early, graph.cost[end:]])))
-        shares = np.where(np.arange(len(self.price)) < wishing, 1 - alpha, 1.0)
-        ahead, guide = _guide(least, shares * self.price, self.discount)
+            step = np.repeat(np.arange(len(graph.layer) - 1), np.diff(graph.edge[graph.layer]))
+            least.append(graph._replace(cost=(1 - told[step]) * graph.cost - alpha * wish.fall))
+        ahead, guide = _guide(least, (1 - told) * self.price, self.discount)
         found = _search(
             List(graphs), List([wish.of for wish in wishes]), List([wish.mean for wish in wishes]),
             List([person.rows.row for person in self.people]), List(guide), ahead, self.price * self.discount, alpha,
