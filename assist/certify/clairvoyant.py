@@ -71,7 +71,7 @@ ROUNDS = 60
 STEP = 0.3
 """What they change by in the first round, in cost units."""
 
-POPPED = 400_000
+POPPED = 1_600_000
 """States that are looked at for one luck, at most, times people: with fewer, large alphas come to nothing."""
 
 CONFIDENCE = 0.95
