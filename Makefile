@@ -2,6 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# What is installed is compiled when it is first used: most of it never is.
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 
 # Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
 unexport PYTHONDONTWRITEBYTECODE
@@ -89,22 +91,22 @@ $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.demo: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots]'
+	$(INSTALL) -e '.[plots]'
 	@touch $@
 
 $(VENV)/.live: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[web]'
+	$(INSTALL) -e '.[web]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots,study,web,test]'
+	$(INSTALL) -e '.[plots,study,web,test]'
 	@touch $@
 
 $(VENV)/.docs: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots,study,web,docs]'
+	$(INSTALL) -e '.[plots,study,web,docs]'
 	@touch $@
 
 # All of these at once, which takes hardly longer than one.
 $(VENV)/.all: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[plots,study,web,test,docs]'
+	$(INSTALL) -e '.[plots,study,web,test,docs]'
 	@touch $(VENV)/.demo $(VENV)/.live $(VENV)/.test $(VENV)/.docs $@
