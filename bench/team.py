@@ -295,6 +295,7 @@ def gap(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
                      "proven": found.proven, "proven gap %": 100 * (found.proven - best.value) / abs(best.value),
                      "lucks": found.sampled.paths if found.sampled else 0, "prices": len(found.price),
+                     "alpha": found.sampled.alpha if found.sampled else 0.0,
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
                      "attention gap %": certified["attention"].gap_percent,
                      "reactive gap %": certified["reactive"].gap_percent,

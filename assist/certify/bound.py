@@ -267,15 +267,17 @@ def upper_bound(
     relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell, met)
     sampled = None
     if paths and len(members) > 1:
-        begun = time.perf_counter()
-        if len(price):  # without prices states need no step: problems are so much smaller that this may be ahead
-            free = kinds_with(0, paths > 0)
+        # Without prices states need no step: problems are so much smaller that this may be ahead where time was short.
+        if len(price) and not relaxed.done:
+            free, begun = kinds_with(0, paths > 0), time.perf_counter()
             until = begun + FOR_FREE * (start + limit - begun)
             relaxed = min(
                 relaxed,
                 _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell, met),
                 key=lambda one: one.upper,
             )
+
+        begun = time.perf_counter()
 
         def left(done: int) -> float:
             tell("sampling lucks", done, paths)
@@ -342,6 +344,11 @@ class _Relaxed:
     @property
     def slack(self) -> float:
         return self._all(lambda solution: solution.upper - solution.lower)
+
+    @property
+    def done(self) -> bool:
+        """Whether each problem was solved as far as was asked for."""
+        return all(solution.stopped == "gap" for _, solution in self.parts)
 
     def lattices(self) -> list[Lattice]:
         """Give each person's; people of a kind share one."""

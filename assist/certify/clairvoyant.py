@@ -57,7 +57,7 @@ PILOT = 0.1
 """The share of lucks, in addition, on which alpha is chosen."""
 
 FOR_ALPHA = 0.6
-"""It is chosen at the latest when this share of the time is left."""
+"""It is chosen at the latest when this share of the time for lucks is left."""
 
 AFTER = 10
 """Steps without prices in which the robot is still in one place at a time."""
