@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant, conflicts
-from assist.certify.clairvoyant import Clairvoyant, Path, Sampled
+from assist.certify.clairvoyant import ALPHAS, Clairvoyant, Path, Sampled, best_of
 from assist.certify.conflicts import DYING, FADING, LATE, OutOfTimeError, Scale, lost
 from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
@@ -41,12 +41,13 @@ def without_prices() -> Clairvoyant:
     return made(np.zeros(0))
 
 
-@pytest.fixture(scope="module", params=[12, 2])
+@pytest.fixture(scope="module", params=[(12, 12), (2, 2), (12, 2)])
 def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
-    """With so few steps that everything can be tried; conflicts are counted in all of them, and in the first two."""
+    """With so few steps that everything can be tried; conflicts count in all of them, in the first two, two ahead."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(clairvoyant, "AFTER", 1)
-        patch.setattr(clairvoyant, "WISHES", request.param)
+        patch.setattr(clairvoyant, "WISHES", request.param[0])
+        patch.setattr(conflicts, "AHEAD", request.param[1])
         return made(PRICE[1:4])
 
 
@@ -136,13 +137,13 @@ def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_price
 
 def test_nobody_gains_by_a_conflict(robot: Clairvoyant) -> None:
     """What is lost in each step is nothing at least: the search takes that for granted where later steps count less."""
-    steps, rng, found = len(robot.scale.price), np.random.default_rng(0), []
+    steps, rng, found = len(robot.scale.weight), np.random.default_rng(0), []
     for s in range(steps):
         nodes = [np.flatnonzero(person.rows.depth > s) for person in robot.people]
         rows = [person.rows.row[person.rows.of[own]] for person, own in zip(robot.people, nodes, strict=True)]
         for own in rows:
             own[:, (s + 1) * robot.scale.size :] = 0.0  # not worked out for all of them
-        one = robot.scale._replace(weight=np.eye(steps + 1)[s])
+        one = robot.scale._replace(weight=np.eye(steps)[s])
         for _ in range(200):
             met = np.array([own[rng.integers(len(own))] for own in rows + rows])
             found.append(lost(0, met, one))
@@ -164,7 +165,7 @@ def test_later_conflicts_count_less() -> None:
 def test_late_conflicts_never_count_in_full() -> None:
     """However near they are: two people who want the robot at once in any step of a long episode."""
     scale = Scale.of(np.zeros(LATE + 4), 1.0, 1.0)
-    rows = np.zeros((2, len(scale.price) * scale.size))
+    rows = np.zeros((2, len(scale.weight) * scale.size))
     rows.reshape(2, -1, scale.size)[:, 0, 4:-1] = 1.0  # both want it at 0.5 now, and nothing afterwards
     rows.reshape(2, -1, scale.size)[:, 0, -1] = 0.5
     rows.reshape(2, -1, scale.size)[:, 1:, :-1] = 1.0
@@ -282,6 +283,16 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: 
     monkeypatch.setattr(robot, "left", lambda _: -1.0)
     assert robot.sampled(10, 0).paths == 2
     assert len(drawn) == 2 + 2
+
+
+def test_alpha_is_the_one_that_is_ahead_on_each_luck() -> None:
+    """Whether people fare well or badly is the same for all alphas; one that is lost on a rare luck is not chosen."""
+    luck, rng = np.array([[-50.0], [-54.0], [-58.0], [-52.0]]), np.random.default_rng(0)
+    ahead = luck - np.linspace(0.0, 0.6, len(ALPHAS)) + rng.normal(0.0, 0.01, (4, len(ALPHAS)))
+    assert best_of(ahead) == ALPHAS[-1]
+    assert best_of(ahead[:2]) == ALPHAS[-1]
+    ahead[3, -1] += 5.0
+    assert best_of(ahead) == ALPHAS[-2]
 
 
 def test_wishes_are_worked_out_bit_by_bit(
