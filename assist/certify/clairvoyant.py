@@ -110,8 +110,8 @@ def errors(lucks: int) -> float:
 def best_of(tried: Floats) -> float:
     """Choose alpha by the bounds that some lucks gave for each of `ALPHAS`, shape (lucks, alphas).
 
-    With few of them one may look good that is lost on a rare luck. What it is ahead of the others, luck by luck, and the
-    spread of that tell: how good a luck is for people is the same for all.
+    With few of them one may look good that is lost on a rare luck. What it is ahead of the others, luck by luck, and
+    the spread of that tell: how good a luck is for people is the same for all.
     """
     behind = tried - tried.mean(axis=1, keepdims=True)
     spread = behind.std(axis=0, ddof=1) / math.sqrt(len(tried))

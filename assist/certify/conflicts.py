@@ -45,8 +45,10 @@ With 16 lucks 0.95 was .04 behind 0.9 at the best alpha, 0.8 as much, and 0.6 wa
 """
 
 AHEAD = 12
-"""Steps ahead whose conflicts are looked at: farther ones do not count. With 22 of them the four people below gain .001,
-for nearly twice the memory."""
+"""Steps ahead whose conflicts are looked at: farther ones do not count.
+
+With 22 of them the four people below gain .001, for nearly twice the memory.
+"""
 
 LATE = 10
 """Conflicts of so many steps from the beginning count in full."""
