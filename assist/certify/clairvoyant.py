@@ -107,17 +107,6 @@ def errors(lucks: int) -> float:
     return float(stdtrit(lucks - 1, CONFIDENCE))
 
 
-def best_of(tried: Floats) -> float:
-    """Choose alpha by the bounds that some lucks gave for each of `ALPHAS`, shape (lucks, alphas).
-
-    With few of them one may look good that is lost on a rare luck. What it is ahead of the others, luck by luck, and
-    the spread of that tell: how good a luck is for people is the same for all.
-    """
-    behind = tried - tried.mean(axis=1, keepdims=True)
-    spread = behind.std(axis=0, ddof=1) / math.sqrt(len(tried))
-    return ALPHAS[int((behind.mean(axis=0) + errors(len(tried)) * spread).argmin())]
-
-
 Path = tuple[list[Graph], list[Wishes]]
 """What can come about with one luck of all people."""
 
@@ -198,7 +187,7 @@ class Clairvoyant:
             path = self.path(_luck(seed, 0, len(tried)))
             tried.append([self.bound(path, alpha) for alpha in ALPHAS])
             self.done += 1
-        alpha = best_of(np.array(tried))
+        alpha = ALPHAS[int(np.mean(tried, axis=0).argmin())]  # on the same lucks, so that a few say enough
         found: list[float] = []
         try:
             while len(found) < 2 or (len(found) < paths and self.left(self.done) > 0):
