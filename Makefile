@@ -2,8 +2,7 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# What is installed is compiled when it is first used: most of it never is.
-INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 # Hundreds of processes load the same modules: what Python makes of these is kept, whatever is otherwise wanted.
 unexport PYTHONDONTWRITEBYTECODE
@@ -90,12 +89,13 @@ $(VENV)/bin/python:
 		{ echo "Python 3.11 or newer is needed; name one with: make PYTHON=python3.12"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
+# What is only used, not tested, is compiled when it is: most of it never is. (In tests, what compiling warns of is an error.)
 $(VENV)/.demo: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[plots]'
+	$(INSTALL) --no-compile -e '.[plots]'
 	@touch $@
 
 $(VENV)/.live: $(VENV)/bin/python pyproject.toml constraints.txt
-	$(INSTALL) -e '.[web]'
+	$(INSTALL) --no-compile -e '.[web]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/bin/python pyproject.toml constraints.txt
