@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from itertools import product
 
 import numpy as np
@@ -22,13 +23,13 @@ from assist.person.solver import solve
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 
 
-def made(price: np.ndarray) -> Clairvoyant:
+def made(price: np.ndarray, workers: int = 1) -> Clairvoyant:
     pool = pool_of(*COSTS[0])
     lattices = []
     for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price)):
         visits = kind.at(price)
         lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
-    return Clairvoyant(lattices, price)
+    return Clairvoyant(lattices, price, workers=workers)
 
 
 @pytest.fixture(scope="module")
@@ -51,9 +52,13 @@ def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
         return made(PRICE[1:4])
 
 
+def drawn(robot: Clairvoyant, seeds: Iterable[int]) -> list[Path]:
+    return robot.paths([np.random.default_rng(seed) for seed in seeds])
+
+
 @pytest.fixture(scope="module")
 def paths(robot: Clairvoyant) -> list[Path]:
-    return [robot.path(np.random.default_rng(seed)) for seed in range(4)]
+    return drawn(robot, range(4))
 
 
 def belief_at(lattice: Lattice, node: int) -> np.ndarray:
@@ -74,10 +79,10 @@ def chances(lattice: Lattice, edge: int) -> dict[int, float]:
 
 def test_what_a_belief_is_divided_among_adds_up_to_it(robot: Clairvoyant, paths: list[Path]) -> None:
     """By the filter's own chances: nodes after an action, times their chances, are the joint of choice and type."""
-    lattice, (graphs, _) = robot.people[0].lattice, paths[0]
+    lattice, graph = robot.people[0].lattice, paths[0][0][0]
     pomdp = lattice.visits.pomdp
     split = 0
-    for node in graphs[0].node[:40].tolist():
+    for node in graph.node[:40].tolist():
         first, x = lattice.nodes.first[node], int(at(node, lattice.known))
         if first < 0:
             continue
@@ -111,8 +116,8 @@ def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_price
     """The mean of U over all that two people may do next is what the search takes for it."""
     compared = []
     robot = without_prices if free else robot
-    paths = [robot.path(np.random.default_rng(seed)) for seed in range(4)]
-    for graphs, wishes in paths:
+    for path in drawn(robot, range(4)):
+        graphs, wishes = zip(*path, strict=True)
         for t in range(min(4, *(len(graph.layer) - 2 for graph in graphs))):
             edges, after = [], []
             for person, graph in zip(robot.people, graphs, strict=True):
@@ -194,7 +199,7 @@ def least(
     robot: Clairvoyant, path: Path, alpha: float, state: tuple[int, ...], t: int, seen: dict[tuple[int, ...], float]
 ) -> float:
     """The least sum of D from a state on, by trying everything."""
-    graphs, wishes = path
+    graphs, wishes = zip(*path, strict=True)
     if (t, *state) in seen:
         return seen[t, *state]
 
@@ -234,7 +239,7 @@ def test_the_search_finds_the_least(
     """All that can be done is tried; and where the search is given up, the bound is not below."""
     robot, found, given_up = short_sighted, [], 0
     for seed in range(6):
-        path = robot.path(np.random.default_rng(seed))
+        (path,) = drawn(robot, [seed])
         whole = least(robot, path, alpha, (0, 0), 0, {})
         bound = robot.bound(path, alpha)
         assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
@@ -278,26 +283,35 @@ def test_few_lucks_say_less() -> None:
 def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
     robot.sampled(2, 0)  # what people will want after these lucks takes time, too
-    drawn, path = [], robot.path
-    monkeypatch.setattr(robot, "path", lambda rng: drawn.append(rng) or path(rng))
+    drawn, paths = [], robot.paths
+    monkeypatch.setattr(robot, "paths", lambda of: drawn.extend(of) or paths(of))
     monkeypatch.setattr(robot, "left", lambda _: -1.0)
     assert robot.sampled(10, 0).paths == 2
     assert len(drawn) == 2 + 2
 
 
-def test_alpha_is_best_on_lucks_of_its_own(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("best", range(len(ALPHAS)))
+def test_alpha_is_best_on_lucks_of_its_own(best: int, robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
     """How well people fare is the same for all: what counts is which bound is lowest on the mean of the same lucks."""
-    numbers = iter(range(1000))
+    tried: list[tuple[float, int]] = []
 
-    def bound(_: Path, alpha: float) -> float:
-        """Give bounds that are lower for a larger alpha, but for the largest on every fifth luck."""
-        luck = next(numbers) // len(ALPHAS)
-        return (-50.0, -58.0)[luck % 2] - alpha + (5.0 if alpha == ALPHAS[-1] and luck % 5 == 4 else 0.0)
+    def bounds(paths: Sequence[Path], alpha: float) -> list[float]:
+        """Give bounds that are lowest at the one, but on some lucks at another."""
+        tried.append((alpha, len(paths)))
+        far = abs(ALPHAS.index(alpha) - best)
+        return [(-50.0, -58.0)[luck % 2] + (far if luck % 5 < 4 else -2 * far) for luck in range(len(paths))]
 
-    monkeypatch.setattr(robot, "bound", bound)
-    assert robot.sampled(30, 0).alpha == ALPHAS[-1]  # three lucks, none of which is a fifth
-    numbers = iter(range(1000))
-    assert robot.sampled(100, 0).alpha == ALPHAS[-2]
+    monkeypatch.setattr(robot, "paths", lambda of: [[] for _ in of])
+    monkeypatch.setattr(robot, "_bounds", bounds)
+    assert robot.sampled(100, 0).alpha == ALPHAS[best]
+    pilot = [alpha for alpha, lucks in tried if lucks == 10]
+    assert len(pilot) == len(set(pilot)) <= abs(ALPHAS.index(0.45) - best) + 3  # the other side costs nothing
+
+
+def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
+    found = [made(PRICE, workers).sampled(7, 0) for workers in (1, 2, 5)]
+    assert found[0] == found[1] == found[2]
+    assert found[0].paths == 7
 
 
 def test_wishes_are_worked_out_bit_by_bit(
@@ -309,7 +323,7 @@ def test_wishes_are_worked_out_bit_by_bit(
     again = Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0)
     assert again.lost == robot.lost
     assert len(asked) > 20
-    path = again.path(np.random.default_rng(0))
+    (path,) = drawn(again, [0])
     assert [again.bound(path, alpha) for alpha in (0.3, 0.8)] == [robot.bound(paths[0], alpha) for alpha in (0.3, 0.8)]
 
 
@@ -323,16 +337,16 @@ def test_a_time_limit_holds_while_wishes_are_worked_out(robot: Clairvoyant, monk
 
     def sampled(draws: int) -> int:
         """Let time be over while so many draws are followed by another: two, on which alpha is chosen, come first."""
-        path, drawn = robot.path, []
+        paths, drawn = robot.paths, []
 
-        def until(rng: np.random.Generator) -> Path:
-            drawn.append(rng)
+        def until(generators: list[np.random.Generator]) -> list[Path]:
+            drawn.extend(generators)
             if len(drawn) > draws:
                 raise OutOfTimeError
-            return path(rng)
+            return paths(generators)
 
         with monkeypatch.context() as patch:
-            patch.setattr(robot, "path", until)
+            patch.setattr(robot, "paths", until)
             return robot.sampled(6, 0).paths
 
     assert [sampled(draws) for draws in (4, 5, 9)] == [2, 3, 6]

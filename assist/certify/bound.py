@@ -284,7 +284,8 @@ def upper_bound(
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
         with suppress(OutOfTimeError):
-            sampled = Clairvoyant(relaxed.lattices(), relaxed.price, together, left).sampled(paths, luck)
+            robot = Clairvoyant(relaxed.lattices(), relaxed.price, together, left, workers)
+            sampled = robot.sampled(paths, luck)
     return TeamBound(
         pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
         relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,

@@ -30,7 +30,8 @@ a sum over people, which prices for this luck take apart: the least of that is t
 Where it is given up, after `POPPED` states, the least estimate of what is open stands for the least sum, and is not
 above it.
 
-The mean over lucks has a standard error, so that the bound holds with a confidence.
+The mean over lucks has a standard error, so that the bound holds with a confidence. People are worked out side by side,
+and so are lucks, which changes nothing in what comes out.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,11 +56,14 @@ from .lattice import END, Graph, Lattice
 ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.7, 0.8)
 """What share of U the penalty takes into account: the best of these."""
 
+FIRST = ALPHAS.index(0.45)
+"""Where looking for it begins; large ones take the search long."""
+
 PILOT = 0.1
 """The share of lucks, in addition, on which alpha is chosen."""
 
-FOR_ALPHA = 0.6
-"""It is chosen at the latest when this share of the time for lucks is left."""
+FOR_PILOT, FOR_ALPHA = 0.7, 0.5
+"""When these shares of the time for lucks are left no more of them are drawn, and no larger alpha is tried."""
 
 AFTER = 10
 """Steps without prices in which the robot is still in one place at a time."""
@@ -107,8 +113,8 @@ def errors(lucks: int) -> float:
     return float(stdtrit(lucks - 1, CONFIDENCE))
 
 
-Path = tuple[list[Graph], list[Wishes]]
-"""What can come about with one luck of all people."""
+Path = list[tuple[Graph, Wishes]]
+"""What can come about with one luck of all people, each."""
 
 
 class Clairvoyant:
@@ -124,6 +130,8 @@ class Clairvoyant:
         For so many, at least, and for `AFTER` without a price, the robot is in one place at a time.
     left : callable
         Called with how many lucks have been looked at; gives the share of the time that is left, 0 or less if none.
+    workers : int
+        People and lucks that are looked at at a time.
 
     Raises
     ------
@@ -132,34 +140,45 @@ class Clairvoyant:
     """
 
     def __init__(
-        self, lattices: Sequence[Lattice], price: Floats, steps: int = 0, left: Callable[[int], float] = lambda _: 1.0
-    ) -> None:
-        self.left, self.done = left, 0
+        self, lattices: Sequence[Lattice], price: Floats, steps: int = 0, left: Callable[[int], float] = lambda _: 1.0,
+        workers: int = 1,
+    ) -> None:  # fmt: skip
+        self.left, self.done, self.workers = left, 0, workers
         gamma = lattices[0].arrays.gamma
         tasks = [lattice.visits.alone.model.choices for lattice in lattices]
         unit = min(float(task.costs[task.applicable].min()) for task in tasks)
         self.steps = max(steps, len(price) + AFTER)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.scale = Scale.of(self.price[: min(self.steps, WISHES)], gamma, unit)
-        conflicts = {id(lattice): Conflicts(lattice, self.scale, self._go_on) for lattice in lattices}
-        self.people = [conflicts[id(lattice)] for lattice in lattices]
+        kinds = {id(lattice): Conflicts(lattice, self.scale, self._go_on) for lattice in lattices}
+        self.kinds, self.people = list(kinds.values()), [kinds[id(lattice)] for lattice in lattices]
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, those of the steps as well whose conflicts U does not count.
         self.value = float(self.price @ self.discount) + sum(lattice.value for lattice in lattices)
+        with ThreadPoolExecutor(workers) as threads:
+            list(threads.map(Conflicts.at_root, self.kinds))
         self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
 
     def _go_on(self) -> None:
         if self.left(self.done) <= 0:
             raise OutOfTimeError
 
-    def path(self, rng: np.random.Generator) -> Path:
-        """Draw everybody's luck."""
-        graphs = [person.lattice.graph(rng.random(self.steps + 1)) for person in self.people]
-        return graphs, [person.of(graph) for person, graph in zip(self.people, graphs, strict=True)]
+    def paths(self, generators: Sequence[np.random.Generator]) -> list[Path]:
+        """Draw everybody's luck, with each of these."""
+        lucks = [rng.random((len(self.people), self.steps + 1)) for rng in generators]
+
+        def of(kind: Conflicts) -> list[list[tuple[Graph, Wishes]]]:
+            own = [luck[[person is kind for person in self.people]] for luck in lucks]
+            graphs = [[kind.lattice.graph(one) for one in luck] for luck in own]
+            return [[(graph, kind.of(graph)) for graph in of_luck] for of_luck in graphs]
+
+        with ThreadPoolExecutor(self.workers) as threads:
+            found = dict(zip(map(id, self.kinds), threads.map(of, self.kinds), strict=True))
+        return [[found[id(person)][number].pop(0) for person in self.people] for number in range(len(lucks))]
 
     def bound(self, path: Path, alpha: float) -> float:
         """Give what the robot gets at most that knows this luck, less its penalty."""
-        graphs, wishes = path
+        graphs, wishes = [graph for graph, _ in path], [wish for _, wish in path]
         told = np.zeros(len(self.price))  # what U counts of each step's conflict; of the rest D is what people lose
         told[: len(self.scale.price)] = alpha * self.scale.counts[:-1]
         least = []
@@ -182,27 +201,49 @@ class Clairvoyant:
         OutOfTimeError
             It was over before these were looked at: where what people will want takes long to work out.
         """
-        tried: list[list[float]] = []
-        while len(tried) < max(2, PILOT * paths) and (len(tried) < 2 or self.left(self.done) > FOR_ALPHA):
-            path = self.path(_luck(seed, 0, len(tried)))
-            tried.append([self.bound(path, alpha) for alpha in ALPHAS])
-            self.done += 1
-        alpha = ALPHAS[int(np.mean(tried, axis=0).argmin())]  # on the same lucks, so that a few say enough
+        pilot: list[Path] = []
+        few = max(2, math.ceil(PILOT * paths))
+        while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_PILOT):
+            pilot += self._draw(seed, 0, range(len(pilot), min(few, len(pilot) + self.workers)))
+            self.done = len(pilot)
+        alpha = self._best_alpha(pilot)
         found: list[float] = []
-        try:
-            while len(found) < 2 or (len(found) < paths and self.left(self.done) > 0):
-                found.append(self.bound(self.path(_luck(seed, 1, len(found))), alpha))
-                self.done += 1
-        except OutOfTimeError:
-            if len(found) < 2:
-                raise
+        with suppress(OutOfTimeError):
+            while len(found) < max(2, paths) and (len(found) < 2 or self.left(self.done) > 0):
+                next_ = range(len(found), min(max(2, paths), len(found) + self.workers))
+                found += self._bounds(self._draw(seed, 1, next_), alpha)
+                self.done = len(pilot) + len(found)
+        if len(found) < 2:
+            raise OutOfTimeError
         return Sampled(
             float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(len(found))), len(found), alpha
         )  # fmt: skip
 
+    def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[Path]:
+        seeds = [np.random.SeedSequence(seed, spawn_key=(4, kind, number)) for number in numbers]
+        return self.paths([np.random.default_rng(one) for one in seeds])
 
-def _luck(seed: int, kind: int, number: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4, kind, number)))
+    def _bounds(self, paths: Sequence[Path], alpha: float) -> list[float]:
+        with ThreadPoolExecutor(self.workers) as threads:
+            return list(threads.map(lambda path: self.bound(path, alpha), paths))
+
+    def _best_alpha(self, pilot: Sequence[Path]) -> float:
+        """Go on from `FIRST` while the mean falls, which is convex where no search is given up."""
+        means: dict[int, float] = {}
+
+        def mean(number: int) -> float:
+            if number not in means:
+                means[number] = float(np.mean(self._bounds(pilot, ALPHAS[number])))
+            return means[number]
+
+        best = FIRST
+        while best > 0 and mean(best - 1) < mean(best):
+            best -= 1
+        while best >= FIRST and best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA:
+            if mean(best + 1) >= mean(best):
+                break
+            best += 1
+        return ALPHAS[best]
 
 
 def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats, list[Floats]]:
@@ -233,7 +274,7 @@ def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats
     return kept
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None:
     """Fill in the least costs from each node on, and count the steps of attention on the best way."""
     layers = len(graph.layer) - 1
@@ -268,7 +309,7 @@ def _copy(to: Floats, row: Floats) -> None:
         to[c] = row[c]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _search(
     graphs: Any, of: Any, mean: Any, rows: Any, guide: Any, ahead: Floats, price: Floats, alpha: float, scale: Scale,
     steps: int, most: int,

@@ -233,7 +233,7 @@ def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
             out[c] += chance * row[c]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _row(
     node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
@@ -286,7 +286,7 @@ def _row(
     return True
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _wishes(
     graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,

@@ -326,7 +326,7 @@ def outcome(edge: int, luck: float, nodes: Nodes) -> int:
     return nodes.to[low]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _unfold(
     root: int, luck: Floats, graph: Graph, stamp: Ints, mark: int, nodes: Nodes, known: Known, m: Arrays, order: Ints,
     attended: NDArray[np.bool_],
