@@ -221,7 +221,7 @@ def upper_bound(
         where it takes longer to work out what people will want.
     seed : int or Generator
     jobs : int, optional
-        Problems that are solved at a time; as many as there are processors unless given.
+        Problems that are solved, and lucks that are looked at, at a time; as many as there are processors unless given.
     progress : callable, optional
         As `Tell` says.
 

@@ -38,11 +38,11 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -52,6 +52,9 @@ from scipy.special import stdtrit
 from ..people.decision import Floats
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
 from .lattice import END, Graph, Lattice
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.7, 0.8)
 """What share of U the penalty takes into account: the best of these."""
@@ -155,9 +158,12 @@ class Clairvoyant:
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, those of the steps as well whose conflicts U does not count.
         self.value = float(self.price @ self.discount) + sum(lattice.value for lattice in lattices)
-        with ThreadPoolExecutor(workers) as threads:
-            list(threads.map(Conflicts.at_root, self.kinds))
-        self.lost = lost(0, np.array([person.at_root() for person in self.people]), self.scale)
+        roots = dict(zip(kinds, self._each(Conflicts.at_root, self.kinds), strict=True))
+        self.lost = lost(0, np.array([roots[id(lattice)] for lattice in lattices]), self.scale)
+
+    def _each(self, do: Callable[[S], T], those: Iterable[S]) -> list[T]:
+        with ThreadPoolExecutor(self.workers) as threads:
+            return list(threads.map(do, those))
 
     def _go_on(self) -> None:
         if self.left(self.done) <= 0:
@@ -172,8 +178,7 @@ class Clairvoyant:
             graphs = [[kind.lattice.graph(one) for one in luck] for luck in own]
             return [[(graph, kind.of(graph)) for graph in of_luck] for of_luck in graphs]
 
-        with ThreadPoolExecutor(self.workers) as threads:
-            found = dict(zip(map(id, self.kinds), threads.map(of, self.kinds), strict=True))
+        found = dict(zip(map(id, self.kinds), self._each(of, self.kinds), strict=True))
         return [[found[id(person)][number].pop(0) for person in self.people] for number in range(len(lucks))]
 
     def bound(self, path: Path, alpha: float) -> float:
@@ -201,17 +206,17 @@ class Clairvoyant:
         OutOfTimeError
             It was over before these were looked at: where what people will want takes long to work out.
         """
+        few, paths = max(2, math.ceil(PILOT * paths)), max(2, paths)
         pilot: list[Path] = []
-        few = max(2, math.ceil(PILOT * paths))
         while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_PILOT):
             pilot += self._draw(seed, 0, range(len(pilot), min(few, len(pilot) + self.workers)))
             self.done = len(pilot)
         alpha = self._best_alpha(pilot)
         found: list[float] = []
         with suppress(OutOfTimeError):
-            while len(found) < max(2, paths) and (len(found) < 2 or self.left(self.done) > 0):
-                next_ = range(len(found), min(max(2, paths), len(found) + self.workers))
-                found += self._bounds(self._draw(seed, 1, next_), alpha)
+            while len(found) < paths and (len(found) < 2 or self.left(self.done) > 0):
+                numbers = range(len(found), min(paths, len(found) + self.workers))
+                found += self._bounds(self._draw(seed, 1, numbers), alpha)
                 self.done = len(pilot) + len(found)
         if len(found) < 2:
             raise OutOfTimeError
@@ -224,8 +229,7 @@ class Clairvoyant:
         return self.paths([np.random.default_rng(one) for one in seeds])
 
     def _bounds(self, paths: Sequence[Path], alpha: float) -> list[float]:
-        with ThreadPoolExecutor(self.workers) as threads:
-            return list(threads.map(lambda path: self.bound(path, alpha), paths))
+        return self._each(lambda path: self.bound(path, alpha), paths)
 
     def _best_alpha(self, pilot: Sequence[Path]) -> float:
         """Go on from `FIRST` while the mean falls, which is convex where no search is given up."""
@@ -239,9 +243,9 @@ class Clairvoyant:
         best = FIRST
         while best > 0 and mean(best - 1) < mean(best):
             best -= 1
-        while best >= FIRST and best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA:
-            if mean(best + 1) >= mean(best):
-                break
+        if best < FIRST:
+            return ALPHAS[best]
+        while best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA and mean(best + 1) < mean(best):
             best += 1
         return ALPHAS[best]
 
