@@ -308,6 +308,27 @@ def test_alpha_is_best_on_lucks_of_its_own(best: int, robot: Clairvoyant, monkey
     assert len(pilot) == len(set(pilot)) <= abs(ALPHAS.index(0.45) - best) + 3  # the other side costs nothing
 
 
+def test_an_alpha_that_takes_the_search_long_leaves_time_for_few_lucks(
+    robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the same lucks 0.6 is the lowest, but with what is left of the time 0.45 comes to less."""
+    clock, each = [0.0], dict.fromkeys(ALPHAS, 1.0)
+
+    def bounds(paths: Sequence[Path], alpha: float) -> list[float]:
+        clock[0] += each[alpha] * len(paths)
+        return [(-50.0, -54.0)[luck % 2] + abs(alpha - 0.6) for luck in range(len(paths))]
+
+    monkeypatch.setattr(robot, "paths", lambda of: [[] for _ in of])
+    monkeypatch.setattr(robot, "_bounds", bounds)
+    monkeypatch.setattr(robot, "left", lambda _: 1 - clock[0] / 1000)
+    at_leisure = robot.sampled(200, 0)
+    assert (at_leisure.alpha, at_leisure.paths) == (0.6, 200)
+    clock[0] = 0.0
+    each[0.6] = 20.0
+    in_time = robot.sampled(200, 0)
+    assert (in_time.alpha, in_time.paths) == (0.45, 200)
+
+
 def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
     found = [made(PRICE, workers).sampled(7, 0) for workers in (1, 2, 5)]
     assert found[0] == found[1] == found[2]

@@ -57,10 +57,10 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 ALPHAS = (0.0, 0.2, 0.3, 0.45, 0.6, 0.7, 0.8)
-"""What share of U the penalty takes into account: the best of these."""
+"""What share of U the penalty takes into account: that of these from which most is expected."""
 
 FIRST = ALPHAS.index(0.45)
-"""Where looking for it begins; large ones take the search long."""
+"""Where looking for it begins; large ones take the search longest."""
 
 PILOT = 0.1
 """The share of lucks, in addition, on which alpha is chosen."""
@@ -104,6 +104,11 @@ class Sampled:
     stderr: float
     paths: int
     alpha: float
+
+    @classmethod
+    def of(cls, found: Sequence[float], lucks: int, alpha: float) -> Sampled:
+        """Give what so many lucks make of it that are like those of which these are the bounds, at least two."""
+        return cls(float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(lucks)), lucks, alpha)
 
     @property
     def upper(self) -> float:
@@ -208,10 +213,14 @@ class Clairvoyant:
         """
         few, paths = max(2, math.ceil(PILOT * paths)), max(2, paths)
         pilot: list[Path] = []
+        # The share of the time that the last of these took, each: the first set up rows that all others share.
+        drawing = 0.0
         while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_PILOT):
-            pilot += self._draw(seed, 0, range(len(pilot), min(few, len(pilot) + self.workers)))
+            before, numbers = self.left(self.done), range(len(pilot), min(few, len(pilot) + self.workers))
+            pilot += self._draw(seed, 0, numbers)
             self.done = len(pilot)
-        alpha = self._best_alpha(pilot)
+            drawing = (before - self.left(self.done)) / len(numbers)
+        alpha = self._best_alpha(pilot, paths, drawing)
         found: list[float] = []
         with suppress(OutOfTimeError):
             while len(found) < paths and (len(found) < 2 or self.left(self.done) > 0):
@@ -220,9 +229,7 @@ class Clairvoyant:
                 self.done = len(pilot) + len(found)
         if len(found) < 2:
             raise OutOfTimeError
-        return Sampled(
-            float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(len(found))), len(found), alpha
-        )  # fmt: skip
+        return Sampled.of(found, len(found), alpha)
 
     def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[Path]:
         seeds = [np.random.SeedSequence(seed, spawn_key=(4, kind, number)) for number in numbers]
@@ -231,21 +238,30 @@ class Clairvoyant:
     def _bounds(self, paths: Sequence[Path], alpha: float) -> list[float]:
         return self._each(lambda path: self.bound(path, alpha), paths)
 
-    def _best_alpha(self, pilot: Sequence[Path]) -> float:
-        """Go on from `FIRST` while the mean falls, which is convex where no search is given up."""
-        means: dict[int, float] = {}
+    def _best_alpha(self, pilot: Sequence[Path], paths: int, drawing: float) -> float:
+        """Go on from `FIRST` while it makes the bound lower that is to be expected of the lucks that there is time for.
 
-        def mean(number: int) -> float:
-            if number not in means:
-                means[number] = float(np.mean(self._bounds(pilot, ALPHAS[number])))
-            return means[number]
+        The mean over lucks is convex in alpha where no search is given up. But a large alpha takes the search longer:
+        of what is left of the time each luck takes the share `drawing` and what the search took on the pilot's.
+        """
+        left = self.left(self.done)
+        uppers: dict[int, float] = {}
+
+        def upper(number: int) -> float:
+            if number not in uppers:
+                before = self.left(self.done)
+                found = self._bounds(pilot, ALPHAS[number])
+                each = drawing + (before - self.left(self.done)) / len(pilot)
+                lucks = max(2, min(paths, int(left / each))) if each > 0 else paths
+                uppers[number] = Sampled.of(found, lucks, ALPHAS[number]).upper
+            return uppers[number]
 
         best = FIRST
-        while best > 0 and mean(best - 1) < mean(best):
+        while best > 0 and upper(best - 1) < upper(best):
             best -= 1
         if best < FIRST:
             return ALPHAS[best]
-        while best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA and mean(best + 1) < mean(best):
+        while best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA and upper(best + 1) < upper(best):
             best += 1
         return ALPHAS[best]
 
