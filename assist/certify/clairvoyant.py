@@ -65,8 +65,8 @@ FIRST = ALPHAS.index(0.45)
 PILOT = 0.1
 """The share of lucks, in addition, on which alpha is chosen."""
 
-FOR_PILOT, FOR_ALPHA = 0.7, 0.5
-"""When these shares of the time for lucks are left no more of them are drawn, and no larger alpha is tried."""
+FOR_LUCKS = 0.5
+"""When this share of the time is left no more lucks are drawn for that, and no larger alpha is tried."""
 
 AFTER = 10
 """Steps without prices in which the robot is still in one place at a time."""
@@ -215,7 +215,7 @@ class Clairvoyant:
         pilot: list[Path] = []
         # The share of the time that the last of these took, each: the first set up rows that all others share.
         drawing = 0.0
-        while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_PILOT):
+        while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_LUCKS):
             before, numbers = self.left(self.done), range(len(pilot), min(few, len(pilot) + self.workers))
             pilot += self._draw(seed, 0, numbers)
             self.done = len(pilot)
@@ -261,7 +261,7 @@ class Clairvoyant:
             best -= 1
         if best < FIRST:
             return ALPHAS[best]
-        while best + 1 < len(ALPHAS) and self.left(self.done) > FOR_ALPHA and upper(best + 1) < upper(best):
+        while best + 1 < len(ALPHAS) and self.left(self.done) > FOR_LUCKS and upper(best + 1) < upper(best):
             best += 1
         return ALPHAS[best]
 
