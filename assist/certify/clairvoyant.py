@@ -42,16 +42,17 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numba
 import numpy as np
-from numba.typed import Dict, List
+from numba.typed import Dict
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from ..people.decision import Floats
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
-from .lattice import END, Graph, Lattice
+from .lattice import END, Graph, Ints, Lattice
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -125,6 +126,50 @@ Path = list[tuple[Graph, Wishes]]
 """What can come about with one luck of all people, each."""
 
 
+class _Team(NamedTuple):
+    """All people's graphs for one luck, n nodes and e edges, one person's after the other's.
+
+    Attributes
+    ----------
+    first : int array, shape (K + 1,)
+        The nodes of person k are those from `first[k]` to `first[k + 1]`.
+    edge, to, cost, attends : arrays
+        As of a `Graph`.
+    row : float array, shape (n + 1, A * (L + 2))
+        What is wanted at each node, and at last, where `END` finds it, by those who want nothing any more.
+    mean : float array, shape (e, A * (L + 2))
+        The mean of what may follow.
+    guide : float array, shape (n,)
+        An estimate of what costs are still to come from each node on, not above these.
+    """
+
+    first: Ints
+    edge: Ints
+    to: Ints
+    cost: Floats
+    attends: NDArray[np.bool_]
+    row: Floats
+    mean: Floats
+    guide: Floats
+
+    @classmethod
+    def of(cls, path: Path, rows: Sequence[Floats], guide: Sequence[Floats]) -> _Team:
+        """Join these; `rows` are each person's, of which nodes have some."""
+        graphs = [graph for graph, _ in path]
+        *nodes, node = np.cumsum([0, *(len(graph.node) for graph in graphs)])
+        *edges, edge = np.cumsum([0, *(len(graph.to) for graph in graphs)])
+        return cls(
+            np.array([*nodes, node]),
+            np.concatenate([*(graph.edge[:-1] + e for graph, e in zip(graphs, edges, strict=True)), [edge]]),
+            np.concatenate([np.where(g.to == END, END, g.to + j) for g, j in zip(graphs, nodes, strict=True)]),
+            np.concatenate([graph.cost for graph in graphs]),
+            np.concatenate([graph.attends for graph in graphs]),
+            np.concatenate([*(row[wish.of] for row, (_, wish) in zip(rows, path, strict=True)), rows[0][:1]]),
+            np.concatenate([wish.mean for _, wish in path]),
+            np.concatenate(guide),
+        )  # fmt: skip
+
+
 class Clairvoyant:
     """The bound for a team whose people have these lattices, at these prices.
 
@@ -196,10 +241,9 @@ class Clairvoyant:
             step = np.repeat(np.arange(len(graph.layer) - 1), np.diff(graph.edge[graph.layer]))
             least.append(graph._replace(cost=(1 - told[step]) * graph.cost - alpha * wish.fall))
         ahead, guide = _guide(least, (1 - told) * self.price, self.discount)
+        team = _Team.of(path, [person.rows.row for person in self.people], guide)
         found = _search(
-            List(graphs), List([wish.of for wish in wishes]), List([wish.mean for wish in wishes]),
-            List([person.rows.row for person in self.people]), List(guide), ahead, self.price * self.discount, alpha,
-            self.scale, self.steps, POPPED // len(graphs),
+            team, ahead, self.price * self.discount, alpha, self.scale, self.steps, POPPED // len(graphs)
         )  # fmt: skip
         return self.value - alpha * self.lost - found
 
@@ -331,25 +375,21 @@ def _copy(to: Floats, row: Floats) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _search(
-    graphs: Any, of: Any, mean: Any, rows: Any, guide: Any, ahead: Floats, price: Floats, alpha: float, scale: Scale,
-    steps: int, most: int,
+    team: _Team, ahead: Floats, price: Floats, alpha: float, scale: Scale, steps: int, most: int
 ) -> float:  # fmt: skip
     """Give the least sum of D for one luck, or less where that takes more states than `most`; prices are discounted."""
-    people = len(graphs)
-    start = np.zeros(people, np.int64)
-    estimate = ahead[0]
+    people = len(team.first) - 1
+    start, estimate = team.first[:-1].copy(), ahead[0]
     for k in range(people):
-        estimate += guide[k][0]
+        estimate += team.guide[start[k]]
     states, costs, times = [start], [0.0], [0]
     heap = [(estimate, 0)]
-    radix, exact = np.empty(people, np.int64), True
     product = float(steps + 2)
     for k in range(people):
-        radix[k] = len(graphs[k].node) + 1
-        product *= radix[k]
+        product *= team.first[k + 1] - team.first[k] + 1
     exact = product < 2.0**62  # else states are not recognised when they are met again, which only takes longer
     seen = Dict.empty(numba.types.int64, numba.types.float64)
-    here, next_ = np.ones((people, rows[0].shape[1])), np.ones((people, rows[0].shape[1]))
+    here, next_ = np.ones((people, team.row.shape[1])), np.ones((people, team.row.shape[1]))
     idle = np.empty(people, np.int64)
     popped = 0
     while len(heap):
@@ -360,7 +400,9 @@ def _search(
         if exact:
             code = t
             for k in range(people):
-                code = code * radix[k] + state[k] + 1
+                code *= team.first[k + 1] - team.first[k] + 1
+                if state[k] != END:
+                    code += state[k] - team.first[k] + 1
             if code in seen and seen[code] <= cost:
                 continue
             seen[code] = cost
@@ -369,7 +411,7 @@ def _search(
             return estimate
         finished = True
         for k in range(people):
-            _copy(here[k], rows[k][of[k][state[k]] if state[k] != END else 0])
+            _copy(here[k], team.row[state[k]])
             finished = finished and state[k] == END
         loss = alpha * lost(t, here, scale)
         if finished or t == steps:  # nothing, or nothing more, is left out: from here on V is what is known
@@ -384,8 +426,8 @@ def _search(
             idle[k] = END
             if state[k] == END:
                 continue
-            for e in range(graphs[k].edge[state[k]], graphs[k].edge[state[k] + 1]):
-                if not graphs[k].attends[e]:
+            for e in range(team.edge[state[k]], team.edge[state[k] + 1]):
+                if not team.attends[e]:
                     idle[k] = e
                     break
             if idle[k] == END:
@@ -395,9 +437,9 @@ def _search(
                 continue
             first, end = 0, 1
             if k >= 0:
-                first, end = graphs[k].edge[state[k]], graphs[k].edge[state[k] + 1]
+                first, end = team.edge[state[k]], team.edge[state[k] + 1]
             for e in range(first, end):
-                if k >= 0 and not graphs[k].attends[e]:
+                if k >= 0 and not team.attends[e]:
                     continue
                 total = cost - loss
                 if k < 0:
@@ -405,14 +447,14 @@ def _search(
                 then, estimate = state.copy(), ahead[t + 1]
                 for i in range(people):
                     if state[i] == END:
-                        _copy(next_[i], rows[i][0])
+                        _copy(next_[i], team.row[END])
                         continue
                     does = e if i == k else idle[i]
-                    total += graphs[i].cost[does]
-                    then[i] = graphs[i].to[does]
-                    _copy(next_[i], mean[i][does])
+                    total += team.cost[does]
+                    then[i] = team.to[does]
+                    _copy(next_[i], team.mean[does])
                     if then[i] != END:
-                        estimate += guide[i][then[i]]
+                        estimate += team.guide[then[i]]
                 total += alpha * lost(t + 1, next_, scale)
                 states.append(then)
                 costs.append(total)
