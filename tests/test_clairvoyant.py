@@ -117,7 +117,7 @@ def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_price
     compared = []
     robot = without_prices if free else robot
     for path in drawn(robot, range(4)):
-        graphs, wishes = zip(*path, strict=True)
+        graphs, wishes = path.graphs, path.wishes
         for t in range(min(4, *(len(graph.layer) - 2 for graph in graphs))):
             edges, after = [], []
             for person, graph in zip(robot.people, graphs, strict=True):
@@ -199,7 +199,7 @@ def least(
     robot: Clairvoyant, path: Path, alpha: float, state: tuple[int, ...], t: int, seen: dict[tuple[int, ...], float]
 ) -> float:
     """The least sum of D from a state on, by trying everything."""
-    graphs, wishes = zip(*path, strict=True)
+    graphs, wishes = path.graphs, path.wishes
     if (t, *state) in seen:
         return seen[t, *state]
 

@@ -167,7 +167,7 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
         robot = Clairvoyant(lattices, np.zeros(0), 12)
         paths = robot.paths([np.random.default_rng(number) for number in range(30)])
         means.append(np.mean([robot.bound(path, 0.3) for path in paths]))
-        steps.append(np.mean([len(graph.layer) for path in paths for graph, _ in path]))
+        steps.append(np.mean([len(graph.layer) for path in paths for graph in path.graphs]))
     assert steps[1] > steps[0] + 2
     run = simulate(pool, "priority", humans=[0, 1], episodes=2000, seed=0, world="model").discounted_return
     error = run.std(ddof=1) / np.sqrt(len(run))

@@ -67,7 +67,7 @@ PILOT = 0.1
 """The share of lucks, in addition, on which alpha is chosen."""
 
 FOR_LUCKS = 0.5
-"""When this share of the time is left no more lucks are drawn for that, and no larger alpha is tried."""
+"""The share of the time that is kept for the others: once no more is left, no larger alpha is tried."""
 
 AFTER = 10
 """Steps without prices in which the robot is still in one place at a time."""
@@ -108,7 +108,7 @@ class Sampled:
 
     @classmethod
     def of(cls, found: Sequence[float], lucks: int, alpha: float) -> Sampled:
-        """Give what so many lucks make of it that are like those of which these are the bounds, at least two."""
+        """Give the mean of these bounds, of two lucks at least, with the error that it has over so many like them."""
         return cls(float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(lucks)), lucks, alpha)
 
     @property
@@ -122,8 +122,31 @@ def errors(lucks: int) -> float:
     return float(stdtrit(lucks - 1, CONFIDENCE))
 
 
-Path = list[tuple[Graph, Wishes]]
-"""What can come about with one luck of all people, each."""
+class Path(NamedTuple):
+    """What can come about with one luck of all people.
+
+    Attributes
+    ----------
+    graphs : list of Graph
+        Each person's.
+    wishes : list of Wishes
+        What they want in these; their means are parts of the next.
+    mean : float array, shape (e, A * (L + 2))
+        One person's after the other's.
+    """
+
+    graphs: list[Graph]
+    wishes: list[Wishes]
+    mean: Floats
+
+    @classmethod
+    def of(cls, people: Sequence[tuple[Graph, Wishes]]) -> Path:
+        """Join what there is of each person; no mean is kept twice, as they are by far the largest part."""
+        mean = np.concatenate([wish.mean for _, wish in people])
+        ends = np.cumsum([len(graph.to) for graph, _ in people])
+        means = np.split(mean, ends[:-1])
+        wishes = [wish._replace(mean=own) for (_, wish), own in zip(people, means, strict=True)]
+        return cls([graph for graph, _ in people], wishes, mean)
 
 
 class _Team(NamedTuple):
@@ -155,7 +178,7 @@ class _Team(NamedTuple):
     @classmethod
     def of(cls, path: Path, rows: Sequence[Floats], guide: Sequence[Floats]) -> _Team:
         """Join these; `rows` are each person's, of which nodes have some."""
-        graphs = [graph for graph, _ in path]
+        graphs = path.graphs
         *nodes, node = np.cumsum([0, *(len(graph.node) for graph in graphs)])
         *edges, edge = np.cumsum([0, *(len(graph.to) for graph in graphs)])
         return cls(
@@ -164,8 +187,8 @@ class _Team(NamedTuple):
             np.concatenate([np.where(g.to == END, END, g.to + j) for g, j in zip(graphs, nodes, strict=True)]),
             np.concatenate([graph.cost for graph in graphs]),
             np.concatenate([graph.attends for graph in graphs]),
-            np.concatenate([*(row[wish.of] for row, (_, wish) in zip(rows, path, strict=True)), rows[0][:1]]),
-            np.concatenate([wish.mean for _, wish in path]),
+            np.concatenate([*(row[wish.of] for row, wish in zip(rows, path.wishes, strict=True)), rows[0][:1]]),
+            path.mean,
             np.concatenate(guide),
         )  # fmt: skip
 
@@ -229,21 +252,20 @@ class Clairvoyant:
             return [[(graph, kind.of(graph)) for graph in of_luck] for of_luck in graphs]
 
         found = dict(zip(map(id, self.kinds), self._each(of, self.kinds), strict=True))
-        return [[found[id(person)][number].pop(0) for person in self.people] for number in range(len(lucks))]
+        return [Path.of([found[id(person)][number].pop(0) for person in self.people]) for number in range(len(lucks))]
 
     def bound(self, path: Path, alpha: float) -> float:
         """Give what the robot gets at most that knows this luck, less its penalty."""
-        graphs, wishes = [graph for graph, _ in path], [wish for _, wish in path]
         told = np.zeros(len(self.price))  # what U counts of each step's conflict; of the rest D is what people lose
         told[: len(self.scale.price)] = alpha * self.scale.counts[:-1]
         least = []
-        for graph, wish in zip(graphs, wishes, strict=True):
+        for graph, wish in zip(path.graphs, path.wishes, strict=True):
             step = np.repeat(np.arange(len(graph.layer) - 1), np.diff(graph.edge[graph.layer]))
             least.append(graph._replace(cost=(1 - told[step]) * graph.cost - alpha * wish.fall))
         ahead, guide = _guide(least, (1 - told) * self.price, self.discount)
         team = _Team.of(path, [person.rows.row for person in self.people], guide)
         found = _search(
-            team, ahead, self.price * self.discount, alpha, self.scale, self.steps, POPPED // len(graphs)
+            team, ahead, self.price * self.discount, alpha, self.scale, self.steps, POPPED // len(self.people)
         )  # fmt: skip
         return self.value - alpha * self.lost - found
 
@@ -288,7 +310,7 @@ class Clairvoyant:
         The mean over lucks is convex in alpha where no search is given up. But a large alpha takes the search longer:
         of what is left of the time each luck takes the share `drawing` and what the search took on the pilot's.
         """
-        left = self.left(self.done)
+        rest = self.left(self.done)
         uppers: dict[int, float] = {}
 
         def upper(number: int) -> float:
@@ -296,7 +318,7 @@ class Clairvoyant:
                 before = self.left(self.done)
                 found = self._bounds(pilot, ALPHAS[number])
                 each = drawing + (before - self.left(self.done)) / len(pilot)
-                lucks = max(2, min(paths, int(left / each))) if each > 0 else paths
+                lucks = max(2, min(paths, int(rest / each))) if each > 0 else paths
                 uppers[number] = Sampled.of(found, lucks, ALPHAS[number]).upper
             return uppers[number]
 
@@ -384,9 +406,10 @@ def _search(
         estimate += team.guide[start[k]]
     states, costs, times = [start], [0.0], [0]
     heap = [(estimate, 0)]
+    radix = np.diff(team.first) + 1
     product = float(steps + 2)
     for k in range(people):
-        product *= team.first[k + 1] - team.first[k] + 1
+        product *= radix[k]
     exact = product < 2.0**62  # else states are not recognised when they are met again, which only takes longer
     seen = Dict.empty(numba.types.int64, numba.types.float64)
     here, next_ = np.ones((people, team.row.shape[1])), np.ones((people, team.row.shape[1]))
@@ -400,9 +423,7 @@ def _search(
         if exact:
             code = t
             for k in range(people):
-                code *= team.first[k + 1] - team.first[k] + 1
-                if state[k] != END:
-                    code += state[k] - team.first[k] + 1
+                code = code * radix[k] + (state[k] - team.first[k] + 1 if state[k] != END else 0)
             if code in seen and seen[code] <= cost:
                 continue
             seen[code] = cost
