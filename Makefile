@@ -32,7 +32,7 @@ live: $(VENV)/.live $(VENV)/.compiled
 test: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m "not slow"
 
-# The same, and longer versions of some tests.
+# The same, and tests that take long: kills, a cluster, the pages to look things up in, longer versions of others.
 test-all: $(VENV)/.test $(VENV)/.warm
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 

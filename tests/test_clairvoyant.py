@@ -264,12 +264,12 @@ def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: Cl
 def test_sampled_lucks_on_the_command_line() -> None:
     result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--episodes", "500", "--policy", "priority", "--paths", "40", "--time-limit", "3600", "--json",
+        "--episodes", "500", "--policy", "priority", "--paths", "20", "--time-limit", "3600", "--json",
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
-    sampled, errors = document["sampled"], 1.685  # Student's t of 39 degrees of freedom, from a table
-    assert (sampled["paths"], document["confidence"]) == (40, 0.95)
+    sampled, errors = document["sampled"], 1.729  # Student's t of 19 degrees of freedom, from a table
+    assert (sampled["paths"], document["confidence"]) == (20, 0.95)
     assert document["upper"] == pytest.approx(sampled["mean"] + errors * sampled["stderr"], abs=1e-3)
     assert document["upper"] < document["upper_proven"]
 

@@ -116,6 +116,7 @@ def test_a_time_limit_holds_and_disturbs_nobody() -> None:
     assert "out of time" in big["error"]["message"]
 
 
+@pytest.mark.slow
 def test_a_memory_limit_holds() -> None:
     names = [KITTING / "ladder-4x9.pddl", KITTING / "tiny.pddl"]
     result = kitassist("solve", *names, "--memory-limit", 300, "--time-limit", 600, "--max-states", 10**9, "--json")

@@ -27,6 +27,7 @@ def stable(records: list[dict]) -> list[dict]:
     return [{k: v for k, v in record.items() if k not in ("seconds", "peak_memory_mb")} for record in records]
 
 
+@pytest.mark.slow
 def test_a_batch_has_the_same_records(scheduler: str, tmp_path: Path) -> None:
     """Solved, unsolvable, with costs, and a file that is no PDDL."""
     names = [KITTING / f"{name}.pddl" for name in ("tiny", "unsolvable", "costs/ways")]

@@ -21,6 +21,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_killed_batches_leave_nothing_and_lose_nothing(tmp_path: Path) -> None:
     duration, reference = uninterrupted(batch := small_batch(), tmp_path / "whole")
     shares = [(0.5, signal.SIGKILL, False), (0.7, signal.SIGTERM, True)]

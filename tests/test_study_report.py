@@ -194,6 +194,7 @@ def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
     assert {each.name for each in report.pictures if each.figure()} >= {"team-size", "belief"}
 
 
+@pytest.mark.slow
 def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
     """All conditions of the paper, on a task that takes no time; `make study` has them on the paper's tasks."""
     paper = read("paper", repeats=1)

@@ -147,6 +147,7 @@ def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed: `apt-get install chromium`")
+@pytest.mark.slow
 def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
     chromium: Any, tmp_path: Path, tiny: Table
 ) -> None:
