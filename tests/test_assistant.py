@@ -25,6 +25,7 @@ from assist.simulation.simulate import simulate
 from assist.team import wide
 from assist.team.pool import Pool
 from assist.team.settings import Setting
+from assist.team.state import by_model
 from planner import CostToGo, OnDemand, Table
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
@@ -277,6 +278,26 @@ def test_what_is_kept_of_others_is_what_would_be_worked_out(tiny: Table) -> None
     desk = Assistant(tiny, list("abc"), policy=policy)
     happen(desk, [(what, who, 0) for who in (0, 2, 1, 0) for what in ("act", "advise")])
     assert seen == [True] * 4
+
+
+@pytest.mark.parametrize("policy", ["reactive", "attention", "attention-never", "priority"])
+def test_a_decision_looks_only_at_whoever_has_acted(tiny: Table, monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
+    """However many there are."""
+    asked: list[list[int]] = []
+
+    def noted(model: Any, rows: Any, models: int) -> Any:
+        asked.append(rows.tolist())
+        return by_model(model, rows, models)
+
+    monkeypatch.setattr("assist.live.roster.by_model", noted)
+    desk = Assistant(tiny, list("abcde"), policy=policy)
+    desk.recommend()
+    assert [0, 1, 2, 3, 4] in asked or policy == "reactive"
+    for name in "cbc":
+        asked.clear()
+        desk.observe(name, desk.person(name).applicable[0])
+        desk.recommend()
+        assert all(rows == ["abcde".index(name)] for rows in asked)
 
 
 def test_people_come_and_go(tiny: Table, fixed: Table) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
-from .state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
+from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
 from .subproblem import HERE, Visits, backwards
 from .travel import Travel
 from .wide import Around, WidePolicy
@@ -163,8 +163,8 @@ class Priority:
             )
         if not team.active.any():
             return robot, going, holding
-        price = self.price[min(team.step, len(self.price) - 1)]
-        values = team.of_each(partial(self._values, team.step))
+        step = min(team.step, len(self.price) - 1)  # all later ones are alike
+        price, values = self.price[step], team.of_each(self._asks[step])
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
         # Nothing is worth infinitely little to those who are not there.
         gain = np.full(q.shape, -np.inf)
@@ -179,6 +179,11 @@ class Priority:
         holding[with_them] = gain[with_them, team.location[with_them], 1]
         return robot, going - team.to(), holding
 
+    @cached_property
+    def _asks(self) -> tuple[Ask, ...]:
+        """What people are asked at each step: the same object wherever the answers are, since they are kept by it."""
+        return tuple(partial(self._values, step) for step in range(len(self.price)))
+
     def presence(self, policy: Policy) -> Presence:
         """Give the problem of the people of a policy with a robot that comes and goes."""
         if isinstance(policy, Around):
@@ -188,7 +193,7 @@ class Priority:
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give what it is worth that the robot is on its way, by how long, then what each of its actions is there."""
         solved = self.presence(policy)
-        states = solved.states[min(step, len(solved.states) - 1)][:, x]
+        states = solved.states[step][:, x]
         if (states < 0).any():
             raise ValueError(
                 f"somebody is at step {step} where nobody can be so soon: with prices of steps all begin at step 0"
