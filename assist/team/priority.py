@@ -181,7 +181,7 @@ class Priority:
 
     @cached_property
     def _asks(self) -> tuple[Ask, ...]:
-        """What people are asked at each step: the same object wherever the answers are, since they are kept by it."""
+        """What is asked about people, by the step: one object each, as a live team keeps answers by what was asked."""
         return tuple(partial(self._values, step) for step in range(len(self.price)))
 
     def presence(self, policy: Policy) -> Presence:
