@@ -54,12 +54,11 @@ def pages_with(language: str) -> list[Path]:
     return [page for page in PAGES if blocks(page, language)]
 
 
-def some_later(pages: list[Path]) -> list[Any]:
-    """What users read first in `make test`, and the pages that one looks things up in by `make test-all` only."""
-    reference = [page.parent == ROOT / "docs" for page in pages]
+def cases(language: str) -> list[Any]:
+    """Pages with blocks of a language; those to look things up in, unlike what users read first, are slow tests."""
     return [
-        pytest.param(page, marks=[pytest.mark.slow] if later else [])
-        for page, later in zip(pages, reference, strict=True)
+        pytest.param(page, marks=[pytest.mark.slow] if page.parent == ROOT / "docs" else [])
+        for page in pages_with(language)
     ]
 
 
@@ -88,7 +87,7 @@ def run(command: str) -> tuple[int, str, str, str]:
     return done.returncode, done.stdout, done.stderr, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("page", some_later(pages_with("console")), ids=name)
+@pytest.mark.parametrize("page", cases("console"), ids=name)
 def test_console_blocks(page: Path, place: Path) -> None:
     assert Path.cwd() == place
     shown = commands(page)
@@ -107,7 +106,7 @@ def test_console_blocks(page: Path, place: Path) -> None:
             assert same, f"{command}\n--- shown\n{expected}\n--- printed\n{printed}"
 
 
-@pytest.mark.parametrize("page", some_later(pages_with("pycon")), ids=name)
+@pytest.mark.parametrize("page", cases("pycon"), ids=name)
 def test_python_blocks(page: Path, place: Path) -> None:
     assert place.exists()
     test = doctest.DocTestParser().get_doctest(blocks(page, "pycon"), {}, name(page), str(page), 0)
