@@ -85,8 +85,8 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
     Parameters
     ----------
     names : iterable of path
-        Problem files, folders and globs, and names of tasks that come with the package, such as `kitting/paper`, where
-        there is no file or folder of that name.
+        Problem files, folders and globs. Where there is no file or folder of a name: a task that comes with the
+        package, such as `kitting/paper`, or all tasks of a folder of the package, such as `kitting`.
     domain : path, optional
         Of all of them; `domain.pddl` beside each unless given.
 
@@ -115,9 +115,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
                 files = sorted(f for f in start.glob(pattern) if f.is_file() and not _is_domain(f, domain))
                 if not files:
                     raise InstanceError(f"{name}: no problem file matches")
-            elif known := shipped.find(path):
-                files = [known]
-            else:
+            elif not (files := shipped.files(path)):
                 raise InstanceError(f"{name}: no such file or folder{shipped.near(path)}")
         found.update((instance(file, domain), None) for file in files)
     return list(found)

@@ -1,4 +1,7 @@
-"""The tasks that come with the package: found by folder and name, such as `kitting/paper`, wherever it is installed."""
+"""The tasks that come with the package: found by folder and name, such as `kitting/paper`, wherever it is installed.
+
+A folder's name alone, such as `blocks`, stands for all of its tasks.
+"""
 
 from __future__ import annotations
 
@@ -54,12 +57,21 @@ def find(name: str | Path) -> Path | None:
     return problems().get(Path(name).as_posix())
 
 
+def files(name: str | Path) -> list[Path]:
+    """Return the problem files that a name stands for: one of a task, all of a folder; none of an unknown name."""
+    own = Path(name).as_posix()
+    return [file for task, file in problems().items() if task == own or task.startswith(f"{own}/")]
+
+
 def near(name: str | Path) -> str:
-    """Give what can be said of a name that stands for nothing: names like it, to be put behind that."""
+    """Return a remark on a name that stands for nothing: similar names of tasks and folders; empty without such."""
     wanted = "/".join(Path(name).with_suffix("").parts[-2:])
-    alike = difflib.get_close_matches(wanted, problems(), n=3, cutoff=0.75)
+    folders = {task.rpartition("/")[0] for task in problems()}
+    alike = difflib.get_close_matches(wanted, [*problems(), *folders], n=3, cutoff=0.75)
     if not alike:  # perhaps without its folder
         alike = [one for one in problems() if one.endswith(f"/{Path(wanted).stem}")]
+    if wanted in folders:  # a task was expected
+        alike = [one for one in problems() if one.startswith(f"{wanted}/")][:3]
     return f"; with the package come {', '.join(alike)}" if alike else ""
 
 

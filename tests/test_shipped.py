@@ -45,6 +45,23 @@ def test_a_name_that_is_nearly_right_is_answered_with_those_that_are() -> None:
         find_instances(["something/else"])
 
 
+def test_a_folder_of_the_package_stands_for_all_of_its_tasks(elsewhere: Path) -> None:
+    assert find_instances(["blocks"]) == find_instances([DOMAINS / "blocks"])
+    assert find_instances(["kitting/costs/"]) == find_instances([KITTING / "costs"])
+    assert len(find_instances(["kitting", "kitting/tiny"])) == len(find_instances([KITTING]))
+    for wrong, near in (("blcks", "blocks"), ("kitting/cost", "kitting/costs")):
+        with pytest.raises(InstanceError, match=rf"^{wrong}: no such file or folder; with the package come {near}"):
+            find_instances([wrong])
+    with pytest.raises(PDDLError, match=r"^blocks: no such problem file; with the package come blocks/\S+, blocks/\S+"):
+        load("blocks")
+    for empty in ("", "."):
+        with pytest.raises(InstanceError):
+            find_instances([empty])
+    (elsewhere / "blocks").mkdir()
+    with pytest.raises(InstanceError, match=r"^blocks: no problem file"):  # one's own folder comes first
+        find_instances(["blocks"])
+
+
 def test_the_list_says_what_each_is() -> None:
     found = {one["name"]: one for one in json.loads(invoke("domains", "--json").stdout)}
     assert found["kitting/tiny"] == {

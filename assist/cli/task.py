@@ -11,10 +11,11 @@ from .progress import compiling_line, stages
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
-    """Find the one problem that INSTANCE stands for."""
+    """Return the one problem that INSTANCE stands for."""
     found = find_instances([instance], domain)
     if len(found) != 1:
-        raise InstanceError(f"{instance}: stands for {len(found)} problems; expected one")
+        several = f"{len(found)} problems, such as {found[0]}"
+        raise InstanceError(f"{instance}: stands for {several}; expected one of them")
     return found[0]
 
 

@@ -231,9 +231,9 @@ class Reader:
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
         """Find the tasks; each is called by its file's name, or by its path where two have the same."""
         folder = self.file.parent
-        known = {name: tasks.find(name) for name in self.table.instances if not (folder / name).exists()}
+        known = {name: tasks.files(name) for name in self.table.instances if not (folder / name).exists()}
         try:
-            found = [find_instances([known.get(n) or folder / n]) for n in dict.fromkeys(self.table.instances)]
+            found = [find_instances(known.get(n) or [folder / n]) for n in dict.fromkeys(self.table.instances)]
         except InstanceError as error:
             raise fault(self.file, "instances", str(error)) from None
         problems = [instance for instances in found for instance in instances]

@@ -378,12 +378,12 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     problem = file.parent / name
     if carried_out:
         return Instance(problem, problem.with_name("domain.pddl"))
-    known = None if problem.exists() else shipped.find(name)
+    known = [] if problem.exists() else shipped.files(name)
     try:
-        found = find_instances([known or problem])
+        found = find_instances(known or [problem])
     except InstanceError as error:
         raise fault(file, place, str(error)) from None
-    if len(found) != 1 or (known is None and found[0].problem.name != problem.name):
+    if len(found) != 1 or (not known and found[0].problem.name != problem.name):
         raise fault(file, place, f"'{name}' stands for {len(found)} problems; expected the file of one")
     return found[0]
 
