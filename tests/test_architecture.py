@@ -22,12 +22,12 @@ ROOMS = {
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",
-    "assist.learning": """actions log recording observations likelihood estimates weighing hierarchy misconception
-        diagnostics population record people comparison summary""",
+    "assist.learning": """actions log_files log recording observations likelihood estimates weighing hierarchy
+        misconception diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts clairvoyant bound",
-    "assist.drawing": "subject profile scene layout svg picture frames files",
+    "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",

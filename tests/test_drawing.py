@@ -16,7 +16,17 @@ from conftest import DOMAINS, KITTING
 from PIL import Image
 
 from assist.cli import main
-from assist.drawing import Artist, Profile, ProfileError, draw, draw_frames, draw_strip, episode_frames, plan_frames
+from assist.drawing import (
+    Artist,
+    Profile,
+    ProfileError,
+    draw,
+    draw_frames,
+    draw_strip,
+    episode_frames,
+    plan_frames,
+    read_state,
+)
 from assist.drawing.files import page
 from assist.drawing.subject import Subject
 from planner import load
@@ -179,6 +189,10 @@ def test_tasks_with_derived_facts_are_drawn(tmp_path: Path) -> None:
         assert "Goal: 0 of 2" in before.text
         assert "Goal: 2 of 2" in after.text
         assert "axiom" not in after.svg
+    moved = drawn.subject.follow(["(bring x a c)"])[-1]
+    for derived in ("", "(free a) (free b)", "(free c)"):  # they are derived, whatever a file says
+        (tmp_path / "state").write_text(f"(in x c) (moved x) {derived}")
+        assert read_state(tmp_path / "state", drawn.subject) == moved
 
 
 def test_tasks_whose_files_are_gone_are_drawn(tmp_path: Path) -> None:
@@ -278,7 +292,7 @@ def test_draw_writes_every_format(tmp_path: Path) -> None:
         (
             ["--out", "a.svg", "--plan", "bad.plan"],
             1,
-            "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable",
+            "bad.plan: step 0: (place hammer slot-1 box-a) is not applicable here; nearest of the 2 applicable",
         ),
         (["--out", "a.svg", "--trace", "t.jsonl", "--episode", "nine"], 1, "episode 'nine': the trace has one, two"),
     ],

@@ -10,7 +10,7 @@ import click
 COMMANDS = {
     "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
     "domains": "List the tasks that come with the package; every command takes their names.",
-    "draw": "Draw a task, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations.",
+    "draw": "Draw a state, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations.",
     "export": "Write the problem of assisting one person, for other solvers.",
     "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",
     "policy": "Solve the problem of assisting one person, with a lower and an upper bound on what can be reached.",

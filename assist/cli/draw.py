@@ -10,13 +10,14 @@ from planner import load
 from planner.storage import each_record
 
 from .console import EXIT_FAILED, fail, print_json
-from .options import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option, separate_files
+from .options import INPUT_FILE, OUTPUT_FILE, apart, domain_option, instance_argument, json_option, separate_files
 from .task import one_instance
 
 
 @click.command()
 @instance_argument
 @domain_option
+@click.option("--state", type=INPUT_FILE, help="A state: the facts that hold, as PDDL or a JSON list.")
 @click.option("--plan", type=INPUT_FILE, help="A plan: an action a line, as `solve --out` writes it.")
 @click.option("--trace", type=INPUT_FILE, help="Actions of people (JSON Lines), as `simulate --trace` writes them.")
 @click.option("--episode", metavar="E", help="Which episode of the trace; its first unless given.")
@@ -24,29 +25,30 @@ from .task import one_instance
 @click.option("--out", type=OUTPUT_FILE, required=True, help="The file to write: .svg, .png, .gif or .html.")
 @json_option
 def draw(
-    instance: str, domain: str | None, plan: Path | None, trace: Path | None, episode: str | None, width: int,
-    out: Path, as_json: bool,
+    instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,
+    width: int, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    """Draw a task, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations."""
-    from ..drawing.files import FORMATS, require, save
+    """Draw a state, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations."""
+    from ..drawing.files import FORMATS, save
     from ..drawing.frames import Frame, FramesError, episode_frames, plan_frames
     from ..drawing.picture import Artist
     from ..drawing.profile import ProfileError
+    from ..drawing.raster import require
+    from ..drawing.states import StateError, read_state
 
     if out.suffix not in FORMATS:
         raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")
-    if plan and trace:
-        raise click.UsageError("--plan and --trace: expected one of them")
+    apart({"--state": state, "--plan": plan, "--trace": trace})
     if episode is not None and not trace:
         raise click.UsageError("--episode: expected --trace as well")
-    separate_files({"--out": out}, {"--plan": plan, "--trace": trace})
+    separate_files({"--out": out}, {"--state": state, "--plan": plan, "--trace": trace})
     require(out.suffix)
     found = one_instance(instance, domain)
     try:
         artist = Artist(load(found))
         if plan:
             lines = (line.partition(";")[0].strip() for line in plan.read_text(encoding="utf-8").splitlines())
-            rows = plan_frames(artist, [line.lower() for line in lines if line])
+            rows = plan_frames(artist, [line for line in lines if line and line != "SequentialPlan:"])
         elif trace:
             records = list(each_record(trace))
             damaged = next((record for record in records if isinstance(record, Exception)), None)
@@ -54,12 +56,13 @@ def draw(
                 raise damaged
             rows = episode_frames(artist, [record for record in records if isinstance(record, dict)], episode)
         else:
-            rows = [(Frame(tuple(artist.subject.initial), "Start"),)]
+            values = read_state(state, artist.subject) if state else artist.subject.initial
+            rows = [(Frame(tuple(values), "State" if state else "Start"),)]
     except UnicodeDecodeError:
         fail(f"{plan}: not a text file in UTF-8", EXIT_FAILED)
     except FramesError as error:
         fail(f"{plan or trace}: {error}", EXIT_FAILED)
-    except ProfileError as error:
+    except (ProfileError, StateError) as error:
         fail(str(error), EXIT_FAILED)
     frames = save(artist, rows, out, width=width)
     record = {

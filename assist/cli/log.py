@@ -70,6 +70,10 @@ def log_options(command: Command) -> Command:
             help="What the log calls OLD the task calls NEW; may be repeated.",
         ),
         click.option(
+            "--columns", multiple=True, metavar="NAME=COLUMN,...",
+            help="What the log calls its columns, such as person=worker,action=move.",
+        ),
+        click.option(
             "--gaps", is_flag=True, help="Steps may skip numbers without a line missing, as the log counts otherwise."
         ),
         click.option(
@@ -105,6 +109,7 @@ def replayed(
     *,
     drop: tuple[str, ...],
     rename: tuple[str, ...],
+    columns: tuple[str, ...],
     gaps: bool,
     strict: bool,
     jobs: int | None,
@@ -125,14 +130,17 @@ def replayed(
     from ..learning.people import LogError, require_actions
     from ..learning.recording import replay
 
-    names = _renamed(rename)
+    names, named = _renamed(rename), _columns(columns)
     try:
         method = Method(**setting)
+        log = read_log(file, gaps=gaps, columns=named)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     tell_of_compiling()
-    task, log = load(found), read_log(file, gaps=gaps)
+    task = load(found)
     tell_note(task)
+    if log.note:
+        click.echo(f"{file}: {log.note}", err=True)
     if task.decided_by_translator:
         why = "the goal cannot be reached, or holds from the start; there is nothing to learn from"
         fail(f"{found}: {why}", EXIT_FAILED)
@@ -191,6 +199,18 @@ def _renamed(pairs: tuple[str, ...]) -> dict[str, str]:
             raise click.UsageError(f"--rename {pair}: expected OLD=NEW")
         if names.setdefault(old.lower(), new) != new:
             raise click.UsageError(f"--rename {pair}: '{old}' is renamed already")
+    return names
+
+
+def _columns(given: tuple[str, ...]) -> dict[str, str]:
+    """Return what a log calls its columns, by their names."""
+    names: dict[str, str] = {}
+    for pair in filter(None, (pair.strip() for text in given for pair in text.split(","))):
+        name, _, column = (part.strip() for part in pair.partition("="))
+        if not name or not column:
+            raise click.UsageError(f"--columns {pair}: expected NAME=COLUMN")
+        if names.setdefault(name.lower(), column) != column:
+            raise click.UsageError(f"--columns {pair}: '{name}' has a column already")
     return names
 
 

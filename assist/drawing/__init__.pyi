@@ -11,3 +11,5 @@ from .picture import draw as draw
 from .profile import Look as Look
 from .profile import Profile as Profile
 from .profile import ProfileError as ProfileError
+from .states import StateError as StateError
+from .states import read_state as read_state

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from planner.errors import MissingExtraError
 from planner.storage import atomic
 
 from . import svg
 from .frames import Row, draw_frames, draw_strip
 from .picture import WIDTH, Artist, Picture
+from .raster import png, require
 
 FORMATS = (".svg", ".png", ".gif", ".html")
-SCALE = 1.5  # pixels of a PNG for each of the drawing
 SECONDS = 1.2  # for each step of a GIF
 
 
@@ -51,7 +49,7 @@ def save(artist: Artist, rows: Sequence[Row], file: Path, *, width: float = WIDT
             if single
             else draw_strip(artist, rows, width=width, theme=theme)
         )
-        content = png(picture) if file.suffix == ".png" else picture.svg.encode()
+        content = png(picture.svg, picture.width) if file.suffix == ".png" else picture.svg.encode()
     with atomic(file) as path:
         path.write_bytes(content)
     return len(rows[0])
@@ -59,39 +57,6 @@ def save(artist: Artist, rows: Sequence[Row], file: Path, *, width: float = WIDT
 
 def _theme(file: Path) -> svg.Theme | None:
     return {".svg": "auto", ".html": None}.get(file.suffix, "light")
-
-
-def require(suffix: str) -> None:
-    """Check that a format can be written.
-
-    Raises
-    ------
-    MissingExtraError
-    """
-    needed = {".png": ("resvg_py", "matplotlib"), ".gif": ("resvg_py", "matplotlib", "PIL")}.get(suffix, ())
-    for package in needed:
-        if importlib.util.find_spec(package) is None:
-            raise MissingExtraError(f"{suffix} files need", package, "plots")
-
-
-def png(picture: Picture, scale: float = SCALE) -> bytes:
-    """Make a PNG of a picture that was drawn for one theme.
-
-    Raises
-    ------
-    MissingExtraError
-        The extra `plots` is not installed.
-    """
-    require(".png")
-    import resvg_py
-    from matplotlib import get_data_path
-
-    fonts = [str(Path(get_data_path()) / "fonts" / "ttf" / f"DejaVuSans{kind}.ttf") for kind in ("", "-Bold")]
-    return bytes(
-        resvg_py.svg_to_bytes(
-            svg_string=picture.svg, font_files=fonts, skip_system_fonts=True, width=round(picture.width * scale)
-        )
-    )
 
 
 def animation(pictures: Sequence[Picture]) -> bytes:
@@ -106,7 +71,8 @@ def animation(pictures: Sequence[Picture]) -> bytes:
     from PIL import Image
 
     frames = [
-        Image.open(io.BytesIO(png(picture, 1.0))).convert("P", palette=Image.Palette.ADAPTIVE) for picture in pictures
+        Image.open(io.BytesIO(png(picture.svg, picture.width, 1.0))).convert("P", palette=Image.Palette.ADAPTIVE)
+        for picture in pictures
     ]
     written = io.BytesIO()
     times = [round(1000 * SECONDS)] * (len(frames) - 1) + [round(3000 * SECONDS)]

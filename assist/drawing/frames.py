@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ..learning.actions import words_of
 from . import svg
 from .layout import Layout, text_width
 from .picture import MARGIN, WIDTH, Artist, Picture
@@ -65,22 +66,21 @@ def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
     ----------
     artist : Artist
     plan : sequence of str
-        Ground actions as `(name arg ...)`.
+        Ground actions, as `(name arg ...)` or `name(arg, ...)`.
 
     Raises
     ------
     FramesError
         An action cannot be applied where its turn comes.
     """
-    try:
-        states = artist.subject.follow(plan)
-    except ValueError as error:
-        raise FramesError(str(error)) from None
-    frames = [
-        Frame(tuple(values), f"Step {step + 1} of {len(plan)}", artist.say(action), acted=_objects(action))
-        for step, (values, action) in enumerate(zip(states, plan, strict=False))
-    ]
-    return [(*frames, Frame(tuple(states[-1]), "End"))]
+    values, frames = artist.subject.initial, []
+    for step, text in enumerate(plan):
+        action, after = _meant(artist, text, values, f"step {step}")
+        frames.append(
+            Frame(tuple(values), f"Step {step + 1} of {len(plan)}", artist.say(action), acted=_objects(action))
+        )
+        values = after
+    return [(*frames, Frame(tuple(values), "End"))]
 
 
 def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: str | None = None) -> list[Row]:
@@ -115,17 +115,25 @@ def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: 
         own = {int(row["step"]): row for row in mine if str(row.get("person")) == person}
         values, frames = artist.subject.initial, []
         for step in steps:
-            row = own.get(step)
+            row, after = own.get(step), values
+            if row is not None:
+                place_in = f"{person}, {episode}, step {step}"
+                row = dict(row)
+                if row.get("suggestion"):
+                    row["suggestion"] = _meant(artist, row["suggestion"], values, place_in)[0]
+                if row.get("action"):
+                    row["action"], after = _meant(artist, row["action"], values, place_in)
             frames.append(_frame(artist, values, person, step, row, place, _robot_place(mine, step)))
-            for action in filter(None, [row.get("action")] if row else []):
-                try:
-                    values = artist.subject.follow([action], values)[-1]
-                except ValueError as error:
-                    raise FramesError(
-                        f"{person}, {episode}, step {step}: {str(error).removeprefix('step 0: ')}"
-                    ) from None
+            values = after
         found.append((*frames, Frame(tuple(values), f"{person}, end")))
     return found
+
+
+def _meant(artist: Artist, text: str, values: Sequence[int], where: str) -> tuple[str, list[int]]:
+    try:
+        return artist.subject.meant(str(text), values)
+    except ValueError as error:
+        raise FramesError(f"{where}: {error}") from None
 
 
 def _robot_place(rows: Iterable[Mapping[str, Any]], step: int) -> int | None:
@@ -143,13 +151,13 @@ def _frame(
     there = place == robot if "robot_place" in row else suggestion is not None
     if suggestion is None:
         return Frame(tuple(values), title, artist.say(action), acted=_objects(action), robot=there)
-    followed = str(suggestion).lower() == action.lower()
+    followed = suggestion == action
     advice = f"robot: {artist.say(str(suggestion))} ({'followed' if followed else 'not followed'})"
     return Frame(tuple(values), title, artist.say(action), advice, _objects(action), _objects(str(suggestion)), there)
 
 
 def _objects(action: str) -> frozenset[str]:
-    return frozenset(action.lower().strip("()").split()[1:])
+    return frozenset(words_of(action)[1:])
 
 
 def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, theme: svg.Theme = "auto") -> Picture:

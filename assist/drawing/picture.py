@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from os import PathLike
+from pathlib import Path
 
 from planner import Task
+from planner.storage import atomic
 
+from ..learning.actions import words_of
 from . import svg
 from .layout import GAP, TAG, Arranger, Layout, tag_rows, tag_width
 from .profile import Profile
+from .raster import png
 from .scene import Node, Scene, arrange
 from .subject import Subject
 
@@ -39,6 +44,35 @@ class Picture:
 
     def _repr_svg_(self) -> str:
         return self.svg
+
+    def __repr__(self) -> str:
+        return f"<Picture of {self.width:.0f} x {self.height:.0f} pixels: {self.text}>"
+
+    def save(self, file: str | PathLike[str]) -> None:
+        """Write it, at once or not at all, in the format that the file's name asks for.
+
+        Parameters
+        ----------
+        file : path
+            Its name ends in `.svg`, or in `.png`: light, of one and a half times the size, with the extra `plots`.
+
+        Raises
+        ------
+        ValueError
+            The name ends in something else.
+        MissingExtraError
+            The extra is not installed.
+        """
+        path = Path(file)
+        kind = path.suffix.lower()
+        if kind not in (".svg", ".png"):
+            raise ValueError(f"{path}: expected a name that ends in .svg or .png")
+        if kind == ".svg":
+            content = self.svg.encode()
+        else:  # where pixels are made, colours that depend on the reader are not known
+            content = png(self.svg.replace(svg.style("auto"), svg.style("light")), self.width)
+        with atomic(path) as new:
+            new.write_bytes(content)
 
 
 class Artist:
@@ -117,8 +151,8 @@ class Artist:
         return " ".join(filter(None, words))
 
     def say(self, action: str) -> str:
-        """Say a ground action in words."""
-        name, *arguments = action.strip("()").split()
+        """Return a ground action in words."""
+        name, *arguments = words_of(action)
         template, parameters = self.profile.words.get(name), self.subject.parameters.get(name, ())
         if template is None:
             return " ".join([name, ", ".join(arguments)]).strip()

@@ -9,14 +9,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-
-import numpy as np
+from functools import cached_property
 
 from planner import Packing, Successors, Task
 from planner.expressions import Expression
 from planner.pddl import PDDLError
 from planner.replay import derived
 from planner.source import Source
+
+from ..learning.actions import Matcher, words_of
+from ..people.choices import STAND_STILL
 
 Atom = tuple[str, ...]
 """A predicate and its arguments."""
@@ -129,27 +131,42 @@ class Subject:
             seen.add(kind)
             kind = self.supertypes.get(kind, "")
 
+    def meant(self, action: str, values: Sequence[int]) -> tuple[str, list[int]]:
+        """Return the ground action that a text stands for in a state, and the values of the state after it.
+
+        Raises
+        ------
+        ValueError
+            It is unknown, or not applicable there.
+        """
+        packing, successors, matcher = self._moves
+        state = packing.pack([list(values)])
+        _, actions, after = successors.choices(state)
+        slot = matcher.slot(words_of(action), actions)
+        if not len(actions):
+            return STAND_STILL, list(values)
+        return self.task.actions[actions[slot]], packing.unpack(after[[slot]])[0].tolist()
+
     def follow(self, plan: Sequence[str], values: Sequence[int] | None = None) -> list[list[int]]:
-        """Give the values of the states that a plan passes through, the first one included.
+        """Return the values of the states that a plan passes through, the first one included.
 
         Raises
         ------
         ValueError
             An action that is unknown, or not applicable where its turn comes.
         """
-        packing = Packing.of(self.task)
-        successors = Successors(self.task, packing)
         states = [list(self.initial if values is None else values)]
         for step, action in enumerate(plan):
-            _, actions, after = successors.choices(packing.pack([states[-1]]))
-            number = self.task.action_index.get(action.lower(), self.task.action_index.get(action))
-            place = np.flatnonzero(actions == (-1 if number is None else number))
-            if not len(place):
-                what = "no action of the task" if number is None else "not applicable"
-                can = ", ".join(self.task.actions[a] for a in actions) or "no actions"
-                raise ValueError(f"step {step}: {action} is {what}; applicable are {can}")
-            states.append(packing.unpack(after[place])[0].tolist())
+            try:
+                states.append(self.meant(action, states[-1])[1])
+            except ValueError as error:
+                raise ValueError(f"step {step}: {error}") from None
         return states
+
+    @cached_property
+    def _moves(self) -> tuple[Packing, Successors, Matcher]:
+        packing = Packing.of(self.task)
+        return packing, Successors(self.task, packing), Matcher(self.task.actions)
 
 
 def atom(fact: str) -> Atom | None:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from planner import load
 
-from ..drawing.files import png, require
 from ..drawing.frames import Frame, draw_frames
 from ..drawing.picture import Artist
+from ..drawing.raster import png, require
 
 
 class Stage:
@@ -62,5 +62,5 @@ class Stage:
         require(".gif")  # Pillow reads what was drawn
         from PIL import Image
 
-        with Image.open(io.BytesIO(png(picture, 1.0))) as image:
+        with Image.open(io.BytesIO(png(picture.svg, picture.width, 1.0))) as image:
             return np.array(image.convert("RGB"))

@@ -1,12 +1,14 @@
-"""Names of actions as people write them, and which ground action is meant.
+"""Names of actions as people and programs write them, and which ground action is meant.
 
-An action is matched without regard to case, and brackets are optional. It may be given by its name and the first of
-its arguments where exactly one applicable ground action begins so.
+`(fetch box-a)` and `fetch box-a` are PDDL, `fetch(box-a)` and `place(hammer, slot-1)` are what unified-planning and
+others print; case does not matter. An action may be given by its name and the first of its arguments where exactly one
+applicable ground action begins so.
 """
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,14 +19,43 @@ from ..people.choices import STAND_STILL
 Words = tuple[str, ...]
 
 
-def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
-    """Split an action into its name and arguments, in lower case; brackets are optional."""
-    words = action.lower().replace("(", " ").replace(")", " ").split()
-    return ((renamed or {}).get(words[0], words[0]), *words[1:]) if words else ()
+FORMS = re.compile(r"\((?P<inner>[^()]*)\)|(?P<name>[^\s(),]+)\s*\((?P<arguments>[^()]*)\)|(?P<plain>[^()]*)")
+"""(name argument ...), name(argument, ...) and name argument ..."""
 
 
 class UnmatchedError(ValueError):
     """Words that stand for no applicable action, or for several."""
+
+
+def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
+    """Return an action's name and arguments, in lower case.
+
+    Parameters
+    ----------
+    action : str
+        As `(name argument ...)`, `name(argument, ...)` or `name argument ...`.
+    renamed : mapping of str to str, optional
+        What an action's name stands for.
+
+    Raises
+    ------
+    UnmatchedError
+        The brackets are not those of one action.
+    """
+    found = FORMS.fullmatch(action.strip())
+    if found is None:
+        raise UnmatchedError(f"{action} {wrong_form(action)}")
+    words = re.split(r"[\s,]+", " ".join(filter(None, found.groups())).lower().strip(" ,"))
+    return ((renamed or {}).get(words[0], words[0]), *words[1:]) if words[0] else ()
+
+
+def wrong_form(action: str) -> str | None:
+    """Return what is wrong with the brackets of an action; None if nothing is."""
+    if FORMS.fullmatch(action.strip()):
+        return None
+    opened, closed = action.count("("), action.count(")")
+    wrong = "has brackets in the wrong places" if opened == closed else f"opens {opened} and closes {closed} brackets"
+    return f"{wrong}; expected (name argument ...) or name(argument, ...)"
 
 
 class Matcher:

@@ -21,7 +21,8 @@ from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
 from .actions import Matcher, UnmatchedError, Words, words_of
-from .log import Entry, Fault, Log, Names, in_order
+from .log import Entry, Fault, Log, in_order
+from .log_files import Names
 
 OF_STEPS = (
     "episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested", "actions", "last", "previous",

@@ -133,7 +133,10 @@ class Problem:
         InapplicableError
             It cannot be taken there; says what can be.
         """
-        words = words_of(action)
+        try:
+            words = words_of(action)
+        except UnmatchedError as error:
+            raise UnknownError(str(error)) from None
         try:
             return self.matcher.slot(words, part.options(row))
         except UnmatchedError as error:

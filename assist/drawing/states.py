@@ -1,0 +1,123 @@
+"""A state from a file: the facts that hold, as PDDL or as a JSON list."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from planner.expressions import Expression, UnbalancedError, parse
+from planner.replay import derived
+
+from .subject import Atom, Subject, atom
+
+
+class StateError(ValueError):
+    """A file from which no state of the task can be read; the message has file and line."""
+
+
+def read_state(file: Path, subject: Subject) -> list[int]:
+    """Return the values of the state in which the facts of a file hold, and no others that can change.
+
+    Parameters
+    ----------
+    file : Path
+        Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`, by themselves, in `(:init ...)` or in a whole
+        problem file; or a JSON list of such. Facts that always hold may be left out.
+    subject : Subject
+
+    Raises
+    ------
+    StateError
+        A fact that the task does not have, two that exclude each other, or too few.
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig").lower()
+    except UnicodeDecodeError:
+        raise StateError(f"{file}: not a text file in UTF-8") from None
+    given: dict[Atom, int] = {}
+    known = subject.constant | subject.changing
+    for line, fact in _facts(file, text):
+        if fact not in known:
+            shown = {_shown(one): one for one in known}
+            near = difflib.get_close_matches(_shown(fact), shown, n=1)
+            meant = f"; did you mean {near[0]}?" if near else ""
+            raise StateError(f"{file}:{line}: {_shown(fact)} is no fact of the task{meant}")
+        given.setdefault(fact, line)
+    values = list(subject.task.initial)
+    for number, variable in enumerate(subject.task.variables):
+        if variable.axiom_layer >= 0:
+            continue
+        atoms = [atom(fact) for fact in variable.facts]
+        held = [value for value, one in enumerate(atoms) if one in given]
+        if len(held) > 1:
+            first, second = sorted((atoms[value] for value in held[:2]), key=lambda one: given[one or ()])
+            excluded = f"{_shown(second)} cannot hold together with {_shown(first)}"
+            raise StateError(f"{file}:{given[second or ()]}: {excluded} on line {given[first or ()]}")
+        if not held:
+            held = [value for value, one in enumerate(atoms) if one is None][:1]
+        if not held:
+            one_of = ", ".join(_shown(one) for one in atoms)
+            raise StateError(f"{file}: too few facts; expected one of {one_of}")
+        values[number] = held[0]
+    return derived(subject.task, values)
+
+
+def _shown(fact: Atom | None) -> str:
+    return f"({' '.join(fact or ())})"
+
+
+def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
+    """Read the facts of a text, each with its line."""
+    if text.lstrip().startswith("["):
+        yield from _listed(file, text)
+        return
+    try:
+        whole = re.match(r"(\s|;[^\n]*(\n|$))*\(\s*define\b", text) is not None
+        found = parse(text) if whole else parse(f"({text}\n)")
+    except UnbalancedError as error:
+        raise StateError(f"{file}:{error.line}: {str(error).replace('(define ...)', 'a fact')}") from None
+    inner = found.section(":init")
+    if whole and inner is None:
+        raise StateError(f"{file}: there is no (:init ...)")
+    yield from _atoms(file, found.parts if inner is None else inner.parts[1:])
+
+
+def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Atom]]:
+    name: Expression | None = None  # of a fact that is written name(argument, ...)
+    for part in parts:
+        if part.head == "and":
+            yield from _atoms(file, part.parts[1:])
+        elif part.head in ("=", "not") and name is None:
+            continue  # the value of a function; what does not hold need not be said
+        elif name is None and part.word:
+            name = part
+        elif part.word or not all(one.word for one in part.parts) or (name is None and not part.parts):
+            raise StateError(f"{file}:{part.line}: {part}; expected a fact, (predicate argument ...)")
+        else:
+            words = [*([] if name is None else [name.word]), *(one.word for one in part.parts)]
+            yield part.line, tuple(word for word in (word.strip(",") for word in words) if word)
+            name = None
+    if name is not None:
+        raise StateError(f"{file}:{name.line}: {name}; expected a fact, (predicate argument ...)")
+
+
+def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
+    """Read a JSON list of facts."""
+    try:
+        facts = json.loads(text)
+    except ValueError as error:
+        raise StateError(f"{file}:{getattr(error, 'lineno', 1)}: not JSON; expected a list of facts") from None
+    at = 0
+    for fact in facts:
+        if not isinstance(fact, str):
+            raise StateError(f'{file}: {json.dumps(fact)}; expected a fact as text, "(predicate argument ...)"')
+        at = max(at, text.find(json.dumps(fact, ensure_ascii=False), at))
+        line = text.count("\n", 0, at) + 1
+        try:
+            parts = parse(f"({fact})").parts
+        except UnbalancedError:
+            raise StateError(f"{file}:{line}: {fact}; expected a fact, (predicate argument ...)") from None
+        yield from ((line, one) for _, one in _atoms(file, parts))

@@ -1,0 +1,266 @@
+"""Files of logs: what people, pandas, R and spreadsheets write is read, and what may mean two things is a fault."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+from conftest import invoke, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded import BACK, FETCH, RIGHT, WRONG, lines
+
+from assist.learning.actions import UnmatchedError, words_of
+from assist.learning.log import Log, read_log, told
+from assist.learning.log_files import MISSING
+from assist.learning.recording import replay
+from planner import Table
+
+PLAN = kit("tiny").optimal_plan() or []
+
+
+def text_of(rows: list[dict]) -> list[str]:
+    return [json.dumps(row) for row in rows]
+
+
+BASE = lines(FETCH, RIGHT, BACK, told={1: RIGHT})
+HEAD = "person,episode,step,action,suggestion\n"
+ROWS = f"ann,1,0,{FETCH},\nann,1,1,{RIGHT},{RIGHT}\nann,1,2,{BACK},\n"
+WHOLE_STEPS = "as whole numbers"
+DIALECTS = {
+    "steps with decimals": (HEAD + re.sub(r"1,(\d),", r"1,\1.0,", ROWS), WHOLE_STEPS),
+    "three decimals": (HEAD + re.sub(r"1,(\d),", r"1,\1.000,", ROWS), WHOLE_STEPS),
+    "decimal commas": ((HEAD + re.sub(r"1,(\d),", r"1,\1#0,", ROWS)).replace(",", ";").replace("#", ","), WHOLE_STEPS),
+    "quoted decimal commas": (HEAD + re.sub(r"1,(\d),", r'1,"\1,0",', ROWS), WHOLE_STEPS),
+    "large steps of R": (HEAD + re.sub(r"1,(\d),", r"1,1e+05,", ROWS.splitlines()[0]) + "\n", "'1e+05'"),
+    **{f"missing as {word}": (HEAD + ROWS.replace(",\n", f",{word}\n"), f"'{word}' as a missing value")
+       for word in ("NA", "NaN", "None", "null", "NULL", "<NA>", "nan", "#N/A", "N/A")},
+    "missing in quotes": (HEAD + ROWS.replace(",\n", ',"NA"\n'), "'NA' as a missing value"),
+    "empty in quotes": (HEAD + ROWS.replace(",\n", ',""\n'), ""),
+    "missing as blanks": (HEAD + ROWS.replace(",\n", ",  \n"), ""),
+    "a declared separator": (("sep=;\n" + HEAD + ROWS).replace(",", ";"), ""),
+    "a declared separator in quotes": (('"sep=;"\n' + HEAD + ROWS).replace(",", ";"), ""),
+    "a declared tab": ("sep=\t\n" + (HEAD + ROWS).replace(",", "\t"), ""),
+    "bars": ((HEAD + ROWS).replace(",", "|"), ""),
+    "old line ends": ((HEAD + ROWS).replace("\n", "\r"), ""),
+    "line ends of other systems": ((HEAD + ROWS).replace("\n", "\r\n"), ""),
+    "a declared separator with such": (("sep=;\n" + HEAD + ROWS).replace(",", ";").replace("\n", "\r\n"), ""),
+    "upper case": (HEAD.upper() + ROWS, ""),
+    "blanks after separators": ((HEAD + ROWS).replace(",", ", "), ""),
+    "quoted names": ('"person","episode","step","action","suggestion"\n' + ROWS, ""),
+    "empty columns at the end": ((HEAD + ROWS).replace("\n", ",,\n"), ""),
+    "empty cells at the end": (HEAD + ROWS.replace("\n", ",,\n"), ""),
+    "empty columns in the first line only": (HEAD.replace("\n", ",,\n") + ROWS, ""),
+    "an index without a name": ("," + HEAD + "".join(f"{k},{row}\n" for k, row in enumerate(ROWS.splitlines())), ""),
+    "an index in quotes": ('"",' + HEAD + "".join(f'"{k}",{row}\n' for k, row in enumerate(ROWS.splitlines())), ""),
+    "an index that the first line leaves out": (
+        '"person" "episode" "step" "action" "suggestion"\n'
+        + f'"1" "ann" "1" 0 "{FETCH}" NA\n"2" "ann" "1" 1 "{RIGHT}" "{RIGHT}"\n"3" "ann" "1" 2 "{BACK}" NA\n',
+        "the first column, which has no name, as numbers of rows, 'NA' as a missing value",
+    ),
+    "blank lines": ("\n" + HEAD + "\n" + ROWS.replace("\n", "\n\n") + ",,,,\n", ""),
+    "actions as calls": (
+        HEAD + 'ann,1,0,fetch(box-a),\nann,1,1,"place(hammer, slot-1, box-a)","place(hammer,slot-1,box-a)"\n'
+        "ann,1,2,return(box-a),\n", "",
+    ),
+    "actions without brackets": (HEAD + ROWS.replace("(", "").replace(")", ""), ""),
+    "other columns": ("time," + HEAD + "".join(f"12:0{k},{row}\n" for k, row in enumerate(ROWS.splitlines())), ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@pytest.mark.parametrize("mark", ["", "\ufeff"], ids=["plain", "marked"])
+def test_tables_are_read_as_programs_write_them(tmp_path: Path, dialect: str, mark: str) -> None:
+    text, note = DIALECTS[dialect]
+    file = tmp_path / "log.csv"
+    file.write_bytes((mark + text).encode())
+    log = read_log(file)
+    assert log.faults == ()
+    wanted = [words_of(text) for row in BASE for text in (row["action"], row["suggestion"]) if text]
+    count = 1 if dialect == "large steps of R" else 3
+    assert [words_of(text) for entry in log.entries for text in entry.texts] == wanted[: 1 if count == 1 else None]
+    assert [entry.step for entry in log.entries] == ([100_000] if count == 1 else [0, 1, 2])
+    assert {entry.names for entry in log.entries} == {("ann", "1")}
+    assert note in log.note
+    assert bool(note) == bool(log.note)
+
+
+JSON_FORMS = {
+    "steps with decimals": ([{**row, "step": float(row["step"])} for row in BASE], {}),
+    "steps as text": ([{**row, "step": str(row["step"])} for row in BASE], {}),
+    "missing as NaN": ([{**row, "suggestion": row["suggestion"] or float("nan")} for row in BASE], {}),
+    "missing as text": ([{**row, "suggestion": row["suggestion"] or "NA"} for row in BASE], {}),
+    "missing left out": ([{k: v for k, v in row.items() if v is not None} for row in BASE], {}),
+    "upper case": ([{key.upper(): value for key, value in row.items()} for row in BASE], {}),
+    "other names": ([{k.replace("person", "worker"): v for k, v in row.items()} for row in BASE], {"person": "Worker"}),
+    "numbers for names": ([{**row, "episode": 1} for row in BASE], {}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", JSON_FORMS)
+def test_objects_are_read_as_programs_write_them(tmp_path: Path, form: str) -> None:
+    rows, columns = JSON_FORMS[form]
+    same = [{**vars(entry), "line": 0} for entry in Log.of(BASE).entries]
+    for text in ("\n".join(text_of(rows)) + "\n", json.dumps(rows), json.dumps(rows, indent=2)):
+        file = tmp_path / "log.json"
+        file.write_text(text)
+        log = read_log(file, columns=columns)
+        assert log.faults == ()
+        assert [{**vars(entry), "line": 0} for entry in log.entries] == same
+    assert [entry.line for entry in log.entries] == [2, 2 + 2 + len(rows[0]), 2 + 4 + len(rows[0]) + len(rows[1])]
+    if set(rows[1]) == set(BASE[1]):
+        assert Log.of(rows).faults == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (HEAD + ROWS.replace(",1,1,", ",1,0.5,"), "'step' is \"0.5\"; expected a whole number"),
+        (HEAD + ROWS.replace(",1,1,", ',1,"1,000",'), "'step' is \"1,000\"; expected a whole number"),
+        (HEAD + ROWS.replace(",1,1,", ",1,NA,"), "'step' is null; expected a whole number"),
+        (HEAD + ROWS.replace("ann,1,1", "None,1,1"), "'person' is null; expected a name"),
+        (HEAD + ROWS.replace(f"{RIGHT},{RIGHT}", f"{RIGHT},TRUE"), "'suggestion' is true; expected an action as text"),
+        (HEAD + ROWS.replace(RIGHT, "NA"), "'action' is null; expected an action as text"),
+        (HEAD + re.sub(r"1,(\d),", r"1,\1,0,", ROWS), "6 cells; expected 5, as in the first line"),
+        (HEAD.replace("step", "person") + ROWS, "2 columns are called person; expected one"),
+        (HEAD.replace("person", "worker") + ROWS, "--columns person=NAME with one of worker, episode, step"),
+        (json.dumps(BASE)[:-9], "not JSON; expected a list of objects; what comes after it is not read"),
+        (json.dumps(BASE) + "\n[]", "there is more after the list; what comes after it is not read"),
+        (json.dumps({**BASE[0], "Person": "bob"}) + "\n", "two fields are called person"),
+    ],
+    ids=[str(n) for n in range(12)],
+)
+def test_what_may_mean_two_things_is_not_guessed(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "log.csv"
+    if text.startswith(("[", "{")):
+        file = file.with_suffix(".json")
+    file.write_text(text)
+    assert message in "\n".join(told(read_log(file).faults, file.name))
+
+
+def test_a_name_like_a_missing_value_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text(HEAD + ROWS.replace("ann", "NA"))
+    log = read_log(file)
+    assert (log.people, log.note) == ({"NA"}, "read NA as the name of a person")
+
+
+def test_brackets_that_do_not_match_are_said_once() -> None:
+    rows = [dict(row, action=row["action"].strip(")"), person=f"p{k}") for k in range(9) for row in lines(*PLAN)]
+    log = Log.of(rows)
+    assert told(log.faults, "log")[:3] == [
+        "log:1: person 'p0', episode '1', which is left out: 'action' opens 1 and closes 0 brackets; expected (name "
+        "argument ...) or name(argument, ...) (and so 53 more, to line 54)"
+    ]
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
+    names = st.text(st.characters(blacklist_categories=("Cc", "Cs", "Z")), min_size=1, max_size=5).filter(
+        lambda name: name not in MISSING and not name.startswith(("#", "{", "["))
+    )
+    people = data.draw(st.lists(names, min_size=1, max_size=3, unique=True))
+    rows = [row for person in people for row in lines(FETCH, RIGHT, BACK, person=person, told={1: WRONG})]
+    missing = data.draw(st.sampled_from(["", "NA", "None", "null", "NaN"]))
+    step = data.draw(st.sampled_from(["{}", "{}.0", "{}.00", "{},0"]))
+    call = data.draw(st.booleans())
+    separator = data.draw(st.sampled_from(",;\t|"))
+
+    def written(action: str | None) -> str:
+        if action is None:
+            return missing
+        name, *arguments = action.strip("()").split()
+        return f"{name}({', '.join(arguments)})" if call else action
+
+    order = data.draw(st.permutations(list(rows[0])))
+    index = data.draw(st.booleans())
+    spare = data.draw(st.integers(0, 2))
+    out = io.StringIO()
+    writer = csv.writer(
+        out, delimiter=separator, quoting=data.draw(st.sampled_from([csv.QUOTE_MINIMAL, csv.QUOTE_ALL])),
+        lineterminator=data.draw(st.sampled_from(["\n", "\r\n", "\r"])),
+    )  # fmt: skip
+    case = data.draw(st.sampled_from([str.upper, str.title, str]))
+    writer.writerow([*([""] * index), *(case(name) for name in order), *([""] * spare)])
+    for number, row in enumerate(rows):
+        cells = {**row, "step": step.format(row["step"]), **{k: written(row[k]) for k in ("action", "suggestion")}}
+        writer.writerow([*([number] * index), *(cells[name] for name in order), *([""] * spare)])
+    declared = f"sep={separator}\n" if data.draw(st.booleans()) else ""
+    file = tmp_path_factory.mktemp("log") / "log.csv"
+    encoding = data.draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16"]))
+    file.write_bytes((declared + out.getvalue()).encode(encoding))
+    log = read_log(file)
+    assert log.faults == ()
+    found = [(e.person, e.episode, e.step, *(words_of(t) for t in e.texts)) for e in log.entries]
+    assert found == [(e.person, e.episode, e.step, *(words_of(t) for t in e.texts)) for e in Log.of(rows).entries]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_unicode_is_read_in_any_form(tmp_path: Path, tiny: Table, encoding: str) -> None:
+    """As spreadsheets and shells of other systems write it; a damaged line is one, and no more."""
+    file = tmp_path / "log.jsonl"
+    texts = [*text_of(lines(*PLAN, person="Zoë")), *text_of(lines(*PLAN))]
+    file.write_text("\n".join(texts) + "\n", encoding=encoding)
+    log = read_log(file)
+    assert (log.faults, log.note) == ((), f"read as {encoding[:6].upper()}")
+    assert actions_of(file, tiny) == {"Zoë": len(PLAN), "ann": len(PLAN)}
+    raw = file.read_bytes()
+    width = 4 if "32" in encoding else 2
+    half = b"\x00\xd8" if encoding in ("utf-16", "utf-16-le") else b"\xd8\x00"  # half of a pair
+    spoilt = half.ljust(width, b"\xd8") if width == 4 else half
+    end = len(raw) - width
+    file.write_bytes(raw[: end - 2 * width] + spoilt + raw[end - width :])
+    assert actions_of(file, tiny) == {"Zoë": len(PLAN)}
+    assert read_log(file).faults[0].line == len(texts)
+
+
+def actions_of(file: Path, table: Table) -> dict[str, int]:
+    recording, _ = replay(read_log(file), table)
+    return {person: int((recording.person == k).sum()) for k, person in enumerate(recording.people)}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["(place hammer slot-1)", "place hammer slot-1", "place(hammer, slot-1)", "PLACE(hammer,slot-1)",
+     "( place hammer slot-1 )",
+     "place (hammer slot-1)", " place( hammer , slot-1 )\n", "(place hammer, slot-1)"],
+)  # fmt: skip
+def test_actions_are_read_in_every_form(text: str) -> None:
+    assert words_of(text) == ("place", "hammer", "slot-1")
+    assert words_of(text, {"place": "put"}) == ("put", "hammer", "slot-1")
+
+
+@pytest.mark.parametrize("text", ["(open)", "open", "open()", "open ( )", "( open)"])
+def test_actions_without_arguments(text: str) -> None:
+    assert words_of(text) == ("open",)
+
+
+@pytest.mark.parametrize("text", ["(place hammer", "place hammer)", "((place hammer))", "place(hammer", "place(a)(b)",
+                                  "(place (hammer))", ")place(", "place(hammer) slot"])  # fmt: skip
+def test_brackets_that_are_not_those_of_one_action(text: str) -> None:
+    with pytest.raises(UnmatchedError, match=r"brackets"):
+        words_of(text)
+
+
+def test_columns_are_named_on_the_command_line(tmp_path: Path) -> None:
+    plain, named = tmp_path / "plain.csv", tmp_path / "named.csv"
+    plain.write_text(HEAD + ROWS)
+    head = HEAD.replace("person", "Worker").replace("action", "move").replace("suggestion", "person")
+    named.write_text(head + ROWS)
+    mapped = ("--columns", "person=worker,action=move", "--columns", " suggestion = Person ")
+    first, second = (
+        invoke("fit", "kitting/tiny", file, *more, "--jobs", 1, "--json")
+        for file, more in ((plain, ()), (named, mapped))
+    )
+    assert json.loads(first.stdout)[0]["suggestions"] == 1
+    assert (second.exit_code, second.stdout) == (first.exit_code, first.stdout)
+    assert second.stderr == first.stderr.replace("plain", "named")
+    noted = tmp_path / "noted.csv"
+    noted.write_text(HEAD + ROWS.replace(",\n", ",NA\n"))
+    found = invoke("fit", "kitting/tiny", noted, "--jobs", 1, "--json")
+    assert (found.stdout, found.stderr.count(f"{noted}: read 'NA' as a missing value")) == (first.stdout, 1)
