@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from itertools import product
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke, table_of
+from conftest import KITTING, invoke, table_of, write_instance
 from scipy.sparse import csr_array
 from test_alpha_vectors import lockers, problems
 from test_qmdp import GRID, make
@@ -20,9 +21,10 @@ from assist.interop import PolicyFileError, read_policy, to_pomdp_py, write_pomd
 from assist.interop.observed import FORBIDDEN, Observed, action_names
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
+from assist.people.memory import remembered
 from assist.person.pomdp import AssistPOMDP, Frontier
 from assist.person.qmdp import evaluate, qmdp
-from planner import Instance
+from planner import Instance, Table, load, sweep
 from planner.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
@@ -148,6 +150,55 @@ def test_pomdpx_holds_the_problems_own_numbers(tiny_choices: Choices, tmp_path: 
     np.testing.assert_allclose(prior, pomdp.prior, rtol=1e-14, atol=1e-16)
     initial = {name for (name,), p in file.tables["x_0"].items() if p == 1}
     assert initial == {f"s{pomdp.model.choices.initial}"}
+
+
+@pytest.mark.parametrize("execute", [False, True])
+def test_states_are_called_by_facts_and_actions_explained(tiny: Table, tmp_path: Path, execute: bool) -> None:
+    """Each state's name says how it differs from the initial one, and the description what the robot does there."""
+    choices = Choices.of(tiny)
+    pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID, execute=execute)
+    write_pomdpx(pomdp, tmp_path / "named.pomdpx", tiny)
+    write_pomdpx(pomdp, tmp_path / "numbered.pomdpx")
+    named, numbered = (Pomdpx(tmp_path / f"{kind}.pomdpx") for kind in ("named", "numbered"))
+    called = named.values["x_0"]
+    assert len(set(called)) == len(tiny)
+    assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", name) for name in called)
+    assert called[tiny.initial] == "start"
+    fetched = tiny.space.follow(["(fetch box-a)"])
+    assert called[fetched] == "on-platform.box-a"
+    number = dict(zip(called, numbered.values["x_0"], strict=True))
+    for name, table in numbered.tables.items():
+        renamed = {tuple(number.get(value, value) for value in key): p for key, p in named.tables[name].items()}
+        assert renamed == table
+    legend = ElementTree.parse(tmp_path / "named.pomdpx").getroot().findtext("Description", "")
+    meant = f"{called[fetched]}: robot1 suggests (place hammer slot-1 box-a)"
+    meant += ", robot2 does (place hammer slot-1 box-a)" if execute else ""
+    assert meant in legend.splitlines()
+    assert legend.count(" suggests ") == sum(
+        pomdp.suggestion(x, r) is not None for x in range(len(tiny)) if not choices.goal[x]
+        for r in range(int(pomdp.robot_actions[x]))
+    )  # fmt: skip
+    assert (" does " in legend) == execute
+
+
+def test_names_are_words_that_formats_allow(tmp_path: Path) -> None:
+    """Names with other characters, and rows that are the same state of the task, stay apart."""
+    domain = """(define (domain d) (:requirements :strips) (:predicates (at ?x) (lit))
+        (:action douse :parameters () :precondition (lit) :effect (not (lit)))
+        (:action go :parameters (?x ?y) :precondition (at ?x) :effect (and (at ?y) (not (at ?x)))))"""
+    problem = "(define (problem p) (:domain d) (:objects a+b a_b a<b) (:init (at a+b) (lit)) (:goal (at a<b)))"
+    task = load(write_instance(tmp_path, domain, problem))
+    table = sweep(task)
+    for choices in (Choices.of(table), remembered(table)):
+        pomdp = AssistPOMDP.of(HumanModel.exact(choices), grid=GRID)
+        write_pomdpx(pomdp, tmp_path / "p.pomdpx", table)
+        names = Pomdpx(tmp_path / "p.pomdpx").values["x_0"]
+        assert len(set(names)) == len(Observed.of(pomdp).state)
+        assert {"start", "not-lit", "at.a_b"} <= set(names)
+        assert {frozenset(name.split("__")) for name in names} >= {frozenset(["at.a_b", "not-lit"])}
+        assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", name) for name in names)
+        write_pomdp(pomdp, tmp_path / "p.pomdp", table)
+        assert "# x = 0: " in (tmp_path / "p.pomdp").read_text()
 
 
 def test_every_action_of_a_person_is_seen() -> None:

@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from planner import Table
+
 from .console import EXIT_FAILED, fail, one_line_errors, print_json
 from .options import OUTPUT_FILE, instance_argument
 from .person import person_options, person_problem
@@ -34,7 +36,8 @@ def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) ->
         found, problem = person_problem(instance, table_of, states=None, **person)
         pomdp = problem.pomdp
         try:
-            {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out)
+            table = problem.known if isinstance(problem.known, Table) else None
+            {"pomdpx": write_pomdpx, "pomdp": write_pomdp}[form](pomdp, out, table)
         except ValueError as error:
             fail(f"{found}: {error}", EXIT_FAILED)
         record = {

@@ -12,11 +12,15 @@ All formats hold the same problem, exactly:
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner import Table
 
 from ..people.decision import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP
@@ -36,15 +40,24 @@ class Observed:
         The state of each observed value. The first n are the states themselves.
     targets : int array, shape (n, A)
         The observed value after the action in each slot.
+    table : Table, optional
+        Of the task, by whose facts states are called.
     """
 
     pomdp: AssistPOMDP
     state: NDArray[np.int64]
     targets: NDArray[np.int64]
+    table: Table | None = None
 
     @classmethod
-    def of(cls, pomdp: AssistPOMDP) -> Observed:
+    def of(cls, pomdp: AssistPOMDP, table: Table | None = None) -> Observed:
         """Find the copies that a problem needs.
+
+        Parameters
+        ----------
+        pomdp : AssistPOMDP
+        table : Table, optional
+            That of its task, by whose facts states are called.
 
         Raises
         ------
@@ -66,17 +79,56 @@ class Observed:
                         copies[y, rank] = len(state)
                         state.append(int(y))
                     targets[x, slot] = copies[y, rank]
-        return cls(pomdp, np.array(state, dtype=np.int64), targets)
+        return cls(pomdp, np.array(state, dtype=np.int64), targets, table)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Give a name to each observed value: `s7`, and `s7_2` for the second copy of it."""
-        seen: dict[int, int] = {}
-        names = []
+        """The name of each observed value: `s7`, or what the task's facts say; `_2` for a second one of a name."""
+        seen: dict[str, int] = {}
+        names: list[str] = []
         for x in self.state.tolist():
-            seen[x] = seen.get(x, 0) + 1
-            names.append(f"s{x}" if seen[x] == 1 else f"s{x}_{seen[x]}")
+            base = name = f"s{x}" if self.table is None else self._facts[x]
+            while name in seen:
+                seen[base] += 1
+                name = f"{base}_{seen[base]}"
+            seen[name] = 1
+            names.append(name)
         return tuple(names)
+
+    @cached_property
+    def _facts(self) -> list[str]:
+        """What is different in each state than in the initial one, in characters that formats allow."""
+        assert self.table is not None
+        choices, variables = self.pomdp.model.choices, self.table.task.variables
+        rows = self.table.values(choices.of_task(np.arange(len(self.table))))
+        start = rows[choices.initial]
+        own = [k for k, variable in enumerate(variables) if variable.axiom_layer < 0]  # the others follow from these
+        positive = [[_word(fact) for fact in variable.facts] for variable in variables]
+        whole = [
+            [word or f"not-{words[first]}" for word in words]
+            for words, first in zip(positive, start.tolist(), strict=True)
+        ]
+        for named in (positive, whole):  # that something is no longer so is said where states would be called alike
+            found = [
+                "__".join(filter(None, (named[k][row[k]] for k in own if row[k] != start[k]))) for row in rows.tolist()
+            ]
+            if len(set(found)) == len(np.unique(rows, axis=0)):
+                break
+        return [name or "start" for name in found]
+
+    def legend(self) -> Iterator[str]:
+        """Return, for each observed value, what the robot's actions are there: a line each, without goals."""
+        pomdp = self.pomdp
+        for name, x in zip(self.names, self.state.tolist(), strict=True):
+            if not pomdp.model.choices.goal[x] and pomdp.robot_actions[x] > 1:
+                robots = action_names(pomdp)[1 : int(pomdp.robot_actions[x])]
+                meant = [
+                    f"{robot} does {pomdp.executes(x, r)}"
+                    if pomdp.suggestion(x, r) is None
+                    else f"{robot} suggests {pomdp.suggestion(x, r)}"
+                    for r, robot in enumerate(robots, start=1)
+                ]
+                yield f"{name}: {', '.join(meant)}"
 
     def step(self, x: int, r: int) -> list[tuple[int, Floats]]:
         """Give where robot action r leads from state x: pairs of an observed value and its chance, shape (B, T).
@@ -127,6 +179,14 @@ class Observed:
         matrix[thetas, pomdp.low[x, r]] = 1 - pomdp.weight[x, r]
         matrix[thetas, pomdp.low[x, r] + 1] += pomdp.weight[x, r]
         return None if (matrix == np.eye(len(thetas))).all() else matrix
+
+
+def _word(fact: str) -> str:
+    """Return a fact as one word of letters, digits, `_`, `-` and `.`; empty where it says that something is not so."""
+    if not fact.startswith("Atom "):
+        return ""
+    words = re.findall(r"[^\s(),]+", fact.removeprefix("Atom "))
+    return ".".join(re.sub(r"[^A-Za-z0-9_-]", "-", word) for word in words)
 
 
 def action_names(pomdp: AssistPOMDP) -> list[str]:

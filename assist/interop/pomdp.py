@@ -7,6 +7,7 @@ from typing import TextIO
 
 import numpy as np
 
+from planner import Table
 from planner.storage import atomic
 
 from ..person.pomdp import AssistPOMDP
@@ -16,7 +17,7 @@ FLAT_STATES = 20_000
 """The largest number of flat states, (x, beta, theta), that is written one by one."""
 
 
-def write_pomdp(pomdp: AssistPOMDP, path: Path | str) -> None:
+def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None) -> None:
     """Write a small problem in Cassandra's flat format, one state per (x, beta, theta).
 
     State `(x * B + beta) * T + theta`, with x an observed value (see `Observed`), which is also what is observed
@@ -26,13 +27,15 @@ def write_pomdp(pomdp: AssistPOMDP, path: Path | str) -> None:
     ----------
     pomdp : AssistPOMDP
     path : path
+    table : Table, optional
+        That of the task, by whose facts comments call states; `s0`, `s1`, ... unless given.
 
     Raises
     ------
     ValueError
         The problem has more than `FLAT_STATES` flat states, or breaks off at a frontier.
     """
-    observed = Observed.of(pomdp)
+    observed = Observed.of(pomdp, table)
     betas, thetas = pomdp.grid.shape
     size = len(observed.state) * betas * thetas
     if size > FLAT_STATES:
@@ -50,6 +53,8 @@ def _flat(observed: Observed, stream: TextIO) -> None:
     cells, robots = betas * thetas, action_names(pomdp)
     size = len(observed.state) * cells
     stream.write(f"# state (x * {betas} + beta) * {thetas} + theta; what is observed is x\n")
+    stream.writelines(f"# x = {x}: {name}\n" for x, name in enumerate(observed.names))
+    stream.writelines(f"# {line.encode('ascii', 'backslashreplace').decode()}\n" for line in observed.legend())
     stream.write(f"discount: {pomdp.gamma!r}\nvalues: reward\nstates: {size}\n")
     stream.write(f"actions: {' '.join(robots)}\nobservations: {len(observed.state)}\n")
     start = np.zeros((len(observed.state), cells))

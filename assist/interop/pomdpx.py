@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TextIO
+from xml.sax.saxutils import escape
 
 import numpy as np
 
+from planner import Table
 from planner.storage import atomic
 
 from ..people.decision import Floats
@@ -15,7 +17,7 @@ from ..person.pomdp import AssistPOMDP
 from .observed import Observed, action_names, numbers
 
 
-def write_pomdpx(pomdp: AssistPOMDP, path: Path | str) -> None:
+def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None) -> None:
     """Write a problem in POMDPX 1.0, with mixed observability.
 
     The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given a step's beginning, beta,
@@ -26,13 +28,15 @@ def write_pomdpx(pomdp: AssistPOMDP, path: Path | str) -> None:
     ----------
     pomdp : AssistPOMDP
     path : path
+    table : Table, optional
+        That of the task, by whose facts states are called; `s0`, `s1`, ... unless given.
 
     Raises
     ------
     ValueError
         The problem breaks off at a frontier.
     """
-    observed = Observed.of(pomdp)
+    observed = Observed.of(pomdp, table)
     with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
         _pomdpx(observed, stream)
 
@@ -45,7 +49,9 @@ def _pomdpx(observed: Observed, stream: TextIO) -> None:
     stream.write('<?xml version="1.0" encoding="ISO-8859-1"?>\n<pomdpx version="1.0" id="kitassist">\n')
     stream.write("<Description>Assistance of one person: x is the task's state, beta their expertise, theta the ")
     stream.write("influence of the robot.\n")
-    stream.write(f"beta {numbers(pomdp.grid.beta)}\ntheta {numbers(pomdp.grid.theta)}</Description>\n")
+    stream.write(f"beta {numbers(pomdp.grid.beta)}\ntheta {numbers(pomdp.grid.theta)}\n")
+    stream.writelines(f"{escape(line).encode('ascii', 'xmlcharrefreplace').decode()}\n" for line in observed.legend())
+    stream.write("</Description>\n")
     stream.write(f"<Discount>{pomdp.gamma!r}</Discount>\n<Variable>\n")
     stream.write(f'<StateVar vnamePrev="x_0" vnameCurr="x_1" fullyObs="true"><ValueEnum>{" ".join(observed.names)}')
     stream.write("</ValueEnum></StateVar>\n")
