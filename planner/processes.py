@@ -16,23 +16,36 @@ import threading
 GUARD = ("/bin/sh", "-c", "read _; kill -KILL 0")
 
 _lock = threading.Lock()
-_groups: dict[int, tuple[int, int]] = {}  # of each process, since a fork inherits this: its group, and the pipe's end
+_guard: tuple[int, int] | None = None
+"""The group of this process, and the end of the pipe that its guard reads from."""
 
 
 def guarded_group() -> int:
-    """Give the process group that is killed when this process is gone; its guard is started if there is none yet.
+    """Return the process group that is killed when this process is gone; its guard is started if there is none yet.
 
     Processes are put into it by `process_group` of `subprocess.Popen`, or join it by `join`.
     """
+    global _guard
     with _lock:
-        if os.getpid() not in _groups:
-            _groups.clear()
-            _groups[os.getpid()] = _start_guard()
-        return _groups[os.getpid()][0]
+        if _guard is None:
+            _guard = _start_guard()
+        return _guard[0]
+
+
+def _forget_guard() -> None:
+    """Close the pipe in a fork, which would keep it open after its parent's end; a fork has a guard of its own."""
+    global _guard, _lock
+    _lock = threading.Lock()  # another thread of the parent may have held it
+    if _guard is not None:
+        os.close(_guard[1])
+    _guard = None
+
+
+os.register_at_fork(after_in_child=_forget_guard)
 
 
 def join(group: int) -> None:
-    """Put this process into a group that another one guards, or end at once if that one is gone already."""
+    """Put this process into a group that another one guards, or end at once if the group is gone already."""
     try:
         os.setpgid(0, group)
     except OSError:  # without its guard there is no such group

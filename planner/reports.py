@@ -53,7 +53,7 @@ class Listener:
     Attributes
     ----------
     pipe : int
-        Where reporters write, never waiting; the processes that work inherit it, or are handed it.
+        Where reporters write, without waiting; the processes that work get a copy.
     """
 
     def __init__(self, hear: Callable[..., None]) -> None:
@@ -63,7 +63,7 @@ class Listener:
         self._thread = threading.Thread(target=self._listen, args=(hear,), daemon=True)
 
     def start(self) -> None:
-        """Begin; not before copies of this process have been made, which should not have other threads."""
+        """Begin to listen."""
         self._thread.start()
 
     def close(self) -> None:

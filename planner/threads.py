@@ -1,7 +1,7 @@
 """Work on several threads, also where there may be no memory for one to begin.
 
 `ThreadPoolExecutor` waits for ever for a thread that finds no memory to begin, and for what one was doing that found
-none to tell of its end. Here nobody waits for a thread that has not begun: the caller works, too, and does what others
+none to tell of its end. Here no thread is waited for that has not begun: the caller works, too, and does what others
 leave.
 """
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 import _thread
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import TypeVar
 
 NO_MORE_THREADS = "can't start new thread"
@@ -20,7 +21,9 @@ T = TypeVar("T")
 
 
 def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list[T]:
-    """Do a piece of work for each part on so many threads, of which the caller's is one; give what each comes to.
+    """Do a piece of work for each part on so many threads, of which the caller's is one; return all results in order.
+
+    No thread works any more when this returns or raises, also where Ctrl-C has interrupted it.
 
     Raises
     ------
@@ -53,14 +56,21 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
                 at_work.release()
 
     helpers = [_thread.allocate_lock() for _ in range(min(threads, parts_to_do) - 1)]
-    for at_work in helpers:
+    begun = False
+    while True:
         try:
-            _thread.start_new_thread(help_out, (at_work,))
-        except RuntimeError:  # `NO_MORE_THREADS`
+            if not begun:
+                begun = True
+                with suppress(RuntimeError):  # `NO_MORE_THREADS`
+                    for at_work in helpers:
+                        _thread.start_new_thread(help_out, (at_work,))
+                do_what_waits()
+            for at_work in helpers:
+                with at_work:
+                    pass
             break
-    do_what_waits()
-    for at_work in helpers:
-        at_work.acquire()
+        except BaseException as error:  # noqa: BLE001  raised below, once no helper works any more; Ctrl-C as well
+            failures.append(error)
     if failures:
         raise failures[0]
     if len(found) < parts_to_do:

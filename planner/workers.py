@@ -8,13 +8,10 @@ from __future__ import annotations
 
 import os
 import pickle
-import select
 import signal
-import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from contextlib import closing, contextmanager, nullcontext
-from functools import partial
 from multiprocessing import active_children, get_context, resource_tracker
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -27,9 +24,6 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-LARGE = {"numpy", "numba", "unified_planning"}
-"""Packages that start threads, or make a copy of the process as slow as a new one."""
 
 
 class WorkerDiedError(RuntimeError):
@@ -55,7 +49,7 @@ def outcomes(
     items, arguments : sequence
         What can be pickled.
     jobs : int
-        Processes of this machine, started anew.
+        Processes of this machine, each a new interpreter.
     scheduler : str, optional
         Address of a Dask scheduler whose workers do it instead. They have to see the same files at the same paths,
         and run one thread each.
@@ -85,11 +79,7 @@ def _in_processes(
     listener: Listener | None,
 ) -> Generator[tuple[Item, Result | Exception]]:
     with nullcontext() if listener is None else closing(listener):
-        if len(items) == 1 and LARGE.isdisjoint(sys.modules):
-            if listener is not None:
-                arguments = (*arguments, Reporter(listener.pipe, 0))
-            yield items[0], _in_a_fork(partial(work, items[0], *arguments), timeout, listener)
-        elif items:
+        if items:
             yield from _in_a_pool(work, items, arguments, jobs, timeout, listener)
 
 
@@ -156,40 +146,29 @@ def _begin(group: int, pipe: Connection | None) -> None:
 
 def _carry_out(work: Callable[..., Result], number: int, item: Item, *arguments: Any) -> Result:
     """Do one thing in a worker process."""
-    return work(item, *arguments) if _pipe is None else work(item, *arguments, Reporter(_pipe.fileno(), number))
-
-
-def _in_a_fork(work: Callable[[], Result], timeout: float | None, listener: Listener | None) -> Result | Exception:
-    """Do one thing in a copy of this process, which starts in no time."""
-    group = processes.guarded_group()
-    reading, writing = os.pipe()
-    with _interrupts_left_to_this_process():
-        child = os.fork()
-        if child == 0:
-            processes.join(group)
-            os.close(reading)
-            with os.fdopen(writing, "wb") as stream:
-                try:
-                    outcome: Any = work()
-                except Exception as error:  # noqa: BLE001  as with several
-                    outcome = error
-                pickle.dump(outcome, stream)
-            os._exit(0)
-        if listener is not None:
-            listener.start()
-    os.close(writing)
-    status = None
+    if _pipe is not None:
+        arguments = (*arguments, Reporter(_pipe.fileno(), number))
     try:
-        with os.fdopen(reading, "rb") as stream:
-            if not select.select([stream], [], [], timeout)[0]:
-                return TimeoutError()
-            told = stream.read()
-        _, status = os.waitpid(child, 0)
-    finally:
-        if status is None:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
-    return pickle.loads(told) if told else _died(os.waitstatus_to_exitcode(status))
+        return _sendable(work(item, *arguments))
+    except Exception as error:  # noqa: BLE001  raised in the other process
+        raise _sendable(error) from None
+    except BaseException as error:  # noqa: BLE001  SystemExit, for instance; the pool would wait for a result for ever
+        raise WorkerDiedError(f"the worker process was ended by {error!r}") from None
+
+
+def _sendable(outcome: Result) -> Result:
+    """Return the result of some work, or its exception, if another process can read it.
+
+    Raises
+    ------
+    WorkerDiedError
+        It cannot be pickled, or not be read again.
+    """
+    try:
+        pickle.loads(pickle.dumps(outcome))
+    except Exception as error:  # noqa: BLE001  whatever the classes of the outcome do when they are pickled
+        raise WorkerDiedError(f"{outcome!r} cannot be sent to another process: {error}") from None
+    return outcome
 
 
 def _died(code: int) -> WorkerDiedError:

@@ -9,7 +9,19 @@ import sys
 from pathlib import Path
 
 import pytest
-from kills import DOMAINS, Figures, kill_and_resume, small_batch, survival, uninterrupted
+from kills import (
+    DOMAINS,
+    TINY,
+    Figures,
+    alive,
+    fit,
+    kill_and_resume,
+    small_batch,
+    started,
+    study,
+    survival,
+    uninterrupted,
+)
 
 from planner.processes import guarded_group
 
@@ -57,6 +69,20 @@ def test_a_process_goes_with_the_one_that_started_it(end: str) -> None:
     survival(process.pid)
 
 
+def test_a_fork_does_not_keep_what_its_parent_has_started() -> None:
+    """The fork inherits what is open; here it lives in another session until the test ends."""
+    fork = "if os.fork() == 0: os.setsid(); os.read(0, 1)\nelse: os.kill(os.getpid(), 9)"
+    code = CHILD.format(end="").replace('print("started", flush=True)', f'print("started", flush=True)\n{fork}')
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "started\n"
+        process.wait(timeout=60)
+        survival(process.pid)
+
+
 def test_nothing_can_be_started_in_the_group_of_one_that_is_gone() -> None:
     code = "from planner.processes import guarded_group; print(guarded_group())"
     group = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
@@ -86,16 +112,47 @@ time.sleep(60)
 """
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout is not None
-    with process.stdout:
-        assert process.stdout.readline() == "started\n"
-    while not any("downward" in command for command in _running(process.pid)):
-        assert process.poll() is None
-    process.kill()
-    process.wait(timeout=60)
-    survival(process.pid)
+    assert process.stdout.readline() == "started\n"
+    kill_when_it_runs(process, "bin/downward")
 
 
-def _running(session: int) -> list[str]:
-    from kills import alive
+def kill_when_it_runs(process: subprocess.Popen[str], other: str) -> None:
+    """Kill a process when another program runs that it has started; see that none goes on."""
+    with process:
+        while not any(other in command for command in alive(process.pid)):
+            assert process.poll() is None, process.communicate()
+        process.kill()
+        process.wait(timeout=60)
+        survival(process.pid)
 
-    return alive(session)
+
+LARGE = str(DOMAINS / "kitting" / "ladder-6x12.pddl")
+slow = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("command", "other"),
+    [
+        pytest.param(["solve", LARGE], "planner.checker", id="solve one"),
+        pytest.param(["solve", LARGE], "spawn_main", id="solve one, begun", marks=slow),
+        pytest.param(["solve", LARGE, str(TINY), "--jobs", "2"], "planner.checker", id="solve two", marks=slow),
+        pytest.param(
+            ["simulate", LARGE, "--humans", "1", "--max-states", "1"], "bin/downward", id="simulate", marks=slow
+        ),
+        pytest.param(["bound", LARGE, "--humans", "2"], "planner.checker", id="bound", marks=slow),
+        pytest.param(["policy", LARGE], "planner.checker", id="policy", marks=slow),
+        pytest.param(["serve", LARGE, "--humans", "1", "--port", "0"], "planner.checker", id="serve", marks=slow),
+        pytest.param(
+            ["study", "--protocol", "PROTOCOL", "--jobs", "2", "--out", "OUT"], "spawn_main", id="study", marks=slow
+        ),
+        pytest.param(["fit", str(TINY), "LOG", "--max-states", "1"], "bin/downward", id="fit", marks=slow),
+    ],
+)
+def test_no_process_goes_on_after_its_command_was_killed(command: list[str], other: str, tmp_path: Path) -> None:
+    cases = {
+        "PROTOCOL": study(tmp_path / "study.toml").arguments(tmp_path / "out", False)[2],
+        "OUT": str(tmp_path / "out"),
+    }
+    if "LOG" in command:
+        cases["LOG"] = fit(tmp_path / "log.jsonl").arguments(tmp_path, False)[2]
+    kill_when_it_runs(started([cases.get(word, word) for word in command]), other)

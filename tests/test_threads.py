@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import signal
 import threading
+import time
 from collections.abc import Callable
 
 import pytest
@@ -56,3 +58,38 @@ def test_threads_that_do_not_begin_are_not_waited_for(
 ) -> None:
     monkeypatch.setattr(threads._thread, "start_new_thread", start)
     assert on_threads(str, range(5), 3) == ["0", "1", "2", "3", "4"]
+
+
+@pytest.mark.parametrize("when", ["at work", "waiting"])
+def test_ctrl_c_leaves_no_thread_at_work(when: str) -> None:
+    """The caller is interrupted in its own part, or while it waits for the part of another thread."""
+    main, others, interrupted, working = threading.get_ident(), [], threading.Event(), set[int]()
+
+    def interrupt() -> None:
+        interrupted.set()
+        signal.pthread_kill(main, signal.SIGINT)
+
+    def work(number: int) -> None:
+        if threading.get_ident() == main:
+            while not others:
+                time.sleep(0.001)
+            if when == "at work":
+                interrupt()
+            return
+        others.append(number)
+        working.add(number)
+        if when == "waiting":
+            time.sleep(0.1)  # until then the caller has probably done all that is left; another moment has to do, too
+            interrupt()
+        assert interrupted.wait(60)
+        time.sleep(0.1)
+        working.remove(number)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            on_threads(work, range(2 if when == "waiting" else 100), 2)
+        assert not working
+        assert len(others) < 10
+    finally:
+        signal.signal(signal.SIGINT, before)

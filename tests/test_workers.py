@@ -1,4 +1,4 @@
-"""Work in other processes: results, reports, errors, deaths and times are told, and Ctrl-C is left to the parent."""
+"""Work in other processes: results, reports, errors, deaths, time limits, and Ctrl-C, which only the parent handles."""
 
 from __future__ import annotations
 
@@ -6,46 +6,59 @@ import subprocess
 import sys
 from pathlib import Path
 
-CODE = """
-import os, signal, sys, time
+ENDS = """
+import os, signal, sys, threading, time
 from planner.workers import WorkerDiedError, outcomes
+
+class Twofold(Exception):
+    def __init__(self, a, b):  # pickle calls it with one argument
+        super().__init__(a)
 
 def work(what):
     if what == "fails":
         raise ValueError(what)
+    if what == "fails and cannot be read":
+        raise Twofold(what, 2)
+    if what == "leaves":
+        sys.exit(0)
+    if what == "interrupts":
+        raise KeyboardInterrupt
     if what == "dies":
         os.kill(os.getpid(), signal.SIGKILL)
     if what == "waits":
         time.sleep(600)
+    if what == "function":
+        return lambda: what
     return os.getpid(), what
 
-def outcome(what, timeout=None):
-    ((item, result),) = outcomes(work, [what], timeout=timeout)
-    assert item == what
-    return result
+DEATHS = ["fails and cannot be read", "leaves", "interrupts", "dies", "function"]
 
-def told(what, report):
-    for n in range(3):
-        report("step", n)
-    report("too long" * 100)
-    return what
-
-heard = []
-assert list(outcomes(told, ["item"], hear=lambda *words: heard.append(words))) == [("item", "item")]
-assert heard == [("item", "step", n) for n in range(3)], heard
-
-pid, answer = outcome("answers")
-assert answer == "answers" and pid != os.getpid()
-assert repr(outcome("fails")) == "ValueError('fails')"
-assert isinstance(outcome("dies"), WorkerDiedError), outcome("dies")
-assert isinstance(outcome("waits", 0.2), TimeoutError)
-assert not {"numpy", "pebble"} & set(sys.modules)
+if __name__ == "__main__":
+    ((item, (pid, answer)),) = outcomes(work, ["answers"])
+    assert item == answer == "answers" and pid != os.getpid()
+    found = dict(outcomes(work, [*DEATHS, "fails", "answers"], jobs=2))
+    assert repr(found.pop("fails")) == "ValueError('fails')"
+    assert found.pop("answers")[1] == "answers"
+    assert set(found) == set(DEATHS)
+    for what, death in found.items():
+        assert isinstance(death, WorkerDiedError), (what, death)
+    ((_, late),) = outcomes(work, ["waits"], timeout=0.2)
+    assert isinstance(late, TimeoutError), late
+    assert threading.active_count() == 1
+    assert not {"numpy", "numba"} & set(sys.modules)
 """
 
 
-def test_one_thing_in_a_copy_of_the_process() -> None:
-    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
+def run(folder: Path, code: str) -> None:
+    """Run a program whose functions its worker processes find."""
+    file = folder / "program.py"
+    file.write_text(code)
+    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_however_work_ends_there_is_an_outcome(tmp_path: Path) -> None:
+    run(tmp_path, ENDS)
 
 
 SEVERAL = """
@@ -66,7 +79,4 @@ if __name__ == "__main__":
 
 
 def test_workers_are_heard_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
-    file = tmp_path / "several.py"
-    file.write_text(SEVERAL)
-    done = subprocess.run([sys.executable, file], capture_output=True, text=True, timeout=300, check=False)
-    assert done.returncode == 0, done.stderr
+    run(tmp_path, SEVERAL)
