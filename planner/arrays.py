@@ -1,11 +1,15 @@
-"""Arrays in frozen dataclasses, which nobody changes."""
+"""Arrays in frozen dataclasses: they are read-only, and an object is shown in a line."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
+
+SHOWN = 80
+"""Characters of a value that are shown."""
 
 
 def read_only(record: Any) -> None:
@@ -14,3 +18,24 @@ def read_only(record: Any) -> None:
         value = getattr(record, field.name)
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
+
+
+def outline(record: Any) -> str:
+    """Return a dataclass in a line: arrays by type and shape, and long values by what they are; for `__repr__`."""
+    shown = (f"{field.name}={_short(getattr(record, field.name))}" for field in fields(record) if field.repr)
+    return f"{type(record).__name__}({', '.join(shown)})"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"<{value.dtype} {value.shape}>"
+    if isinstance(value, str):
+        return repr(value) if len(value) < SHOWN else f"<{len(value):,} characters>"
+    if isinstance(value, tuple | list | set | frozenset | Mapping) and len(value) > 3:
+        return f"<{len(value):,} items>"
+    if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
+        inner = ", ".join(map(_short, value))
+        text = f"[{inner}]" if isinstance(value, list) else f"({inner}{',' * (len(value) == 1)})"
+    else:
+        text = repr(value)
+    return text if len(text) < SHOWN else f"<{type(value).__name__}>"

@@ -7,6 +7,7 @@ module of that name, asks Fast Downward for one state at a time. `verify` compar
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -122,6 +123,11 @@ class Table:
 
     def __len__(self) -> int:
         return len(self.space)
+
+    def __repr__(self) -> str:
+        cost, dead = self[self.initial], int(self.dead_end.sum())
+        first = "no way to the goal" if cost == math.inf else f"cost {cost:g}"
+        return f"<Table of {self.task.name}: {len(self):,} states, {first} from the initial one, {dead:,} dead ends>"
 
     @property
     def method(self) -> Literal["sweep", "on-demand"]:

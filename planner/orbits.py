@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import packed
+from .arrays import outline
 from .budget import Budget, processors
 from .canonical import Forms, canonical
 from .costtogo import UNREACHED, Table, compact
@@ -61,6 +62,8 @@ class Orbits:
     lengths: NDArray[np.int64] | None
     order: int
     transition_count: int
+
+    __repr__ = outline
 
     def __len__(self) -> int:
         return len(self.distance)

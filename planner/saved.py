@@ -18,6 +18,7 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import outline
 from .costtogo import Table
 from .errors import DamagedFileError
 from .storage import atomic
@@ -51,6 +52,8 @@ class SavedTable:
     distance: NDArray[np.unsignedinteger]
     initial: int
     facts: NDArray[np.str_]
+
+    __repr__ = outline
 
     def __len__(self) -> int:
         return len(self.distance)

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import outline
 from .successors import Ints, Packing, Successors, Transitions
 from .task import Fact, Task
 
@@ -60,6 +61,8 @@ class StateSpace:
     initial: int
     transition_count: int
     numbering: Numbering
+
+    __repr__ = outline
 
     def __len__(self) -> int:
         return self.size

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import outline
 from .task import Effect, Fact, Task
 
 Ints = NDArray[np.int64]
@@ -56,6 +57,8 @@ class Packing:
     shift: NDArray[np.int64]
     bits: NDArray[np.int64]
     words: int
+
+    __repr__ = outline
 
     @classmethod
     def of(cls, task: Task) -> Packing:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import built, fast_downward, pddl, shipped
+from .arrays import outline
 from .checker import Checker
 from .checking import Refusal
 from .fast_downward import NO_LIMITS, Limits
@@ -113,6 +114,8 @@ class Task:
     initial: tuple[int, ...]
     goal: tuple[Fact, ...]
     note: str | None = None
+
+    __repr__ = outline
 
     @property
     def name(self) -> str:

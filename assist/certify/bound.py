@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
+from planner.arrays import outline
 
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
@@ -120,6 +121,8 @@ class TeamBound:
     seconds: float
     proven: float
     sampled: Sampled | None = None
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         self.price.flags.writeable = False

@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import outline
+
 from ..people.decision import Floats
 from ..simulation.simulate import simulate
 from ..team.pool import Pool
@@ -51,6 +53,8 @@ class Certificate:
     gap_percent: float
     slack_percent: float
     episodes: int
+
+    __repr__ = outline
 
     @classmethod
     def of(cls, name: str, returns: Floats, *, humans: int, upper: float, slack: float) -> Certificate:

@@ -20,6 +20,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from planner.arrays import outline
+
 from .actions import words_of, wrong_form
 from .log_files import NEEDED, Broken, Names, Row, Taken, is_hidden, own_names, read_records, tidy
 
@@ -117,6 +119,8 @@ class Log:
     called: frozenset[str] = frozenset()
     name: str = "log"
     note: str = ""
+
+    __repr__ = outline
 
     @classmethod
     def of(cls, records: Iterable[Mapping[str, Any]], *, gaps: bool = False, name: str = "log") -> Log:

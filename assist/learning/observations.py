@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import read_only
+from planner.arrays import outline, read_only
 
 from ..people.decision import NOTHING, Floats
 from .recording import Recording
@@ -64,6 +64,8 @@ class Observations:
     goal: NDArray[np.bool_]
     terms: tuple[str, ...]
     features: Floats
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

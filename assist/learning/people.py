@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from planner import CostToGo, LimitError
+from planner.arrays import outline
 
 from ..people.decision import Floats
 from ..people.human import Mixture
@@ -63,6 +64,8 @@ class People(Mapping[str, Record]):
     method: Method
     facts: Callable[[Ints], list[list[str]]]
     hierarchy: Hierarchy | None = None
+
+    __repr__ = outline
 
     def __getitem__(self, person: str) -> Record:
         for record in self.records:

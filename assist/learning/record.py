@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from planner.arrays import outline
+
 from ..people.decision import NOTHING
 from .diagnostics import Check
 from .estimates import Estimate, Fit
@@ -38,6 +40,8 @@ class Record:
     check: Check
     misconception: Misconception | None = None
     left_out: int = 0
+
+    __repr__ = outline
 
     @property
     def person(self) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.arrays import read_only
+from planner.arrays import outline, read_only
 
 from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
@@ -78,6 +78,8 @@ class Recording:
     actions: NDArray[np.int64]
     last: NDArray[np.int64]
     previous: NDArray[np.int64]
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, Table, Transitions
-from planner.arrays import read_only
+from planner.arrays import outline, read_only
 
 T = TypeVar("T", bound=np.generic)
 
@@ -114,6 +114,8 @@ class Choices:
     terms: tuple[str, ...] | None = None
     features: NDArray[np.float64] | None = None
     key: NDArray[np.uint64] | None = None
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

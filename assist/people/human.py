@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from planner.arrays import outline
+
 from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, perceived_cost
@@ -241,6 +243,8 @@ class HumanModel:
     eta: float = 0.2
     lapse: float = 1e-3
     utility_scale: float = 1.0
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         if not 0 <= self.lapse < 1:

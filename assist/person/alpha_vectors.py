@@ -16,6 +16,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import outline
+
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
 from .qmdp import Arrays, read_only
@@ -40,6 +42,8 @@ class VectorPolicy:
     vectors: Floats
     robot: NDArray[np.int64]
     first: NDArray[np.int64]
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         states, count = len(self.pomdp.model.choices), len(self.robot)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import read_only
+from planner.arrays import outline, read_only
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -63,6 +63,8 @@ class Estimates:
     mean: Floats
     costs: Floats
     gamma: float
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         read_only(self)

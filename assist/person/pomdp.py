@@ -17,6 +17,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import outline
+
 from ..people import belief as beliefs
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
@@ -64,6 +66,8 @@ class Frontier:
     floor: float | None = None
     away: Floats | None = None
     value: Floats | None = None
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         for array in (self.states, self.lower, self.upper, self.away, self.value):
@@ -121,6 +125,8 @@ class AssistPOMDP:
     weight: Floats
     frontier: Frontier | None = None
     order: NDArray[np.int64] | None = None
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         for array in (

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, Table
+from planner.arrays import outline
 
 from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
@@ -58,6 +59,8 @@ class PersonProblem:
     known: CostToGo
     pomdp: AssistPOMDP
     states: NDArray[np.int64]
+
+    __repr__ = outline
 
     @classmethod
     def of(

@@ -29,6 +29,8 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
+from planner.arrays import outline
+
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
 
@@ -70,6 +72,8 @@ class QMDP:
     pomdp: AssistPOMDP
     value_mdp: Floats
     q_mdp: Floats
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         self.value_mdp.flags.writeable = False

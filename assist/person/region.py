@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, Table, Transitions, optimal_choices
+from planner.arrays import outline
 
 from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
@@ -59,6 +60,8 @@ class Region:
     choices: Choices
     states: NDArray[np.int64]
     frontier: NDArray[np.int64]
+
+    __repr__ = outline
 
     @classmethod
     def of(

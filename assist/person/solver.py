@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
+from planner.arrays import outline
 
 from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
@@ -95,6 +96,8 @@ class Solution:
     seconds: float
     backups: int
     stopped: str
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         for array in (self.corner, self.point, self.drop, self.first):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -9,6 +10,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.arrays import outline
+from planner.errors import MissingExtraError
 
 from ..people.decision import Floats
 
@@ -90,6 +94,8 @@ class Episodes:
     steps: NDArray[np.int64]
     discounted_return: Floats
 
+    __repr__ = outline
+
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Put the episodes of one policy together."""
@@ -106,6 +112,38 @@ class Episodes:
             moves=_mean_and_error(self.moves),
             discounted_return=_mean_and_error(self.discounted_return),
             cut_off=int((~self.finished).any(axis=1).sum()),
+        )
+
+    def to_frame(self) -> Any:
+        """Return a `pandas.DataFrame` with a row for each person of each episode; with the extra `study`.
+
+        Its columns are `policy`, `episode`, `person` (their name in the pool), `beta` (per cost unit), `theta` (at the
+        beginning) and `sigma` (cost units) of the person, `actions` (number), `cost` (of these actions, in cost units),
+        `finished` and `helped` (number of suggestions and executions); and of the episode, in each of its rows,
+        `interventions` and `moves` (numbers), `steps` (number) and `discounted_return` (cost units).
+
+        Raises
+        ------
+        MissingExtraError
+            pandas is not installed.
+        """
+        if importlib.util.find_spec("pandas") is None:
+            raise MissingExtraError("a data frame needs", "pandas", "study")
+        import pandas as pd
+
+        number, people = self.people.shape
+        own = {"beta": "beta", "theta": "theta", "sigma": "sigma", "actions": "actions", "cost": "costs",
+               "finished": "finished", "helped": "helped"}  # fmt: skip
+        whole = ("interventions", "moves", "steps", "discounted_return")
+        return pd.DataFrame(
+            {
+                "policy": self.policy,
+                "episode": self.episode.repeat(people),
+                "person": [f"human-{one + 1}" for one in self.people.ravel().tolist()],
+                **{column: getattr(self, name).ravel() for column, name in own.items()},
+                **{name: getattr(self, name).repeat(people) for name in whole},
+            },
+            index=range(number * people),
         )
 
     def __len__(self) -> int:

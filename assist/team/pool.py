@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, LimitError
+from planner.arrays import outline
 
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
@@ -51,6 +52,8 @@ class Pool:
     people: tuple[Human, ...]
     policies: tuple[Policy, ...]
     model: NDArray[np.int64]
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         if not self.people or self.model.shape != (len(self.people),):

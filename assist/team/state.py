@@ -14,6 +14,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.arrays import outline
+
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from .travel import Travel
@@ -128,6 +130,8 @@ class TeamState:
     belief: Floats | None
     policies: Sequence[Policy]
     travel: Travel
+
+    __repr__ = outline
 
     def __post_init__(self) -> None:
         for name in ("x", "active", "erred", "location", "model", "belief"):
