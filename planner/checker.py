@@ -24,7 +24,7 @@ from typing import IO, Any
 from . import fast_downward
 from .checking import InvalidPlanError, Refusal, RefusedError, parsed, validate
 from .fast_downward import NO_LIMITS, Limits
-from .processes import guarded_group
+from .processes import guarded_group, python
 from .source import Source
 
 PATIENCE = 300.0
@@ -99,11 +99,10 @@ class _Process:
 
     def __init__(self, limits: Limits) -> None:
         self._popen = subprocess.Popen(
-            [sys.executable, "-m", "planner.checker"],
+            python("planner.checker"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},  # noqa: PTH109
             text=True,
             encoding="utf-8",
             process_group=guarded_group(),

@@ -12,12 +12,10 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import math
-import os
 import re
 import resource
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -29,7 +27,7 @@ from pathlib import Path
 
 from .expressions import Expression
 from .pddl import Instance, PDDLError
-from .processes import guarded_group
+from .processes import guarded_group, python
 from .source import Source
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
@@ -118,7 +116,7 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
         # The texts as all other readers have them, without marks of the encoding.
         domain.write_text(source.domain_text, encoding="utf-8")
         problem.write_text(source.problem_text, encoding="utf-8")
-        command = [sys.executable, "-m", "fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas)]
+        command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, output, limits)
         if code in EXIT_INPUT_ERROR:
@@ -207,11 +205,9 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
 
     It ends with this process, however that ends.
     """
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen(
         command,
         cwd=folder,
-        env=environment,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

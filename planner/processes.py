@@ -11,7 +11,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 GUARD = ("/bin/sh", "-c", "read _; kill -KILL 0")
 
@@ -50,6 +54,41 @@ def join(group: int) -> None:
         os.setpgid(0, group)
     except OSError:  # without its guard there is no such group
         os._exit(1)
+
+
+def python(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module as a program, from where this process would import it.
+
+    Files and folders of the working directory do not stand in for modules of the same names, and settings in the
+    environment (`PYTHONPATH`, `PYTHONWARNINGS`, ...) have no effect of their own.
+    """
+    path, own = [entry for entry in sys.path if entry], str(Path(__file__).parent.parent)
+    if own not in path:
+        path.insert(0, own)
+    if "" in sys.path:  # of an interactive session; last, so that it adds modules and replaces none
+        path.append(str(Path.cwd()))
+    code = (
+        f"import runpy, sys; sys.path[:] = {path!a}; runpy.run_module({module!a}, run_name='__main__', alter_sys=True)"
+    )
+    quiet = ["-B"] if sys.dont_write_bytecode else []
+    return [sys.executable, "-I", "-u", *quiet, "-c", code, *arguments]
+
+
+@contextmanager
+def safe_path() -> Iterator[None]:
+    """Let Python programs that are started meanwhile import nothing from the working directory.
+
+    This is for `multiprocessing`, whose programs are started by name and import modules before they know the path.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop("PYTHONSAFEPATH", None)
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _start_guard() -> tuple[int, int]:

@@ -78,7 +78,7 @@ def _in_processes(
     timeout: float | None,
     listener: Listener | None,
 ) -> Generator[tuple[Item, Result | Exception]]:
-    with nullcontext() if listener is None else closing(listener):
+    with nullcontext() if listener is None else closing(listener), processes.safe_path():
         if items:
             yield from _in_a_pool(work, items, arguments, jobs, timeout, listener)
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+from planner.processes import python
 
 ENDS = """
 import os, signal, sys, threading, time
@@ -80,3 +86,52 @@ if __name__ == "__main__":
 
 def test_workers_are_heard_and_ctrl_c_does_not_reach_them_from_their_beginning(tmp_path: Path) -> None:
     run(tmp_path, SEVERAL)
+
+
+SHADOWING = (
+    "planner assist fast_downward up_fast_downward unified_planning numpy numba scipy pebble click multiprocessing "
+    "json queue signal random types logging pickle threading runpy tempfile struct"
+)
+"""Names of modules that the programs import."""
+
+
+def shadow(folder: Path) -> None:
+    """Put modules into a folder that end each program that imports one of them, as files and as packages."""
+    for number, name in enumerate(SHADOWING.split()):
+        file = folder / f"{name}.py" if number % 2 else folder / name / "__init__.py"
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("raise SystemExit(f'{__name__} is of the working directory')")
+
+
+def test_modules_in_the_working_directory_are_not_imported(tmp_path: Path) -> None:
+    """By none of the programs: workers, the translator, the one that checks, and those of multiprocessing itself."""
+    shadow(tmp_path)
+    command = [Path(sys.executable).with_name("kitassist"), "solve", "kitting/tiny", "gripper/balls-01", "--jobs", "2"]
+    done = subprocess.run(
+        [*command, "--json"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONWARNINGS": "error"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert [(record["status"], record["note"]) for record in json.loads(done.stdout)] == [("solved", None)] * 2
+
+
+def test_an_interactive_session_finds_modules_of_its_folder_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own and others' entries of the path are kept; the environment has no effect, and bad characters no harm."""
+    (tmp_path / "made.py").write_text(
+        "import json, other, planner, queue, sys; print(json.dumps([other.HERE, sys.argv[1:]]))"
+    )
+    for place in ("it's\n\u00e9", "elsewhere"):
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "other.py").write_text(f"HERE = {place!r}")
+    shadow(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", str(tmp_path / "it's\n\u00e9"), *sys.path])
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "elsewhere"))
+    done = subprocess.run(python("made", "-x", "a b"), capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == ["it's\n\u00e9", ["-x", "a b"]]
