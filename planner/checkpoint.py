@@ -1,30 +1,34 @@
-"""What a long sweep has found so far, in a folder, so that another process can go on.
+"""What a long sweep has found so far, in a file, so that another process can continue it.
 
-A checkpoint is a set of arrays and numbers, written to a folder beside the one it replaces and put in its place when
-it is complete: there is always a whole one. It belongs to one task, searched in one way, which its `key` names.
+A checkpoint is a set of arrays and numbers. It belongs to one task whose states have certain indices, which its `key`
+identifies. A file that was cut off or changed is recognised by its digest, and not used.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .storage import atomic
 from .task import Task
 
-FORMAT = 1
+FORMAT = 2
 """Raised where the searches, or the numbering of states, change."""
 
 EVERY = 600.0
 """Seconds between two checkpoints."""
+
+DIGEST = hashlib.sha256().digest_size
+"""Bytes at the beginning of a file: the digest of all others."""
 
 
 @dataclass
@@ -33,23 +37,32 @@ class Checkpoint:
 
     Attributes
     ----------
-    folder : Path
+    file : Path
         It is removed when the sweep is done.
-    key : str
-        What the sweep is of.
+    task : Task
+    indices : iterable of arrays
+        They determine which state each index means.
     last : float
         When it was written, on `time.monotonic()`'s clock; first when the sweep began.
+    fault : str or None
+        Why a checkpoint could not be used, or not be written.
     """
 
-    folder: Path
-    key: str
+    file: Path
+    task: Task
+    indices: Iterable[NDArray[Any]]
     last: float = field(default_factory=time.monotonic)
+    fault: str | None = None
 
-    @classmethod
-    def of(cls, folder: Path, task: Task, size: int) -> Checkpoint:
-        """Name the checkpoint of a task whose indices are below `size`."""
-        text = f"{FORMAT} {size} {np.__version__} {task.sas} {task.costs}"
-        return cls(folder, hashlib.sha256(text.encode()).hexdigest())
+    @cached_property
+    def key(self) -> str:
+        """A hash of the task and of what its indices mean."""
+        task = self.task
+        what = (FORMAT, np.__version__, task.variables, task.operators, task.costs, task.initial, task.goal)
+        found = hashlib.sha256(repr(what).encode())
+        for array in self.indices:
+            found.update(repr((array.dtype, array.shape)).encode() + array.tobytes())
+        return found.hexdigest()
 
     @property
     def due(self) -> bool:
@@ -57,31 +70,40 @@ class Checkpoint:
         return time.monotonic() - self.last >= EVERY
 
     def save(self, stage: str, numbers: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write a checkpoint; the one before goes when it is complete."""
-        fresh, old = (self.folder.with_name(f".{self.folder.name}.{word}") for word in ("new", "old"))
-        for left in (fresh, old):
-            shutil.rmtree(left, ignore_errors=True)
-        fresh.mkdir(parents=True)
-        for name, array in arrays.items():
-            np.save(fresh / f"{name}.npy", array)
-        text = json.dumps({"key": self.key, "stage": stage, **numbers})
-        (fresh / "checkpoint.json").write_text(text, encoding="utf-8")
-        if self.folder.exists():
-            self.folder.rename(old)
-        fresh.rename(self.folder)
-        shutil.rmtree(old, ignore_errors=True)
+        """Write a checkpoint in place of the one before; the sweep can do without, where that fails."""
+        about = {"key": self.key, "stage": stage, "numbers": dict(numbers), "arrays": list(arrays)}
+        try:
+            with atomic(self.file) as path, path.open("w+b") as stream:
+                stream.write(bytes(DIGEST) + json.dumps(about).encode() + b"\n")
+                for array in arrays.values():
+                    np.save(stream, array, allow_pickle=False)
+                stream.seek(DIGEST)
+                digest = hashlib.file_digest(stream, "sha256").digest()
+                stream.seek(0)
+                stream.write(digest)
+        except OSError as error:
+            self.fault = f"what the sweep had found could not be kept for --resume: {error}"
         self.last = time.monotonic()
 
     def load(self, stage: str) -> tuple[dict[str, int], dict[str, NDArray[Any]]] | None:
-        """Give the numbers and the arrays of a checkpoint of a stage; None if there is none, or of something else."""
-        file = self.folder / "checkpoint.json"
-        if not file.is_file():
+        """Return the numbers and the arrays of a checkpoint of a stage; None if there is none that can be used."""
+        if not self.file.is_file():
             return None
-        numbers = json.loads(file.read_text(encoding="utf-8"))
-        if numbers.pop("key", None) != self.key or numbers.pop("stage", None) != stage:
-            return None
-        return numbers, {path.stem: np.load(path) for path in sorted(self.folder.glob("*.npy"))}
+        with self.file.open("rb") as stream:
+            digest = stream.read(DIGEST)
+            if hashlib.file_digest(stream, "sha256").digest() != digest:
+                self.fault = f"{self.file} is damaged, so that the sweep began from the start"
+                return None
+            stream.seek(DIGEST)
+            about = json.loads(stream.readline())
+            if (about["key"], about["stage"]) != (self.key, stage):
+                return None
+            return about["numbers"], {name: np.load(stream, allow_pickle=False) for name in about["arrays"]}
 
     def remove(self) -> None:
-        """Take it away: the sweep is done."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove the file: the sweep is done."""
+        if self.file.is_file():
+            try:
+                self.file.unlink()
+            except OSError as error:
+                self.fault = f"{self.file} is no longer needed, and could not be removed: {error.strerror}"

@@ -92,7 +92,7 @@ def digest(instance: Instance) -> str:
     """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
     import importlib.metadata
 
-    found = hashlib.sha256(f"2 {version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"3 {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()

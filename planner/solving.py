@@ -354,7 +354,7 @@ def saved_files(place: Path) -> tuple[Path, Path]:
 
 
 def begun_sweep(place: Path) -> Path:
-    """Name the folder of what a long sweep has found that is not over."""
+    """Return the file of what a long sweep has found that is not over."""
     return place.with_name(f"{place.name}.sweep")
 
 

@@ -13,6 +13,7 @@ import os
 import shutil
 import stat
 import tempfile
+import uuid
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import Any, BinaryIO
 from .errors import DamagedFileError
 
 UNFINISHED = ".unfinished-"  # what the names of files begin with that `atomic` has not put into their place
-LONGEST_NAME = 200
+LONGEST_NAME = 200  # bytes of a name that are kept in them
 
 
 @contextmanager
@@ -44,8 +45,10 @@ def atomic(file: Path) -> Iterator[Path]:
             return
         place = Path(os.path.realpath(file))  # not `resolve`, which refuses links in a circle only later
         place.parent.mkdir(parents=True, exist_ok=True)
-        # Beside it, since only there it can be renamed; the ending is kept, since libraries choose a format by it.
-        path = place.with_name(f"{UNFINISHED}{os.getpid()}-{place.name[-LONGEST_NAME:]}")
+        # In the same folder, where it can be renamed; the ending is kept, since libraries choose a format by it. The
+        # name is used once: other threads, and machines with the same disk, may write the same file.
+        ending = place.name.encode(errors="surrogateescape")[-LONGEST_NAME:].decode(errors="ignore")
+        path = place.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{ending}")
         try:
             yield path
             if status is not None:
@@ -112,7 +115,7 @@ def _flush(path: Path) -> None:
 
 
 def remove_unfinished(folders: Iterable[Path]) -> None:
-    """Remove what killed processes have left in folders of results; nobody else may be writing there."""
+    """Remove what killed processes have left in folders of results; no other process may be writing there."""
     for folder in set(folders):
         for path in folder.glob(f"{UNFINISHED}*"):
             path.unlink(missing_ok=True)

@@ -122,8 +122,9 @@ def sweep(
         Called after each layer of the search with what is under way, "states" or "cost-to-go", how many states have
         been found, or have got theirs, and of how many (dead ends among them); None while nobody knows.
     checkpoint : Path, optional
-        A folder in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task that
-        is given it goes on from there. It is gone when the sweep is done.
+        A file in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task
+        continues from there. It is removed when the sweep is done. One that is damaged is ignored, which the table's
+        note says.
 
     Raises
     ------
@@ -162,12 +163,13 @@ def sweep(
         budget,
         threads,
         told,
-        None if checkpoint is None else Checkpoint.of(checkpoint, task, coding.size),
+        None if checkpoint is None else Checkpoint(checkpoint, task, coding.decoder),
     )
     states, transitions, distance = searches.solve(int(coding.encode(task.initial)[0]), task.goal)
     numbering = Indexed(searches, states)
     initial = int(numbering.numbers(np.array([task.initial]))[0])
-    return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance)
+    note = None if searches.checkpoint is None else searches.checkpoint.fault
+    return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance, note)
 
 
 def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:

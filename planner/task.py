@@ -8,6 +8,7 @@ goal, all numbers. It is what Fast Downward's translator writes (SAS+, BÃ¤ckstrÃ
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -184,16 +185,31 @@ def load(
     instance, stored = problem, None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
         stored = cache / f"{fast_downward.digest(instance)}.sas"
-        if stored.is_file():
-            note, _, sas = stored.read_text(encoding="utf-8").partition("\n")
-            return from_sas(sas, instance, note or None)
+        if (kept := _kept(stored)) is not None:
+            return from_sas(kept[1], instance, kept[0])
     source = Source.of(instance)
     with Checker(source, limits) as checker:
         task = ground(source, checker, limits)
-    if stored is not None:
+    # The files may have been changed since their digest was made.
+    if stored is not None and stored.stem == fast_downward.digest(instance):
+        content = f"{task.note or ''}\n{task.sas}"
         with atomic(stored) as path:
-            path.write_text(f"{task.note or ''}\n{task.sas}", encoding="utf-8")
+            path.write_text(f"{_digest(content)}\n{content}", encoding="utf-8")
     return task
+
+
+def _kept(file: Path) -> tuple[str | None, str] | None:
+    """Return the note and the SAS text of a file of the cache; None if there is none, or it is not whole."""
+    try:
+        digest, _, content = file.read_text(encoding="utf-8").partition("\n")
+    except (FileNotFoundError, UnicodeDecodeError):
+        return None
+    note, _, sas = content.partition("\n")
+    return (note or None, sas) if digest == _digest(content) else None
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task:
@@ -224,8 +240,9 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
     if refusal is not None:
         if refusal.vague and (derived := source.domain.section(":derived")) is not None:
             refusal = Refusal("domain", derived.line, "it knows no derived predicates")
-        reason = refusal.message if refusal.line is None else str(refusal.error(source.instance))
-        note = f"read by Fast Downward's translator, not checked by unified-planning: {reason}"
+        # Without the file's path, since a cached task may be that of a copy.
+        place = "" if refusal.line is None else f" (line {refusal.line} of the {refusal.file})"
+        note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal.message}{place}"
     return from_sas(sas, source.instance, note)
 
 

@@ -14,6 +14,7 @@ import pytest
 from conftest import DOMAINS, KITTING, table_of, write_instance
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load
+from planner.checking import Refusal
 from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.methods import _Stop
 from planner.ondemand import fastest_search
@@ -110,6 +111,26 @@ def test_a_grounded_task_is_kept_by_content(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(PDDLError, match="wrnch"):
         load(instance, cache=tmp_path / "cache")
     assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_a_task_from_the_cache_is_as_one_that_was_read(tmp_path: Path) -> None:
+    """Its note names no file of the instance that was read first, and a damaged entry is written again."""
+    domain = (KITTING / "domain.pddl").read_text()
+    tiny = (KITTING / "tiny.pddl").read_text()
+    one, other = (write_instance(tmp_path / name, domain, tiny) for name in ("one", "other"))
+    with pytest.MonkeyPatch.context() as patch:
+        refusal = Refusal("problem", 3, "it has its reasons")
+        patch.setattr("planner.checker.Checker.refusal", lambda *_: refusal)
+        note = load(one, cache=tmp_path / "cache").note
+        assert note is not None
+        assert note.endswith("not checked by unified-planning: it has its reasons (line 3 of the problem)")
+    assert load(other, cache=tmp_path / "cache").note == note
+    (entry,) = (tmp_path / "cache").iterdir()
+    whole = entry.read_bytes()
+    for damaged in (b"", whole[:30], whole[:-1], whole[:-9] + b"\xff" * 9, whole.replace(b"begin_goal", b"begin_gaol")):
+        entry.write_bytes(damaged)
+        assert load(other, cache=tmp_path / "cache").note is None
+        assert len(entry.read_bytes()) > len(whole) / 2
 
 
 def test_what_was_found_survives_a_kill(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from conftest import KITTING, ROOT
 from assist.cli import main
 from assist.cli.options import separate_files
 from planner.errors import DamagedFileError
-from planner.storage import append, read_records, remove_unfinished, write_records
+from planner.storage import append, atomic, read_records, remove_unfinished, write_records
 
 TINY = str(KITTING / "tiny.pddl")
 SIMULATE = ("simulate", TINY, "--humans", "2", "--episodes", "2", "--pool", "2", "--policy", "none")
@@ -52,6 +52,26 @@ def test_a_link_goes_on_leading_to_its_file(tmp_path: Path) -> None:
         "new",
         "real",
     ]
+
+
+def test_several_threads_write_one_file(tmp_path: Path) -> None:
+    """Each writes under a name of its own, and the one that ends last is what is kept."""
+    file = tmp_path / "file.txt"
+    with atomic(file) as first:
+        first.write_text("first")
+        with atomic(file) as second:
+            second.write_text("second")
+        assert file.read_text() == "second"
+    assert file.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.parametrize("name", ["a" * 251 + ".npz", "\u6599" * 83 + ".npz", "\udcff.npz"])
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path: Path, name: str) -> None:
+    with atomic(tmp_path / name) as path:
+        assert path.suffix == ".npz"
+        path.touch()
+    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 def test_a_pipe_is_written_to(tmp_path: Path) -> None:
