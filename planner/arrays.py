@@ -21,9 +21,9 @@ def read_only(record: Any) -> None:
 
 
 def outline(record: Any) -> str:
-    """Return a dataclass in a line: arrays by type and shape, and long values by what they are; for `__repr__`."""
-    shown = (f"{field.name}={_short(getattr(record, field.name))}" for field in fields(record) if field.repr)
-    return f"{type(record).__name__}({', '.join(shown)})"
+    """Return a dataclass or named tuple in a line: arrays by type and shape, long values by what they are."""
+    names = getattr(record, "_fields", None) or [field.name for field in fields(record) if field.repr]
+    return f"{type(record).__name__}({', '.join(f'{name}={_short(getattr(record, name))}' for name in names)})"
 
 
 def _short(value: Any) -> str:

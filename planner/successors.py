@@ -40,6 +40,8 @@ class Transitions(NamedTuple):
     actions: NDArray[np.int32]
     targets: NDArray[np.signedinteger]
 
+    __repr__ = outline
+
 
 @dataclass(frozen=True)
 class Packing:
