@@ -2,8 +2,28 @@
 
 from __future__ import annotations
 
+import difflib
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+
+
+def expected(name: str, known: Iterable[str], more: str = "") -> str:
+    """Return what a name should have been: the nearest known one, or all of them where none is near.
+
+    Parameters
+    ----------
+    name : str
+    known : iterable of str
+    more : str
+        What else is possible, to be said after the known ones.
+    """
+    words = list(known)
+    lower = {word.lower(): word for word in words}
+    near = difflib.get_close_matches(name.lower(), lower, n=1)
+    if near:
+        return f"did you mean '{lower[near[0]]}'?"
+    return f"expected one of {', '.join(words)}{more}"
 
 
 class MissingExtraError(ImportError):

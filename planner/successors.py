@@ -40,7 +40,8 @@ class Transitions(NamedTuple):
     actions: NDArray[np.int32]
     targets: NDArray[np.signedinteger]
 
-    __repr__ = outline
+    def __repr__(self) -> str:
+        return outline(self)
 
 
 @dataclass(frozen=True)

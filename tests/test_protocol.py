@@ -53,7 +53,7 @@ def test_a_study_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     assert read(file) == plain
     file.write_bytes(b'title = "\xe4"\n')
-    with pytest.raises(StudyError, match=r"small.toml: byte 9 is not UTF-8; expected a text file"):
+    with pytest.raises(StudyError, match=r"small.toml:1: byte 9 is not UTF-8; expected a text file"):
         read(file)
 
 
@@ -78,25 +78,25 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
     [
         ("seed = 5", "seed = ", "line 3"),
         ("seed = 5", "seed = -1", "seed: -1; expected a whole number of 0 or more"),
-        ("seed = 5", "sed = 3", "sed: unknown; expected one of conditions, contrasts"),
+        ("seed = 5", "sed = 3", "sed: unknown; did you mean 'seed'?"),
         ("pool = 4", "pool = true", "pool: true; expected a whole number"),
         (
             "[populations.everybody]",
             "[reference]\nsource = 'me'\nheadline = { actions_vs_non = 3 }\n[populations.everybody]",
-            "reference.headline.actions_vs_non: unknown; expected one of actions_vs_attention",
+            "reference.headline.actions_vs_non: unknown; did you mean 'actions_vs_none'?",
         ),
         ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team, and 1 in a pool"),
         ("humans = [1, 2]", "humans = 2", "humans: 2; expected a list of whole numbers"),
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),
         ("c_suggest = 0.2\n", 'c_suggest = "low"\n', 'setting.c_suggest: "low"; expected a number'),
-        ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; expected one of c_execute"),
+        ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; did you mean 'c_suggest'?"),
         ("c_suggest = 0.2\n", 'knowledge = "all"\n', 'setting.knowledge: "all"; expected "own" or "exact"'),
         ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2]: c_move -2: expected 0 or more"),
         ("beta = [0.1, 0.5]", "beta = [0.5, 0.1]", "populations.novices: beta range (0.5, 0.1)"),
         ("beta = [0.1, 0.5]", "beta = 0.5", "populations.novices.beta: 0.5; expected two numbers"),
         ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices.file: "),
         ("beta = [0.1, 0.5]", 'beta = [0.1, "x"]', 'populations.novices.beta: [0.1, "x"]; expected two numbers'),
-        ("beta = [0.1, 0.5]", "betta = [0.1, 0.5]", "populations.novices.betta: unknown; expected one of beta, file"),
+        ("beta = [0.1, 0.5]", "betta = [0.1, 0.5]", "populations.novices.betta: unknown; did you mean 'beta'?"),
         ("beta = [0.1, 0.5]", 'noise = "both"', "populations.novices: noise 'both': expected 'state' or 'action'"),
         ("humans = [1, 2]", "humans = []", "humans: []; expected a list of whole numbers of 1 or more"),
         ("humans = [1, 2]", "humans = [1, 0.5]", "humans: [1, 0.5]; expected a list of whole numbers of 1 or more"),
@@ -107,8 +107,8 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
             "settings: [3]; expected",
         ),
         ('name = "novices"', "name = 3", "conditions[3].name: 3; expected a text"),
-        ('name = "novices"', 'name = "novices"\nrepeat = 2', "conditions[3].repeat: unknown; expected one of humans"),
-        ('policies = ["attention"]', 'policies = ["atention"]', "'atention'; expected one of none, reactive"),
+        ('name = "novices"', 'name = "novices"\nrepeat = 2', "conditions[3].repeat: unknown; did you mean 'repeats'?"),
+        ('policies = ["attention"]', 'policies = ["atention"]', "'atention'; did you mean 'attention'?"),
         ('policies = ["attention"]', 'policies = ["mine.py:mine"]', "mine.py: no such file"),
         ('populations = ["novices"]', 'populations = ["experts"]', "'experts'; expected one of everybody, novices"),
         ('priors = ["own", "everybody"]', 'priors = ["none"]', "'none'; expected one of own, everybody"),
@@ -145,8 +145,26 @@ def test_a_malformed_study_is_refused_with_the_place(tmp_path: Path, old: str, n
     file = write(tmp_path, text.replace(old, new, 1))
     with pytest.raises(StudyError) as caught:
         read(file)
-    assert str(caught.value).startswith(f"{file}: ")
+    assert re.match(rf"{re.escape(str(file))}:\d+: ", str(caught.value))
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("seed = 5", "sed = 3", "sed: unknown; did you mean 'seed'?"),
+        ("pool = 4", "pool = true", "pool: true; expected a whole number of 1 or more"),
+        ("c_suggest = 0.2", "c_sugest = 0.2", "setting.c_sugest: unknown; did you mean 'c_suggest'?"),
+        ("beta = [0.1, 0.5]", "betta = [0.1, 0.5]", "populations.novices.betta: unknown; did you mean 'beta'?"),
+        ("seed = 5", "seed = ", "Invalid value (at line 3, column 8)"),
+    ],
+)
+def test_the_line_of_a_fault_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    file = write(tmp_path, TINY.replace(old, new, 1))
+    with pytest.raises(StudyError) as caught:
+        read(file)
+    line = file.read_text().splitlines().index(new) + 1
+    assert str(caught.value) == f"{file}:{line}: {message}"
 
 
 def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path) -> None:

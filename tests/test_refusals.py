@@ -305,7 +305,7 @@ def test_what_cannot_be_is_refused(given: Given, what: str) -> None:
     [
         ("solve kitting/tiny --resume", "--resume needs --out"),
         ("draw kitting/tiny --plan tiny.plan --trace t.jsonl --out a.svg", "--plan and --trace: expected one of them"),
-        ("slove kitting/tiny", "No such command 'slove'"),
+        ("slove kitting/tiny", "There is no command 'slove'; did you mean 'solve'?"),
     ],
 )
 def test_words_of_a_command_that_do_not_go_together(words: str, message: str, tmp_path: Path) -> None:

@@ -41,6 +41,7 @@ def test_people_act_the_service_ends_and_goes_on_where_it_was(tmp_path: Path, ti
         assert [person["belief"] for person in after["people"]] == [person["belief"] for person in team["people"]]
         assert after["people"][0]["steps"] == 1
         log = service.ask("GET", "/api/log").text
+        assert service.end(signal.SIGINT)[0] == 0  # Ctrl-C
     (tmp_path / "log.jsonl").write_text(log)
     assert [json.loads(line)["action"] for line in log.splitlines()] == ["(fetch box-a)"]
     assert fit(tiny, read_log(str(tmp_path / "log.jsonl")))["person-1"].actions == 1

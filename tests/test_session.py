@@ -6,6 +6,7 @@ import errno
 import gc
 import json
 import os
+import re
 import threading
 import tracemalloc
 from collections.abc import Callable
@@ -378,11 +379,16 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
         Session(fixed, file)
     session.join("ann")
     session.close()
-    with pytest.raises(ResultsExistError, match=r"has tasks fixed None, not|has tasks tiny|has setting|has tasks task"):
-        Session(fixed, file, setting=SETTING)
+    before, other = r"the session there is of the task tiny \(\S+tiny\.pddl\)", r"paper-fixed\.pddl\)"
+    with pytest.raises(ResultsExistError, match=rf"{before}, .*not other \(\S+{other}; expected the same, or another"):
+        Session({"other": fixed}, file, setting=SETTING)
     with pytest.raises(ResultsExistError, match=r"has setting c_suggest 0\.02, not 1\.0"):
         opened(setting=Setting())
     lines = file.read_bytes().splitlines(keepends=True)
+    changed = re.sub(rb'("tiny": ?")[0-9a-f]{32}', rb"\g<1>" + b"0" * 32, lines[0], count=1)
+    file.write_bytes(changed)
+    with pytest.raises(ResultsExistError, match=r"the task tiny is another than when the session began; expected the"):
+        opened()
     for wrong in (b"{}\n", b"half a li\n", json.dumps({"n": 7}).encode() + b"\n"):
         file.write_bytes(lines[0] + wrong + lines[1])
         with pytest.raises(DamagedFileError, match=r"journal\.jsonl:2: "):

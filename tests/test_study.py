@@ -193,7 +193,7 @@ def test_a_policy_that_fails_is_named_and_stops_nothing_else(tmp_path: Path) -> 
     ("arguments", "code", "words"),
     [
         ((), 2, "--out"),
-        (("--out", "x", "--protocol", "papers"), 2, "no protocol 'papers'; expected paper, people or a file"),
+        (("--out", "x", "--protocol", "papers"), 2, "no protocol 'papers'; did you mean 'paper'?"),
         (("--out", "x", "--protocol", "none.toml"), 2, "none.toml: no such file"),
         (("--out", "x", "--repeats", 0), 2, "--repeats"),
     ],

@@ -52,10 +52,14 @@ def opened(tiny: Table, tmp_path: Path) -> Iterator[Open]:
 def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None:
     faults = [
         ('reference = "none"', 'reference = "nobody"', "reference: 'nobody'; expected one of none, attention"),
-        ('policy = "attention"', 'policy = "attentive"', r"conditions\[2\].policy: 'attentive'; expected one of none"),
-        ("c_move = 0.01", "c_mov = 0.01", "setting.c_mov: unknown; expected one of"),
+        (
+            'policy = "attention"',
+            'policy = "attentive"',
+            r"conditions\[2\].policy: 'attentive'; did you mean 'attention'",
+        ),
+        ("c_move = 0.01", "c_mov = 0.01", "setting.c_mov: unknown; did you mean 'c_move'"),
         ("c_move = 0.01", "travel_time = 1", "setting.travel_time: 1; expected 0"),
-        ('form = "likert"', 'form = "likart"', r"questionnaires\[2\].form: 'likart'; expected one of nasa-tlx"),
+        ('form = "likert"', 'form = "likart"', r"questionnaires\[2\].form: 'likart'; did you mean 'likert'"),
         ("reversed = true", "reversd = true", r"questionnaires\[2\].items\[2\].reversd: unknown"),
         ('name = "wary"', 'name = "rely"', r"questionnaires\[2\].items\[2\].name: 'rely'; expected a name of its own"),
         ("seed = 3", "seed = -3", "seed: -3; expected a whole number of 0 or more"),
@@ -63,7 +67,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ("seed = 3", "seed = ", "Invalid value"),
         ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
         ('practice = "', 'practice = "x', "practice: .*no such file"),
-        ("seed = 3", 'design = "mixed"', "design: 'mixed'; expected between or within"),
+        ("seed = 3", 'design = "mixed"', "design: 'mixed'; expected one of between, within"),
     ]
     for right, wrong, message in faults:
         file = written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1))

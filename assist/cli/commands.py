@@ -7,6 +7,8 @@ from typing import Any
 
 import click
 
+from planner.errors import expected
+
 COMMANDS = {
     "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
     "domains": "List the tasks that come with the package; every command takes their names.",
@@ -30,10 +32,12 @@ class Commands(click.Group):
         """Give their names."""
         return list(COMMANDS)
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
-        """Load one."""
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load one; an unknown name is a usage error that offers the nearest, or all."""
         if cmd_name not in COMMANDS:
-            return None
+            if cmd_name.startswith("-"):  # an option, which click refuses
+                return None
+            ctx.fail(f"There is no command '{cmd_name}'; {expected(cmd_name, COMMANDS)}")
         name = cmd_name.replace("-", "_")
         command: click.Command = getattr(import_module(f".{name}", __package__), name)
         return command

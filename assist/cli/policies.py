@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from planner.errors import expected
+
 from ..people.own import parse
 from ..team.policies import POLICIES, OwnPolicy
 from ..team.state import PolicyError
@@ -29,7 +31,7 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
         if value not in POLICIES:
             place = parse(value)
             if place is None:
-                self.fail(f"'{value}'; expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION", param, ctx)
+                self.fail(f"'{value}'; {expected(value, POLICIES, ', or FILE.py:FUNCTION')}", param, ctx)
             if not place[0].is_file():
                 self.fail(f"{place[0]}: no such file", param, ctx)
         return str(value)

@@ -37,8 +37,13 @@ def serve(
     if study is not None:
         conduct(study, team["data"], host, port, rehearse or 0)
         return
-    if not instances or team["humans"] is None or rehearse is not None:
-        raise click.UsageError("expected INSTANCE and --humans K, or --study FILE.toml, which --rehearse N goes with")
+    if rehearse is not None:
+        raise click.UsageError("--rehearse: expected --study FILE.toml as well")
+    missing = [name for name, there in (("INSTANCE", instances), ("--humans K", team["humans"])) if not there]
+    if missing:
+        raise click.UsageError(
+            f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
+        )
     with policy_errors():
         plan = plan_of(instances, **team)
         try:

@@ -12,7 +12,7 @@ import json
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from hashlib import sha256
@@ -201,10 +201,16 @@ class Session:
             "population": desk.population.as_dict(),
             "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
+            "files": self._files(),
             "chances": None
             if desk.population.chooses is None
             else {name: _chances(task, desk.population) for name, task in self._tasks.items()},
         }
+
+    def _files(self) -> dict[str, str | None]:
+        """The problem file of each task; None for that of a policy."""
+        known = {name: getattr(task, "task", None) for name, task in self._tasks.items()}
+        return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
 
     def _course_anew(self) -> Happenings:
         """Give one in which nothing has happened yet."""
@@ -231,8 +237,11 @@ class Session:
 
     def _check(self, header: dict[str, Any]) -> None:
         expected = json.loads(_line(self._header()))
+        files = expected.pop("files", {})
         for name, value in expected.items():
             if header.get(name) != value:
+                if name == "tasks" and isinstance(header.get(name), dict):
+                    raise ResultsExistError(f"{self._journal.file}: {_others(header, value, files)}")
                 raise ResultsExistError(
                     f"{self._journal.file}: the session there has {_shown(name, header.get(name), value)}; "
                     "expected the same, or another folder"
@@ -458,6 +467,23 @@ def _same(event: Event, record: Mapping[str, Any]) -> Outcome:
         return InapplicableError(f"the id {event.id!r} stands for something else that has happened; expected a new one")
     answer: dict[str, Any] = record["answer"]
     return answer
+
+
+def _others(header: dict[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:
+    """Say of which tasks a session is, and of which others it was to be."""
+    before, kept = header["tasks"], header.get("files") or {}
+    wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
+    same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
+    if same:
+        return f"the task {same[0]} is another than when the session began; expected the same files, or another folder"
+
+    def named(names: Iterable[str], where: Mapping[str, str | None]) -> str:
+        return ", ".join(f"{name} ({where[name]})" if where.get(name) else name for name in names)
+
+    return (
+        f"the session there is of the task {named(before, kept)}, not {named(tasks, files)}; "
+        "expected the same, or another folder"
+    )
 
 
 def _shown(name: str, found: Any, expected: Any) -> str:

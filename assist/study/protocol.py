@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from planner import Instance, InstanceError, find_instances
 from planner import shipped as tasks
+from planner.errors import expected as meant
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
@@ -36,6 +37,7 @@ from .toml import (
     given,
     label,
     load,
+    located,
     partial_of,
     shown,
 )  # fmt: skip
@@ -140,9 +142,10 @@ def read(study: str | Path, *, repeats: int | None = None) -> Study:
     file = Path(study)
     if file.suffix != ".toml":
         if str(study) not in shipped():
-            raise StudyError(f"no protocol '{study}'; expected {', '.join(shipped())} or a file that ends in .toml")
+            raise StudyError(f"no protocol '{study}'; {meant(str(study), shipped(), ' or a file that ends in .toml')}")
         file = PROTOCOLS / f"{study}.toml"
-    found = Reader(file, convert(load(file), StudyTable, file)).study()
+    with located(file):
+        found = Reader(file, convert(load(file), StudyTable, file)).study()
     return found if repeats is None else replace(found, repeats=repeats)
 
 
@@ -225,7 +228,7 @@ class Reader:
         """Refuse names of what there is not; one that is given twice counts once."""
         for name in names:
             if name not in (known := tuple(allowed)):
-                raise fault(self.file, place, f"'{name}'; expected one of {', '.join(known)}")
+                raise fault(self.file, place, f"'{name}'; {meant(name, known)}")
         return tuple(dict.fromkeys(names))
 
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
@@ -270,7 +273,7 @@ class Reader:
         """Refuse weights of terms that there are not."""
         for name in population.weights:
             if name not in TERMS:
-                raise fault(self.file, f"{place}.weights", f"'{name}'; expected one of {', '.join(TERMS)}")
+                raise fault(self.file, f"{place}.weights", f"'{name}'; {meant(name, TERMS)}")
         return population
 
     def _policies(self, place: str, named: Iterable[str]) -> tuple[str, ...]:
@@ -280,8 +283,7 @@ class Reader:
             own = parse(name, self.file.parent)
             if own is None:
                 if name not in POLICIES:
-                    expected = f"expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION"
-                    raise fault(self.file, place, f"'{name}'; {expected}")
+                    raise fault(self.file, place, f"'{name}'; {meant(name, POLICIES, ', or FILE.py:FUNCTION')}")
                 names.append(name)
                 continue
             where, function = own
@@ -314,7 +316,7 @@ class Reader:
         for key, value in table.headline.items():
             place = f"reference.headline.{key}"
             if key not in known:
-                raise fault(self.file, place, f"unknown; expected one of {', '.join(sorted(known))}")
+                raise fault(self.file, place, f"unknown; {meant(key, sorted(known))}")
             if isinstance(value, bool) or not isinstance(value, int | float):
                 raise fault(self.file, place, f"{shown(value)}; expected a number")
         interventions = tuple(

@@ -8,12 +8,16 @@ from __future__ import annotations
 import json
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
+
+from planner.errors import expected as meant
 
 from .study import StudyError
 
@@ -43,11 +47,15 @@ def load(file: Path) -> dict[str, Any]:
     StudyError
     """
     try:
-        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+        data = file.read_bytes()
     except FileNotFoundError:
         raise StudyError(f"{file}: no such file") from None
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
-        raise StudyError(f"{file}: byte {error.start} is not UTF-8; expected a text file in that encoding") from None
+        line = data.count(b"\n", 0, error.start) + 1
+        message = f"byte {error.start} is not UTF-8; expected a text file in that encoding"
+        raise StudyError(f"{file}:{line}: {message}") from None
     except tomllib.TOMLDecodeError as error:
         raise StudyError(f"{file}: {error}") from None
 
@@ -55,6 +63,52 @@ def load(file: Path) -> dict[str, Any]:
 def fault(file: Path, place: str, message: str) -> StudyError:
     """Say what is wrong where."""
     return StudyError(f"{file}: {place}: {message}")
+
+
+@contextmanager
+def located(file: Path) -> Iterator[None]:
+    """Add the line to what is said of a place in a file."""
+    try:
+        yield
+    except StudyError as error:
+        what = str(error).removeprefix(f"{file}: ")
+        if what == str(error) or not file.is_file():
+            raise
+        raise StudyError(f"{file}:{line_of(file, what)}: {what}") from error.__cause__
+
+
+def line_of(file: Path, fault: str) -> int:
+    """Find the line, from 1, in which what a fault is about begins, or else the table in which it should be."""
+    said = re.search(r"\(at line (\d+), column \d+\)", fault)
+    text = file.read_bytes().decode("utf-8-sig", errors="replace")
+    if said or "end of document" in fault:
+        return int(said[1]) if said else len(text.splitlines())
+    path: list[Any] = [
+        int(number) - 1 if number else name
+        for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])
+    ]
+    lines = text.splitlines()
+    parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
+    for number in range(1, len(lines) + 1):  # what begins within a value of several lines is no document
+        try:
+            parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
+        except tomllib.TOMLDecodeError:
+            continue
+    while path:
+        for (before, _), (_, content) in pairwise(parsed):
+            if _has(content, path):
+                return before + 1
+        path.pop()
+    return 1
+
+
+def _has(content: Any, path: list[Any]) -> bool:
+    try:
+        for key in path:
+            content = content[key]
+    except (KeyError, IndexError, TypeError):
+        return False
+    return True
 
 
 def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
@@ -127,7 +181,7 @@ def _said(message: str, content: Any, kind: Any, place: str) -> str:
     if named["fault"] == "missing required":
         return f"{where}: is missing; expected {_field(kind, named['key'])[1]}"
     known = sorted(field.encode_name for field in msgspec.structs.fields(kind))
-    return f"{where}: unknown; expected one of {', '.join(known)}"
+    return f"{where}: unknown; {meant(named['key'], known)}"
 
 
 def _field(struct: type[Struct], name: str) -> tuple[Any, str]:

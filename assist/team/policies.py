@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from planner.errors import expected
+
 from ..people import own
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
@@ -69,7 +71,7 @@ def named(
         return AttentionSwitching.against_never(policies)
     if name == "priority":
         return Priority.of(policies, travel, progress=progress)
-    raise ValueError(f"unknown policy {name!r}; expected one of {', '.join(POLICIES)}, or a function")
+    raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
 
 
 @dataclass(frozen=True)

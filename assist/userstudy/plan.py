@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-import tomllib
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
 from planner import Instance, InstanceError, find_instances, shipped
+from planner.errors import expected as meant
 
 from ..people.human import Population
 from ..people.own import parse
@@ -34,6 +33,7 @@ from ..study.toml import (
     fault,
     given,
     load,
+    located,
     partial_of,
 )
 from ..team.policies import POLICIES
@@ -275,59 +275,20 @@ def read(file: Path, *, carried_out: bool = False) -> UserStudy:
     StudyError
         What is wrong, in which line and place, and what would be right.
     """
-    try:
+    with located(file):
         return _study(file, convert(load(file), FileTable, file), carried_out)
-    except StudyError as error:
-        what = str(error).removeprefix(f"{file}: ")
-        if what == str(error) or not file.is_file():
-            raise
-        raise StudyError(f"{file}:{line_of(file, what)}: {what}") from None
-
-
-def line_of(file: Path, fault: str) -> int:
-    """Find the line, from 1, in which what a fault is about begins, or else the table in which it should be."""
-    said = re.search(r"\(at line (\d+), column \d+\)", fault)
-    text = file.read_bytes().decode("utf-8-sig", errors="replace")
-    if said or "end of document" in fault:
-        return int(said[1]) if said else len(text.splitlines())
-    path: list[Any] = [
-        int(number) - 1 if number else name
-        for name, number in re.findall(r"([^.\[\]]+)|\[(\d+)\]", fault.partition(": ")[0])
-    ]
-    lines = text.splitlines()
-    parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
-    for number in range(1, len(lines) + 1):  # what begins within a value of several lines is no document
-        try:
-            parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
-        except tomllib.TOMLDecodeError:
-            continue
-    while path:
-        for (before, _), (_, content) in pairwise(parsed):
-            if _has(content, path):
-                return before + 1
-        path.pop()
-    return 1
-
-
-def _has(content: Any, path: list[Any]) -> bool:
-    try:
-        for key in path:
-            content = content[key]
-    except (KeyError, IndexError, TypeError):
-        return False
-    return True
 
 
 def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     names = _conditions(file, table.conditions, carried_out)
     found = partial(_instance, file, carried_out=carried_out)
     if table.design not in (BETWEEN, WITHIN):
-        raise fault(file, "design", f"'{table.design}'; expected {BETWEEN} or {WITHIN}")
+        raise fault(file, "design", f"'{table.design}'; {meant(table.design, (BETWEEN, WITHIN))}")
     if table.design == WITHIN and len(names) < 2:
         raise fault(file, "design", f"'{WITHIN}' with one condition; expected two or more")
     reference = table.reference or names[0]
     if reference not in names:
-        raise fault(file, "reference", f"'{reference}'; expected one of {', '.join(names)}")
+        raise fault(file, "reference", f"'{reference}'; {meant(reference, names)}")
     tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
     stems = [task.problem.stem for task in tasks]
     if len(set(stems)) < len(stems):
@@ -367,8 +328,9 @@ def _conditions(file: Path, tables: list[ConditionTable], carried_out: bool) -> 
         names.append(own.name)
         found = parse(own.policy, file.parent)
         if found is None and own.policy not in POLICIES:
-            expected = f"expected one of {', '.join(POLICIES)}, or FILE.py:FUNCTION"
-            raise fault(file, f"{place}.policy", f"'{own.policy}'; {expected}")
+            raise fault(
+                file, f"{place}.policy", f"'{own.policy}'; {meant(own.policy, POLICIES, ', or FILE.py:FUNCTION')}"
+            )
         if found is not None and not carried_out and not found[0].is_file():
             raise fault(file, f"{place}.policy", f"{found[0]}: no such file")
     return names
@@ -413,7 +375,7 @@ def _population(file: Path, table: PopulationTable) -> Population:
 
 def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questionnaire:
     if table.form not in FORMS:
-        raise fault(file, f"{place}.form", f"'{table.form}'; expected one of {', '.join(FORMS)}")
+        raise fault(file, f"{place}.form", f"'{table.form}'; {meant(table.form, FORMS)}")
     base = FORMS[table.form]
     name = table.name or base.name
     if not NAME.fullmatch(name):

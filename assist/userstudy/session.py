@@ -67,6 +67,7 @@ class StudySession(Session):
         return {
             "format": FORMAT, "study": self.study.digest,
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
+            "files": self._files(),
         }  # fmt: skip
 
     def _check(self, header: dict[str, Any]) -> None:
