@@ -354,3 +354,35 @@ def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     certify(pool, {"a": "none"}, episodes=2, window=2, gap=0.1)
     assert {limit for name, limit in asked if name != "search"} == {None}
     assert asked[0] == ("search", math.inf)
+
+
+@pytest.mark.parametrize("ways", [[(3, 2, 0), (2, 1, 1), (1, 0, 3), (2, 3, 4), (1, 2, 0)], [(1, 0, 0), (1, 1, 0)]])
+@pytest.mark.parametrize("window", [None, 3])
+def test_tasks_with_free_actions_are_bounded(ways: list[tuple[int, int, int]], window: int | None) -> None:
+    """Some actions cost nothing, or all of them: no scale is taken from a cost of 0."""
+    task = Choices.of(sweep(graph_task(ways, start=max(way[0] for way in ways))))
+    pool = Pool.sample(task, 2, seed=1, setting=SETTING)
+    found = upper_bound(pool, window=window, gap=1e-3, paths=4, jobs=1)
+    assert found.sampled is not None
+    assert found.sampled.paths == 4
+    for name in ("none", "priority"):
+        certified = found.certify(name, episodes=2000)
+        assert certified.value - 4 * certified.value_stderr <= min(found.proven, found.upper) + 1e-9
+
+
+@pytest.mark.parametrize("theta", [(0.5, 0.95), (0.0, 0.0), (1.0, 1.0)])
+def test_choices_without_lapses_may_have_probability_0(choices: Choices, theta: tuple[float, float]) -> None:
+    """Sampled bounds leave out what cannot happen, and are those of next to no lapses."""
+    found = []
+    for lapse in (0.0, 1e-12):
+        pool = Pool.sample(
+            choices,
+            2,
+            seed=1,
+            setting=replace(SETTING, lapse=lapse),
+            population=Population(beta=(0.0, 40.0), theta=theta),
+        )
+        sampled = upper_bound(pool, window=3, gap=1e-3, paths=4, jobs=1).sampled
+        assert sampled is not None
+        found.append(sampled.mean)
+    assert found[0] == pytest.approx(found[1], abs=1e-3)

@@ -9,24 +9,28 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import KITTING, invoke
+from conftest import KITTING, invoke, kit
 from scipy.optimize import linprog
 from test_joint import COSTS, pool_of
 
 from assist.certify import clairvoyant, conflicts
+from assist.certify.bound import upper_bound
 from assist.certify.clairvoyant import ALPHAS, Clairvoyant, Path, Sampled
 from assist.certify.conflicts import DYING, FADING, LATE, OutOfTimeError, Scale, lost
-from assist.certify.lattice import END, Graph, Lattice, at, divide, worth
+from assist.certify.lattice import END, LEFT, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
 from assist.person.solver import solve
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 
 
-def made(price: np.ndarray, workers: int = 1) -> Clairvoyant:
-    pool = pool_of(*COSTS[0])
+def made(price: np.ndarray, workers: int = 1, pool: Pool | None = None) -> Clairvoyant:
+    pool = pool or pool_of(*COSTS[0])
     lattices = []
-    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price)):
+    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), around=pool.wide):
         visits = kind.at(price)
         lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
     return Clairvoyant(lattices, price, workers=workers)
@@ -50,6 +54,15 @@ def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
         patch.setattr(clairvoyant, "WISHES", request.param[0])
         patch.setattr(conflicts, "AHEAD", request.param[1])
         return made(PRICE[1:4])
+
+
+@pytest.fixture(scope="module")
+def truncated() -> Clairvoyant:
+    """Two people whose tasks are truncated after one state, with prices, and few enough steps to try everything."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clairvoyant, "AFTER", 1)
+        setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
+        return made(PRICE[1:4], pool=Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1))
 
 
 def drawn(robot: Clairvoyant, seeds: Iterable[int]) -> list[Path]:
@@ -207,26 +220,27 @@ def least(
         return alpha * float(lost(step, np.array(rows), robot.scale))
 
     people = robot.people
-    here = [p.rows.row[w.of[j] if j != END else 0] for p, w, j in zip(people, wishes, state, strict=True)]
-    paid = robot.price * robot.discount
-    if all(j == END for j in state):
+    ended = {END: 0, LEFT: 1}
+    here = [p.rows.row[w.of[j] if j >= 0 else ended[j]] for p, w, j in zip(people, wishes, state, strict=True)]
+    paid = robot.price * robot.discount * (LEFT not in state)
+    if all(j < 0 for j in state):
         return float(paid[t:].sum()) - loss(t, here)
     if t == robot.steps:
         return -loss(t, here)
 
     def edges(graph: Graph, j: int) -> list[int]:
-        return [END] if j == END else list(range(graph.edge[j], graph.edge[j + 1]))
+        return [j] if j < 0 else list(range(graph.edge[j], graph.edge[j + 1]))
 
     best = np.inf
     for chosen in product(*(edges(graph, j) for graph, j in zip(graphs, state, strict=True))):
-        with_robot = sum(bool(g.attends[e]) for g, e in zip(graphs, chosen, strict=True) if e != END)
+        with_robot = sum(bool(g.attends[e]) for g, e in zip(graphs, chosen, strict=True) if e >= 0)
         if with_robot > 1:
             continue
         cost = (1 - with_robot) * paid[t] - loss(t, here)
-        cost += sum(float(g.cost[e]) for g, e in zip(graphs, chosen, strict=True) if e != END)
-        after = [w.mean[e] if e != END else p.rows.row[0] for p, w, e in zip(people, wishes, chosen, strict=True)]
+        cost += sum(float(g.cost[e]) for g, e in zip(graphs, chosen, strict=True) if e >= 0)
+        after = [w.mean[e] if e >= 0 else p.rows.row[ended[e]] for p, w, e in zip(people, wishes, chosen, strict=True)]
         cost += loss(t + 1, after)
-        then = tuple(int(g.to[e]) if e != END else END for g, e in zip(graphs, chosen, strict=True))
+        then = tuple(int(g.to[e]) if e >= 0 else e for g, e in zip(graphs, chosen, strict=True))
         best = min(best, cost + least(robot, path, alpha, then, t + 1, seen))
     seen[t, *state] = best
     return best
@@ -251,6 +265,36 @@ def test_the_search_finds_the_least(
         found.append(whole)
     assert np.ptp(found) > 0.05
     assert given_up
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.75])
+def test_the_search_finds_the_least_where_people_leave_truncated_tasks(alpha: float, truncated: Clairvoyant) -> None:
+    """Once a person has left, steps in which the robot attends to no other person are not refunded."""
+    left = 0
+    for path in drawn(truncated, range(6)):
+        whole = least(truncated, path, alpha, (0, 0), 0, {})
+        expected = truncated.value - alpha * truncated.lost - whole
+        assert truncated.bound(path, alpha) == pytest.approx(expected, abs=1e-9)
+        left += any((graph.to == LEFT).any() for graph in path.graphs)
+    assert left > 2
+
+
+@pytest.mark.parametrize(("cost", "region"), [(0.0, 1), (0.05, 4)])
+def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost: float, region: int) -> None:
+    """With prices: priority is worked out on the whole task, for the same people.
+
+    A bound that refunds the prices of people who have left is below: by 1.8 for six people, region 1 and no costs.
+    """
+    setting = Setting(c_suggest=cost, c_move=cost)
+    whole = Pool.sample(kit("tiny"), 4, seed=0, setting=setting)
+    run = simulate(whole, "priority", humans=[0, 1, 2, 3], episodes=4000, seed=0, world="model")
+    value, error = run.discounted_return.mean(), run.discounted_return.std(ddof=1) / np.sqrt(len(run))
+    pool = Pool.sample(kit("tiny"), 4, seed=0, setting=setting, states=5, region=region)
+    bound = upper_bound(pool, window=10, gap=0.05, paths=6, jobs=1)
+    assert bound.sampled is not None
+    assert len(bound.price) > 3
+    assert bound.proven >= value - 4 * error
+    assert bound.sampled.mean + 4 * bound.sampled.stderr >= value - 4 * error
 
 
 def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: Clairvoyant) -> None:

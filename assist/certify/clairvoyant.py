@@ -24,6 +24,27 @@ people lose by not getting what is best for them, and the price of a step in whi
 alpha 0 the bound is that of the prices, less what is lost in any case. Alpha is chosen on lucks of its own; any is
 sound.
 
+**People who leave a truncated task.** A person whose task is truncated leaves it at a leaf. The leaf's value u(t, y) is
+an upper bound on the person's return from step t and state y on with a robot of their own, whose attention costs the
+price lambda_t at each step. The theorem needs the rewards r of a process that no policy of the team exceeds. Let a_k be
+1 in a step in which the robot attends to person k, else 0, let c_k be the person's reward, and let
+
+    r_t = sum over k still in the truncated task of (c_k - lambda_t a_k) + g_t,
+
+with g_t = lambda_t sum_k a_k while all people are in the truncated task or at the goal, and g_t = lambda_t from the
+step on in which a first person has left; a person who leaves adds u(t, y) once.
+
+*Claim.* The mean of the discounted sum of r is at least the mean return of every policy of the team.
+
+*Proof.* The team's reward in a step is sum_k c_k = sum_k (c_k - lambda_t a_k) + lambda_t sum_k a_k. One robot attends
+to one person at most, so that sum_k a_k <= 1, and prices are not negative: the last term is at most g_t in every step.
+Of a person who has left, the discounted sum of c_k - lambda_t a_k is on average at most u(t, y), given all that was
+observed until then, since u bounds every way of attending to this person.
+
+So D has the term lambda_t - g_t: a step with nobody costs its price while no person has left, and nothing afterwards.
+The prices of the steps after all have ended come back on the same condition. To refund them in spite of a leaf whose
+value has paid them would charge these prices twice, and what comes out is not a bound.
+
 The least sum is found by A* over all people's graphs at a time. That the mean of U, with the weights that it had,
 falls by no more than `Wishes.fall`, and that what comes nearer counts no less and is nowhere below 0, makes D at least
 a sum over people, which prices for this luck take apart: the least of that is the estimate that guides the search.
@@ -52,7 +73,7 @@ from scipy.special import stdtrit
 
 from ..people.decision import Floats
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
-from .lattice import END, Graph, Ints, Lattice
+from .lattice import END, LEFT, Graph, Ints, Lattice
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -159,7 +180,7 @@ class _Team(NamedTuple):
     edge, to, cost, attends : arrays
         As of a `Graph`.
     row : float array, shape (n + 1, A * (L + 2))
-        What is wanted at each node, and at last, where `END` finds it, by those who want nothing any more.
+        What is wanted at each node; the last two rows are those of `LEFT` and `END`, so that these are their indices.
     mean : float array, shape (e, A * (L + 2))
         The mean of what may follow.
     guide : float array, shape (n,)
@@ -184,10 +205,10 @@ class _Team(NamedTuple):
         return cls(
             np.array([*nodes, node]),
             np.concatenate([*(graph.edge[:-1] + e for graph, e in zip(graphs, edges, strict=True)), [edge]]),
-            np.concatenate([np.where(g.to == END, END, g.to + j) for g, j in zip(graphs, nodes, strict=True)]),
+            np.concatenate([np.where(g.to < 0, g.to, g.to + j) for g, j in zip(graphs, nodes, strict=True)]),
             np.concatenate([graph.cost for graph in graphs]),
             np.concatenate([graph.attends for graph in graphs]),
-            np.concatenate([*(row[wish.of] for row, wish in zip(rows, path.wishes, strict=True)), rows[0][:1]]),
+            np.concatenate([*(row[wish.of] for row, wish in zip(rows, path.wishes, strict=True)), rows[0][[1, 0]]]),
             path.mean,
             np.concatenate(guide),
         )  # fmt: skip
@@ -222,7 +243,7 @@ class Clairvoyant:
         self.left, self.done, self.workers = left, 0, workers
         gamma = lattices[0].arrays.gamma
         tasks = [lattice.visits.alone.model.choices for lattice in lattices]
-        unit = min(float(task.costs[task.applicable].min()) for task in tasks)
+        unit = min(task.unit for task in tasks)
         self.steps = max(steps, len(price) + AFTER)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.scale = Scale.of(self.price[: min(self.steps, WISHES)], gamma, unit)
@@ -262,7 +283,9 @@ class Clairvoyant:
         for graph, wish in zip(path.graphs, path.wishes, strict=True):
             step = np.repeat(np.arange(len(graph.layer) - 1), np.diff(graph.edge[graph.layer]))
             least.append(graph._replace(cost=(1 - told[step]) * graph.cost - alpha * wish.fall))
-        ahead, guide = _guide(least, (1 - told) * self.price, self.discount)
+        # Once a person has left, a step with nobody costs nothing.
+        left = any((graph.to == LEFT).any() for graph in path.graphs)
+        ahead, guide = _guide(least, np.zeros_like(told) if left else (1 - told) * self.price, self.discount)
         team = _Team.of(path, [person.rows.row for person in self.people], guide)
         found = _search(
             team, ahead, self.price * self.discount, alpha, self.scale, self.steps, POPPED // len(self.people)
@@ -372,7 +395,7 @@ def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None
                 cost = graph.cost[e]
                 if graph.attends[e]:
                     cost += surcharge[t]
-                if graph.to[e] != END:
+                if graph.to[e] >= 0:
                     cost += value[graph.to[e]]
                 if cost < least:
                     least, best[j] = cost, e
@@ -384,7 +407,7 @@ def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None
             break
         busy[t] += graph.attends[e]
         j = graph.to[e]
-        if j == END:
+        if j < 0:
             break
 
 
@@ -406,7 +429,7 @@ def _search(
         estimate += team.guide[start[k]]
     states, costs, times = [start], [0.0], [0]
     heap = [(estimate, 0)]
-    radix = np.diff(team.first) + 1
+    radix = np.diff(team.first) + 2
     product = float(steps + 2)
     for k in range(people):
         product *= radix[k]
@@ -423,20 +446,21 @@ def _search(
         if exact:
             code = t
             for k in range(people):
-                code = code * radix[k] + (state[k] - team.first[k] + 1 if state[k] != END else 0)
+                code = code * radix[k] + (state[k] - team.first[k] + 2 if state[k] >= 0 else state[k] - LEFT)
             if code in seen and seen[code] <= cost:
                 continue
             seen[code] = cost
         popped += 1
         if popped > most:
             return estimate
-        finished = True
+        finished, left = True, False
         for k in range(people):
             _copy(here[k], team.row[state[k]])
-            finished = finished and state[k] == END
+            finished, left = finished and state[k] < 0, left or state[k] == LEFT
+        granted = 0.0 if left else 1.0  # the prices of steps with nobody come back only while nobody has left
         loss = alpha * lost(t, here, scale)
         if finished or t == steps:  # nothing, or nothing more, is left out: from here on V is what is known
-            total = cost - loss + (price[t:].sum() if finished else 0.0)
+            total = cost - loss + (granted * price[t:].sum() if finished else 0.0)
             states.append(state)
             costs.append(total)
             times.append(-1)
@@ -445,7 +469,7 @@ def _search(
         forced = -1
         for k in range(people):
             idle[k] = END
-            if state[k] == END:
+            if state[k] < 0:
                 continue
             for e in range(team.edge[state[k]], team.edge[state[k] + 1]):
                 if not team.attends[e]:
@@ -454,7 +478,7 @@ def _search(
             if idle[k] == END:
                 forced = k  # on its way to somebody the robot goes on
         for k in range(-1, people):
-            if (forced >= 0 and k != forced) or (k >= 0 and state[k] == END):
+            if (forced >= 0 and k != forced) or (k >= 0 and state[k] < 0):
                 continue
             first, end = 0, 1
             if k >= 0:
@@ -464,17 +488,17 @@ def _search(
                     continue
                 total = cost - loss
                 if k < 0:
-                    total += price[t]
+                    total += granted * price[t]
                 then, estimate = state.copy(), ahead[t + 1]
                 for i in range(people):
-                    if state[i] == END:
-                        _copy(next_[i], team.row[END])
+                    if state[i] < 0:
+                        _copy(next_[i], team.row[state[i]])
                         continue
                     does = e if i == k else idle[i]
                     total += team.cost[does]
                     then[i] = team.to[does]
                     _copy(next_[i], team.mean[does])
-                    if then[i] != END:
+                    if then[i] >= 0:
                         estimate += team.guide[then[i]]
                 total += alpha * lost(t + 1, next_, scale)
                 states.append(then)

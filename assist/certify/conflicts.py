@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..person.qmdp import Arrays
-from .lattice import END, Graph, Ints, Known, Lattice, Nodes, at, work_out
+from .lattice import LEFT, Graph, Ints, Known, Lattice, Nodes, at, work_out
 
 LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
 """Between these G less the price is told apart, and between 0 and the price, in units of the cheapest action's cost;
@@ -110,7 +110,11 @@ class Scale(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """The rows of nodes; row 0 is that of everybody who wants nothing any more.
+    """The rows of nodes. Row 0 stands for `END`, and row 1 for `LEFT`.
+
+    A person at the goal wants nothing. A person who has left a truncated task may use the robot at its price in every
+    step, so that their G is the price: a step that the robot spends with none of the others then loses nothing by
+    itself, as the search counts it.
 
     What a node's block says is of so many steps later, so that one row serves a node at whatever step it is met.
 
@@ -166,9 +170,11 @@ class Conflicts:
         count = len(lattice.nodes.first)
         self.rows = Rows(
             np.full(count, -1), np.zeros(count, dtype=np.int64), np.empty((1 << 10, len(scale.weight) * scale.size)),
-            np.array([1, PAUSE]),
+            np.array([2, PAUSE]),
         )  # fmt: skip
         self.rows.row[0] = np.tile(np.append(np.ones(scale.size - 1), 0.0), len(scale.weight))
+        self.rows.row[1] = self.rows.row[0]
+        self.rows.row[1, :: scale.size] = 0.0  # P(G <= g) for g below the price
         layout, price = lattice.visits.layout, lattice.visits.price
         self.price = np.append(price, 0.0)[np.minimum(layout.step, len(price))]
 
@@ -228,7 +234,8 @@ def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
     for k in range(nodes.begin[edge], nodes.begin[edge + 1]):
         chance = nodes.share[k] - before
         before = nodes.share[k]
-        row = rows.row[rows.of[nodes.to[k]] if nodes.to[k] != END else 0]
+        to = nodes.to[k]
+        row = rows.row[rows.of[to] if to >= 0 else 1 if to == LEFT else 0]
         for c in range(end):
             out[c] += chance * row[c]
 
@@ -258,7 +265,7 @@ def _row(
                 best = r
         ready = True
         for k in range(nodes.begin[best], nodes.begin[best + 1]):
-            if nodes.to[k] != END and rows.depth[nodes.to[k]] < d - 1:
+            if nodes.to[k] >= 0 and rows.depth[nodes.to[k]] < d - 1:
                 stack.append(nodes.to[k])
                 depths.append(d - 1)
                 ready = False
@@ -306,7 +313,7 @@ def _wishes(
             for e in range(graph.edge[j], graph.edge[j + 1]):
                 number = first + e - graph.edge[j]
                 for k in range(nodes.begin[number], nodes.begin[number + 1]):
-                    if nodes.to[k] != END and not _row(
+                    if nodes.to[k] >= 0 and not _row(
                         nodes.to[k], then, rows, scale, price, attended, nodes, known, m, order
                     ):
                         return False

@@ -31,14 +31,17 @@ from ..team.subproblem import Visits
 Ints = NDArray[np.int64]
 
 END = -1
-"""The node of everybody who has finished, or come to where a part of a large task breaks off: from there on the bound
-is what is known of them, and their robot is one of their own."""
+"""The node of a person who has reached the goal."""
+
+LEFT = -2
+"""The node of a person who has left a truncated task at its frontier. From there on the leaf's upper bound stands for
+their return. It assumes a robot of their own, for which they pay the prices (`assist.certify.clairvoyant`)."""
 
 SLIGHT = 1e-5
 """A belief that could lower the bound by less than this, in cost units, gets no part."""
 
-FULL = -2
-"""What compiled code says where its room is full."""
+FULL = -3
+"""What compiled code returns where the arrays of nodes are full."""
 
 
 class Known(NamedTuple):
@@ -63,7 +66,7 @@ class Nodes(NamedTuple):
     begin : int array
         Of each edge: its outcomes are `begin[e]` up to `begin[e + 1]`.
     share : float array; to : int array
-        Of each outcome: the cumulated chance, and the node that it leads to, or `END`.
+        Of each outcome: the cumulated chance, and the node that it leads to, `END` or `LEFT`.
     used : int array, shape (2,)
         Edges and outcomes so far.
     """
@@ -88,7 +91,7 @@ class Graph(NamedTuple):
     edge : int array, shape (n + 1,)
         The robot actions of node j are the edges from `edge[j]` to `edge[j + 1]`; none in the last layer.
     to : int array, shape (e,)
-        The number of the node in this graph that each leads to, or `END`.
+        The number of the node in this graph that each leads to, `END` or `LEFT`.
     cost : float array, shape (e,)
         Its regret, discounted to step 0.
     attends : bool array, shape (e,)
@@ -290,12 +293,14 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
                 a = order[place, i]
                 _believe(belief, after, x, r, a, m)
                 y, mass = m.targets[place, a], after.sum()
+                if mass <= 0.0:
+                    continue  # without lapses some choices have probability 0
                 promise -= mass * m.costs[place, a]
-                if m.final[y]:  # where the problem breaks off its bound is a mean over types: nothing is left to tell
+                if m.final[y]:  # at the frontier the bound is a mean over types, so that the belief is not divided
                     for h in range(size):
                         promise += m.gamma * after[h] * known.corner[y, h]
                     cumulated += mass
-                    nodes.share[k], nodes.to[k] = cumulated, END
+                    nodes.share[k], nodes.to[k] = cumulated, END if m.goal[y] else LEFT
                     k += 1
                     continue
                 found = divide(after, y, known, part, piece)
@@ -345,8 +350,8 @@ def _unfold(
                 return 0
             for r in range(m.robot_actions[x]):
                 to = outcome(nodes.first[node] + r, luck[t], nodes)
-                if to == END:
-                    graph.to[e] = END
+                if to < 0:
+                    graph.to[e] = to
                 else:
                     if stamp[to] < mark + graph.layer[t + 1]:  # not met in this layer
                         stamp[to] = mark + n

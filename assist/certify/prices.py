@@ -220,8 +220,11 @@ def _refuse_above(limit_mb: float, needed: float, kinds: int, states: int, windo
 
 
 def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
-    """Give the number of steps on which prices are looked for."""
-    shortest = max(float(c.h[c.initial]) / float(c.costs[c.applicable].min()) for c in map(pool.choices, team))
+    """Return the number of steps on which prices are searched.
+
+    A plan's number of actions is estimated as its cost divided by the smallest positive cost. Any number is sound.
+    """
+    shortest = max(float(c.h[c.initial]) / c.unit for c in map(pool.choices, team))
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
     steps = np.arange(math.ceil(LONGEST * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)

@@ -184,6 +184,12 @@ class Choices:
         return len(self.h)
 
     @property
+    def unit(self) -> float:
+        """The smallest positive cost of a choice, in cost units: the scale of the task's costs; 1 if all are free."""
+        costs = self.costs[self.applicable]
+        return float(costs[costs > 0].min(initial=np.inf)) if (costs > 0).any() else 1.0
+
+    @property
     def task_states(self) -> int:
         """How many states the task has."""
         return len(self) if self.state is None else int(self.state.max(initial=-1)) + 1
