@@ -26,7 +26,7 @@ ROOMS = {
         misconception diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
-    "assist.certify": "certificate prices lattice conflicts clairvoyant bound",
+    "assist.certify": "certificate prices lattice conflicts confidence clairvoyant bound",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",

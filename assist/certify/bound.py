@@ -46,7 +46,8 @@ from ..team.subproblem import Visits
 from ..team.travel import Travel
 from ..team.wide import WidePolicy
 from .certificate import Certificate, Meeting, horizon, returns
-from .clairvoyant import AFTER, Clairvoyant, Sampled
+from .clairvoyant import AFTER, Clairvoyant
+from .confidence import Sampled
 from .conflicts import OutOfTimeError
 from .lattice import Lattice
 from .prices import Kind, Tell, kinds_of, search, window_of
@@ -96,7 +97,7 @@ class TeamBound:
     travel : Travel
     upper : float
         Mean discounted return, in cost units. Where lucks were sampled it holds with a confidence of
-        `clairvoyant.CONFIDENCE`, else in any case.
+        `confidence.CONFIDENCE`, else in any case.
     slack : float
         By how much `upper` could be lower, at most, if each person's problem had been solved to the end: the sum of
         what is between the solver's bounds.
@@ -108,7 +109,8 @@ class TeamBound:
     proven : float
         What holds in any case.
     sampled : Sampled or None
-        What the sampled lucks gave; None where none were asked for, or there was no time for any.
+        The sample paths' mean; None where none were asked for, or there was no time for any. Of fewer than
+        `confidence.FEWEST` it is reported, and `upper` is `proven`.
     """
 
     pool: Pool
@@ -289,9 +291,10 @@ def upper_bound(
         with suppress(OutOfTimeError):
             robot = Clairvoyant(relaxed.lattices(), relaxed.price, together, left, workers)
             sampled = robot.sampled(paths, luck)
+    upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     return TeamBound(
-        pool, members, travel, min(relaxed.upper, sampled.upper) if sampled else relaxed.upper, relaxed.slack,
-        relaxed.upper_seen, relaxed.price, time.perf_counter() - start, relaxed.upper, sampled,
+        pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price,
+        time.perf_counter() - start, relaxed.upper, sampled,
     )  # fmt: skip
 
 

@@ -62,16 +62,15 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numba
 import numpy as np
 from numba.typed import Dict
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from ..people.decision import Floats
+from .confidence import Sampled
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
 from .lattice import END, LEFT, Graph, Ints, Lattice
 
@@ -104,43 +103,6 @@ STEP = 0.3
 
 POPPED = 1_600_000
 """States that are looked at for one luck, at most, times people: with fewer, large alphas come to nothing."""
-
-CONFIDENCE = 0.95
-"""With which the bound holds (one-sided)."""
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """A bound from samples.
-
-    Attributes
-    ----------
-    mean, stderr : float
-        Of the bound, in cost units.
-    paths : int
-        Lucks that were sampled.
-    alpha : float
-    """
-
-    mean: float
-    stderr: float
-    paths: int
-    alpha: float
-
-    @classmethod
-    def of(cls, found: Sequence[float], lucks: int, alpha: float) -> Sampled:
-        """Give the mean of these bounds, of two lucks at least, with the error that it has over so many like them."""
-        return cls(float(np.mean(found)), float(np.std(found, ddof=1) / math.sqrt(lucks)), lucks, alpha)
-
-    @property
-    def upper(self) -> float:
-        """What no policy exceeds, with a confidence of `CONFIDENCE`."""
-        return self.mean + errors(self.paths) * self.stderr
-
-
-def errors(lucks: int) -> float:
-    """Give how many standard errors above the mean of so many lucks the bound holds (Student's t)."""
-    return float(stdtrit(lucks - 1, CONFIDENCE))
 
 
 class Path(NamedTuple):

@@ -29,7 +29,7 @@ from .team import team_of, team_options
 @seconds_option("Seconds for all of it; what has been proven by then is reported.", default=300.0)
 @click.option(
     "--paths", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Sample so many courses of events for a tighter bound, which then holds with 95 % confidence.",
+    help="Sample so many paths (at least 30) for a tighter bound, which then holds with 95 % confidence.",
 )  # fmt: skip
 @click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options
@@ -40,7 +40,8 @@ def bound(
 ) -> None:  # fmt: skip
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
     from ..certify.bound import certify
-    from ..certify.clairvoyant import CONFIDENCE
+    from ..certify.confidence import CONFIDENCE
+    from .bounds import show_samples
 
     start = time.perf_counter()
     with policy_errors():
@@ -58,7 +59,7 @@ def bound(
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), **asdict(best),
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
-            "confidence": CONFIDENCE if found.sampled else 1.0,
+            "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
             "price": found.price.tolist(), "seconds": found.seconds, "setting": asdict(made.pool.setting),
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
@@ -72,8 +73,5 @@ def bound(
         f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; people's problems are "
         f"solved so far that the bound is at most {best.slack_percent:.2f} of these percent too high for it"
     )
-    if found.sampled:
-        sampled = f"that of {found.sampled.paths} sampled courses of events, and holds with {CONFIDENCE:.0%} confidence"
-        click.echo(f"the bound is {sampled}; {found.proven:.3f} holds in any case")
-    elif paths and len(found.team) > 1:
-        click.echo("no course of events was sampled: what people will want takes longer to work out (--time-limit)")
+    if paths and len(found.team) > 1:
+        show_samples(found)

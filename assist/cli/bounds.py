@@ -1,13 +1,16 @@
-"""One person's problem between two bounds: as a line while it is solved, and as a table."""
+"""One person's problem between two bounds, as a line while it is solved and as a table; a team's sampled bound."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.table import Table
 
 from .console import print_table
+
+if TYPE_CHECKING:
+    from ..certify.bound import TeamBound
 
 ENDED = {"gap": "", "time": "; the time is up", "memory": "; the memory is full", "stalled": "; rounding"}
 
@@ -39,3 +42,19 @@ def show_bounds(record: dict[str, Any]) -> None:
     click.echo(
         f"gap {100 * record['gap']:.3g} %, {record['alpha_vectors']:,} alpha vectors, {record['seconds']:.1f} s{ended}"
     )
+
+
+def show_samples(found: TeamBound) -> None:
+    """Print what the sample paths add to a team's bound."""
+    from ..certify.confidence import CONFIDENCE, FEWEST
+
+    sampled = found.sampled
+    if sampled is None:
+        click.echo("no path was sampled: the time limit ended before the penalty was computed (--time-limit)")
+    elif not sampled.enough:
+        click.echo(f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--paths, --time-limit)")
+    else:
+        click.echo(
+            f"the bound is that of {sampled.paths} sample paths, and holds with {CONFIDENCE:.0%} confidence; "
+            f"{found.proven:.3f} holds in any case"
+        )

@@ -1,0 +1,120 @@
+"""How often bounds from sample paths lie below the mean that they bound, and below the best policy's value.
+
+    python bench/confidence.py [--seeds N] [--paths N] [--record FILE]
+
+Teams of two on the tiny kit, whose whole problem is solved between bounds (`joint.py`). In each setting as many groups
+of sample paths are drawn as there are seeds, and a bound is taken from each group: with the present interval, and with
+Student's t alone. The mean over all groups stands for the mean that is bounded. At most 5 % of the bounds may lie below
+it, and three standard errors of this share.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from joint import joint_bounds
+from tables import cell, record_option, write_record
+
+from assist.certify.clairvoyant import Clairvoyant
+from assist.certify.confidence import CONFIDENCE, FEWEST, Sampled
+from assist.certify.lattice import Lattice
+from assist.certify.prices import kinds_of, search, window_of
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.human import HumanModel, Population
+from assist.person.pomdp import AssistPOMDP
+from assist.person.qmdp import qmdp
+from assist.person.solver import solve
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from planner import cost_to_go, load
+
+SETTINGS = [(0.95, 0.2, 0.3), (0.95, 0.05, 0.1), (0.9, 0.1, 0.0), (0.95, 0.4, 0.0), (0.8, 0.02, 0.02)]
+"""gamma, cost of a suggestion, cost of a move."""
+
+ALPHA = 0.45
+"""Share of the conflicts in the penalty, where the choice of it begins."""
+
+SHOWN = {
+    "gamma": cell("gamma", "g"), "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"),
+    "best policy": cell("truth", ".3f"), "mean bound": cell("mean", ".3f"), "half width": cell("half width", ".3f"),
+    "paths": cell("paths"), "below the mean": cell("below mean", ".1%"), "with Student's t": cell("student", ".1%"),
+    "below the best policy": cell("below truth", ".1%"),
+}  # fmt: skip
+
+
+def pool_of(gamma: float, c_suggest: float, c_move: float, seed: int = 0) -> Pool:
+    """Return two people whose misconceptions the robot knows, and of whom it believes in two betas and three thetas."""
+    choices = Choices.of(cost_to_go(load("kitting/tiny")))
+    setting = Setting(gamma=gamma, c_suggest=c_suggest, c_move=c_move)
+    population = Population(sigma=(0.5, 1.0))
+    people = population.sample(choices, 2, np.random.default_rng(seed))
+    grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
+    policies = [
+        qmdp(
+            AssistPOMDP.of(
+                HumanModel.own(choices, human), grid=grid, population=population, gamma=gamma, c_suggest=c_suggest
+            )
+        )
+        for human in people
+    ]
+    return Pool(setting, tuple(people), tuple(policies), np.arange(2))
+
+
+def relaxation(pool: Pool) -> Clairvoyant:
+    """Return the information relaxation of a team of two at prices that a search found."""
+    travel = pool.setting.travel(2)
+    window = window_of(pool, (0, 1), 0)
+    kinds = kinds_of(pool, (0, 1), travel, window)
+    price = search(kinds, window, seed=0, deadline=math.inf, tell=lambda *_: None)
+    lattices = []
+    for kind in kinds:
+        visits = kind.at(price)
+        lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
+    return Clairvoyant(lattices, price, window)
+
+
+def coverage(number: int, paths: int, seeds: int) -> dict[str, Any]:
+    """Return how many of the bounds from so many paths lie below the mean, and the truth, in a setting."""
+    gamma, c_suggest, c_move = SETTINGS[number]
+    pool = pool_of(gamma, c_suggest, c_move)
+    truth = joint_bounds(pool, gap=2e-3, time_limit=20.0).lower
+    robot = relaxation(pool)
+    generators = map(np.random.default_rng, range(paths * seeds))
+    values = np.array([robot.bound(robot.paths([rng])[0], ALPHA) for rng in generators])
+    groups = [Sampled.of(own, paths, ALPHA) for own in values.reshape(seeds, paths)]
+    mean = float(values.mean())
+    return {
+        "gamma": gamma, "c_suggest": c_suggest, "c_move": c_move, "paths": paths, "truth": truth, "mean": mean,
+        "half width": float(np.mean([one.upper - one.mean for one in groups])),
+        "below mean": float(np.mean([one.upper < mean for one in groups])),
+        "student": float(np.mean([replace(one, skewness=0.0).upper < mean for one in groups])),
+        "below truth": float(np.mean([one.upper < truth for one in groups])),
+    }  # fmt: skip
+
+
+@click.command()
+@click.option("--seeds", type=click.IntRange(min=2), default=200, show_default=True, help="Bounds in each setting.")
+@click.option("--paths", type=click.IntRange(min=2), default=FEWEST, show_default=True, help="Sample paths of a bound.")
+@click.option("--settings", type=click.IntRange(1, len(SETTINGS)), default=len(SETTINGS), show_default=True)
+@record_option
+def main(seeds: int, paths: int, settings: int, record: Path | None) -> None:
+    """Measure the coverage of sampled bounds; exit with 1 where too many are below their mean."""
+    rows = []
+    for number in range(settings):
+        rows.append(coverage(number, paths, seeds))
+        click.echo(json.dumps(rows[-1]))
+    write_record(record, SHOWN, rows)
+    allowed = 1 - CONFIDENCE + 3 * math.sqrt(CONFIDENCE * (1 - CONFIDENCE) / seeds)
+    if max(row["below mean"] for row in rows) > allowed:
+        raise SystemExit(f"more than {allowed:.1%} of the bounds are below their mean")
+
+
+if __name__ == "__main__":
+    main()
