@@ -25,6 +25,7 @@ CASES = {
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
         "kitting-1-1 kitting-1-2 --repeat 1 --peers kitassist",
     ),
+    "crosscheck": ("20", "3"),
     "environments": ("--steps 40 --repeat 1", "--instance kitting/tiny --teams 8 --steps 5 --repeat 1"),
     "fit recover": ("--people 100", "--instance kitting/tiny --people 8 --episodes 2"),
     "fit information": ("--people 100", "kitting/tiny --people 10 --episodes 2"),

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from graphs import graph_task as graph_task
 
 from assist.cli import main, progress, solving, task
 from assist.people.choices import Choices
@@ -21,9 +22,8 @@ from assist.study.protocol import read
 from assist.study.study import Study
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from planner import Instance, Limits, Table, Task, fast_downward, find_instances, load, sweep
+from planner import Instance, Limits, Table, fast_downward, find_instances, load, sweep
 from planner.source import Source
-from planner.task import from_sas
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
@@ -195,21 +195,3 @@ def write_instance(folder: Path, domain: str, problem: str) -> Instance:
     (folder / "domain.pddl").write_text(domain)
     (folder / "problem.pddl").write_text(problem)
     return Instance(folder / "problem.pddl", folder / "domain.pddl")
-
-
-def graph_task(edges: list[tuple[int, int, int]], goal: int = 0, start: int = 1) -> Task:
-    """A task whose states are the nodes of a graph; an edge (from, to, cost) is an action `(go number)`."""
-    nodes = 1 + max(goal, start, *(node for edge in edges for node in edge[:2]))
-    lines = ["begin_version", "3", "end_version", "begin_metric", "1", "end_metric", "1"]
-    lines += [
-        "begin_variable",
-        "var0",
-        "-1",
-        f"{nodes}",
-        *(f"Atom at({node})" for node in range(nodes)),
-        "end_variable",
-    ]
-    lines += ["0", "begin_state", f"{start}", "end_state", "begin_goal", "1", f"0 {goal}", "end_goal", f"{len(edges)}"]
-    for number, (origin, target, cost) in enumerate(edges):
-        lines += ["begin_operator", f"go {number:03}", "0", "1", f"0 0 {origin} {target}", f"{cost}", "end_operator"]
-    return from_sas("\n".join([*lines, "0", ""]), Instance(Path("graph.pddl"), Path("domain.pddl")))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import KITTING, table_of
+from crosscheck import MODELS
 
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
@@ -72,6 +73,25 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
         assert (frontier.upper <= anybody[:, None, None] + 1e-9).all()
         assert steps or (frontier.away < anybody[:, None, None] - 0.1).any()  # it is known that they err
         assert (frontier.away <= frontier.upper + 1e-9).all()
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("knowledge", ["exact", "own"])
+def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
+    model: str, knowledge: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With beta and theta seen, a part's value is at least the task's, wherever trust goes and whatever moves it."""
+    table, setting = kit("tiny"), Setting(c_suggest=0.05, eta=0.8, gamma=0.95, knowledge=knowledge)
+    prior = Population(beta=(0.3, 2.0), theta=(0.6, 0.9), sigma=(1.0, 1.0), chooses=MODELS[model])
+    (human,) = prior.sample(None, 1, np.random.default_rng(3))
+    known = human if knowledge == "own" else None
+    exact = qmdp(setting.problem(choices := Choices.of(table), known, prior), tolerance=1e-8).value_mdp[choices.initial]
+    for seen in (0, 20_000):
+        monkeypatch.setattr("assist.team.bounded.SEEN", seen)
+        for size in (1, 2, 4, 8, 12):
+            problem = bounded(table, setting, known, prior, entry=0.0, size=size).problem
+            value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
+            assert (value >= exact - 1e-6).all()
 
 
 def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

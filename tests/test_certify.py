@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import graph_task
+from conftest import graph_task, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from assist.certify import bound as bounds
 from assist.certify import certificate, prices
@@ -18,7 +20,8 @@ from assist.certify.bound import TeamBound, certify, upper_bound
 from assist.certify.certificate import PORTION, Certificate, horizon, returns
 from assist.certify.prices import ROUNDS, Kind, kinds_of, search
 from assist.people.choices import Choices
-from assist.people.human import Population
+from assist.people.human import HumanModel, Population
+from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from assist.team.attention import NoAssistance
 from assist.team.pool import Pool, policy_bytes
@@ -194,6 +197,41 @@ def test_states_are_numbered_by_step_position_and_state() -> None:
     assert layout.number([1, 9], HERE, [2, 0]).tolist() == [7, 5]
     assert (layout.step.tolist(), layout.position.tolist()) == ([0, 0, *[1] * 6], [0, 1, 0, 0, 0, 1, 1, 1])
     assert layout.x.tolist() == [1, 1, 0, 1, 2, 0, 1, 2]
+
+
+edges = st.tuples(st.integers(1, 5), st.integers(0, 5), st.sampled_from([0, 1, 1, 2]))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(edges, min_size=2, max_size=12), st.integers(1, 6), st.booleans())
+def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
+    drawn: list[tuple[int, int, int]], steps: int, execute: bool
+) -> None:
+    """Step by step along choices, and where the robot executes, along what it may execute before each."""
+    choices = Choices.of(sweep(graph_task(drawn)))
+    alone = AssistPOMDP.of(HumanModel.exact(choices), execute=execute)
+
+    def executed(states: set[int]) -> set[int]:
+        return states | {int(y) for x in states for y in alone.afterstate[x, : alone.robot_actions[x]]}
+
+    def after(states: set[int]) -> set[int]:
+        going = [x for x in states if not choices.goal[x]]
+        return {int(y) for x in going for y in choices.targets[x, choices.applicable[x]]}
+
+    there = executed({choices.initial})
+    layers = Layout.of(alone, 2, steps).layers
+    for layer in layers[:-1]:
+        assert set(layer.tolist()) == there
+        there = executed(after(there))
+    everything, more = there, executed(after(there))
+    while not more <= everything:
+        everything, more = everything | more, executed(after(everything | more))
+    assert set(layers[-1].tolist()) == everything
+
+
+def test_half_of_the_states_of_a_step_cannot_be_reached_then() -> None:
+    alone = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("paper"))))
+    assert len(Layout.of(alone, 2, 20)) == 13_232
 
 
 def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: Pool, bound: TeamBound) -> None:

@@ -10,6 +10,7 @@ from teams import equal, reachable, run, state
 
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
+from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.pool import Pool
@@ -198,6 +199,11 @@ def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool:
     nearly = int(np.flatnonzero((table.h > 0) & (table.h <= table.h[table.h > 0].min()))[0])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         with_them(pool, np.full(4, 0.2), 1, [table.initial, nearly, table.initial])
+    # People who join after a step are where those who began before them cannot be.
+    policy = Priority.of(pool.policies, travel, np.full(4, 0.2))
+    late = Presence.of(3, joins=[0, 0, 1])
+    with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
+        simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
     part = Pool.sample(tiny, 3, seed=0, states=1)
     with pytest.raises(ValueError, match="prices of 4 steps: expected one price where tasks are not looked at whole"):
         Priority.of(part.policies, travel, np.full(4, 0.2))

@@ -147,6 +147,52 @@ def test_no_policy_exceeds_the_upper_bound(name: str, seed: int) -> None:
         assert (np.einsum("nbt,nbt->n", value[x], belief) <= upper + 1e-9 * np.abs(upper)).all()
 
 
+def value_of(pomdp: AssistPOMDP, robot: np.ndarray) -> np.ndarray:
+    """Return a policy's values, shape (n, B, T), as the solution of dense linear equations, one beta at a time."""
+    choices, (betas, thetas) = pomdp.model.choices, pomdp.grid.shape
+    n = len(choices)
+    value = np.zeros((n, betas, thetas))
+    for b in range(betas):
+        matrix, right = np.eye(n * thetas), np.zeros(n * thetas)
+        for x in np.flatnonzero(~choices.goal).tolist():
+            slots = np.flatnonzero(choices.applicable[x])
+            at = [np.full_like(slots, number) for number in (x, robot[x])]
+            chance = np.broadcast_to(pomdp.likelihood(*at, slots), (len(slots), betas, thetas))[:, b]
+            for t in range(thetas):
+                low, up = pomdp.low[x, robot[x], t], pomdp.weight[x, robot[x], t]
+                row = x * thetas + t
+                right[row] = -pomdp.robot_costs[x, robot[x]] - chance[:, t] @ choices.costs[x, slots]
+                for p, y in zip(chance[:, t], choices.targets[x, slots].tolist(), strict=True):
+                    matrix[row, y * thetas + low] -= pomdp.gamma * p * (1 - up)
+                    matrix[row, y * thetas + low + 1] -= pomdp.gamma * p * up
+        value[:, b] = np.linalg.solve(matrix, right).reshape(n, thetas)
+    return value
+
+
+@pytest.mark.parametrize(
+    ("eta", "theta", "c_suggest", "gamma", "sigma"),
+    [
+        (0.0, (0.05, 0.5), 0.2, 0.99, 0.0), (0.0, (0.0, 0.0), 1.0, 0.99, 0.0), (0.2, (0.5, 0.95), 0.0, 0.95, 0.0),
+        (0.0, (0.05, 0.3), 0.2, 0.99, 2.0), (0.1, (0.0, 0.2), 0.5, 0.999, 1.0),
+    ],
+)  # fmt: skip
+def test_never_and_always_are_what_linear_equations_say(
+    tiny_choices: Choices, eta: float, theta: tuple[float, float], c_suggest: float, gamma: float, sigma: float
+) -> None:
+    """Also for people who do the opposite of what they are advised to, and go round in circles for long."""
+    h = perceived_cost_to_go(tiny_choices, sigma, np.random.default_rng(0))
+    model = HumanModel.own(tiny_choices, Human(1.0, 0.5, sigma, h), eta=eta)
+    pomdp = AssistPOMDP.of(model, population=Population(theta=theta), c_suggest=c_suggest, gamma=gamma)
+    solution, best = solve(pomdp, gap=0.9), qmdp(pomdp)
+    q = np.where(pomdp.suggests_optimal, np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e9), pomdp.prior), -np.inf)
+    for found, robot in (
+        (solution.value_never, np.zeros(len(q), dtype=int)),
+        (solution.value_always, q.argmax(axis=1)),
+    ):
+        expected = (value_of(pomdp, robot)[tiny_choices.initial] * pomdp.prior).sum()
+        assert expected - 1e-3 <= found <= expected + 1e-9 * abs(expected)
+
+
 ROUNDING_CASES = {
     "lapses only": {"lapse": 0.9},
     "no lapses": {"lapse": 0.0},

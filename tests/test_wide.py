@@ -16,6 +16,7 @@ from assist.people.human import Population
 from assist.person.region import never_erring
 from assist.person.solver import solve
 from assist.simulation.episodes import Episodes, Trace
+from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
 from assist.team.settings import Setting
@@ -67,6 +68,17 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
     table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
     whole = episodes(table, policy, states=len(table), **options)
     assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
+
+
+@pytest.mark.parametrize("knowledge", ["own", "exact"])
+def test_everybody_may_join_late(tiny: Table, knowledge: Any) -> None:
+    """There are steps before anybody is there."""
+    late, setting = Presence.of(2, joins=[3, 1]), Setting(knowledge=knowledge, c_suggest=0.2)
+    whole, part = (
+        episodes(tiny, "attention", states=states, region=EVERYTHING, presence=late, setting=setting)
+        for states in (len(tiny), 0)
+    )
+    assert_same(whole, part)
 
 
 def test_a_trace_names_the_same_actions(tiny: Table) -> None:

@@ -38,11 +38,9 @@ ROUNDING = 1e-12
 """Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
 
 EACH = np.int64(-1)  # a number, not a literal, for which numba would compile once more
-
 DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
-
-SECONDS_BETWEEN = 0.2
-"""Seconds between two calls of `progress`, at least."""
+MOST_SWEEPS = 100_000  # over all states, unless another number is given
+SECONDS_BETWEEN = 0.2  # two calls of `progress`, at least
 
 
 def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
@@ -110,7 +108,7 @@ def qmdp(
     *,
     above: Floats | None = None,
     tolerance: float = 1e-6,
-    max_sweeps: int = 100_000,
+    max_sweeps: int = MOST_SWEEPS,
     deadline: float = math.inf,
     progress: Callable[[float], None] | None = None,
 ) -> QMDP:
@@ -180,7 +178,7 @@ def improve(
     value: Floats,
     *,
     tolerance: float,
-    max_sweeps: int = 100_000,
+    max_sweeps: int = MOST_SWEEPS,
     deadline: float = math.inf,
     progress: Callable[[float], None] | None = None,
 ) -> bool:
@@ -226,9 +224,9 @@ def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
 
 
 def evaluate(
-    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-4, max_sweeps: int = 100_000
+    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-4, deadline: float = math.inf
 ) -> Floats:
-    """Give the values of a policy that looks only at x, shape (n, B, T): exact or slightly below.
+    """Return the values of a policy that looks only at x, shape (n, B, T): exact or slightly below.
 
     Parameters
     ----------
@@ -236,9 +234,9 @@ def evaluate(
     robot : int array, shape (n,)
         What the robot does in each state.
     tolerance : float
-        Largest error of any value, in cost units.
-    max_sweeps : int
-        Sweeps over all states at the most; what has not converged by then is still below.
+        Largest error of any value, in cost units: gamma / (1 - gamma) times the last sweep's largest change.
+    deadline : float
+        A time on `time.perf_counter()`'s clock after which no sweep begins; what has not converged by then is below.
     """
     arrays = Arrays.of(pomdp)
     active = ~pomdp.final
@@ -256,7 +254,9 @@ def evaluate(
         value[pomdp.frontier.states] = lower if lower.ndim == 3 else lower[:, None]
     if silent and active.sum() <= DIRECT:
         value[active] = _alone_for_ever(arrays, active)[:, :, None]
-    _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps)
+    converged = _converge(value, sweep_order(pomdp), robot, arrays, tolerance, MOST_SWEEPS, deadline)
+    if not converged and time.perf_counter() < deadline:
+        raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
     value[active] -= ROUNDING / (1 - pomdp.gamma) * np.abs(value[active])
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 

@@ -1,28 +1,49 @@
-"""One person's problem on a task of any size, for a bound: a small part of the task, with values where it breaks off.
+"""Bounds on one person's problem, computed on a part of a task and valid for all of it.
 
-A solver that keeps beliefs can look at some thousand states. Where these end, something has to follow that nobody
-exceeds, and the nearer to the truth, the better the bound. So there are four parts, each around the one before:
+A solver that keeps beliefs can look at some thousand states. Where these end, at the frontier, it needs an upper bound
+on what follows, and a good one gives a good bound. So there are four parts, each around the one before:
 
 - a region on which beta and theta are hidden, for the solver;
-- a larger one, on which they are seen. There the values of the best policies are worked out (`person.qmdp`): with the
-  person's own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
-- a still larger one, on which beta is seen and people comply with every suggestion (`person.compliance`). Numbers are
-  all that is kept of its states, so that there is room for a million;
-- everything else, where nobody ever errs (`person.region.never_erring`).
+- a larger one, on which they are seen. Its values are those of the best policies (`person.qmdp`), with the person's
+  own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
+- a still larger one, on which beta is seen and people comply with every suggestion (`person.compliance`). One number
+  for each beta is kept of its states, so that there is room for a million;
+- everything else, where people never err (`person.region.never_erring`).
 
-Each value is at least that of the task: at the outermost frontier because nobody gets more there, whatever they do; on
-the part before it because nobody gets more than who complies; on the larger region because to see what is hidden can
-only help a robot, and its presence has a price of 0, which is no more than any; and therefore, by backward induction,
-wherever the solver looks. For a robot whose way takes time, ways are taken to take none: whoever sets out later, when
-there is something to say, and pays no earlier for it, gets no less.
+Claim. Let W(x, p, beta, theta) be the best discounted return in the whole task from state x on, with the robot at
+position p, beta and theta seen, and presence free. Each value computed here is at least W. So an upper bound on the
+value of the first region's problem, which ends at its frontier with these values, is one of the whole task's.
+
+Assumptions.
+
+1. Costs, of people's actions, suggestions, coming and presence, are 0 or more.
+2. A choice model is local: the chances in a state, and V(x) of eq. 6, follow from the state's own choices, which are
+   their costs, their perceived costs, and the h*, goals and keys of the states they lead to. A function that looks
+   further gives other numbers on a part than on all of a task, and no bound holds for it.
+3. The robot executes nothing (`AssistPOMDP.of` refuses that where a problem ends at a frontier).
+
+Proof, from the outside.
+
+- Beyond the third part the value is `never_erring`'s, which holds whatever people do and however they choose.
+- On the third, `compliance`'s, which holds for all theta, and so however trust moves. It is used for people who
+  choose by cost-to-go alone; for others the value there is the outermost one.
+- On the second, values start above W and each sweep applies the Bellman operator T of the part. T is monotone. A
+  choice has in the part the chances, costs and targets that it has in the whole task, by assumption 2. A suggestion
+  moves theta by V of the state it leads to less V(x). In frontier states no choices are seen, so that V is computed
+  there from their choices in the whole task (`_expected`), for every choice model and whatever the robot knows. So T,
+  with any values of at least W at the frontier, maps values of at least W to such values. With another V at the
+  frontier, as that of minus h* for people who look at something else, theta would arrive elsewhere, and T would be
+  another problem's.
+- In the first, beta and theta are hidden, which can only cost the robot something.
+- A price of presence is 0 or more, so that free presence is an upper bound. A way that takes time is taken to take
+  none: a robot that sets out later, when there is something to say, pays no earlier and gets no less.
 
 What is known about people soon hardly differs from all there is to know: what they do shows it. So most of what seeing
 is worth is within a few steps of the beginning, in the innermost part.
 
-Who leaves that part can be followed on the larger region, where people's conflicts go on (`Outer`); for a robot whose
-way takes time that is left out, since there it takes none. Where attention has a price at each step, states are there
-once for every step; so only those are looked at that are met most likely at each (`likely`), and what follows where
-they break off is known from step to step (`Outer.beyond`).
+People who leave that part can be followed on the larger region (`Outer`); for a robot whose way takes time that is left
+out, since there it takes none. Where attention has a price at each step, there is a state for every step; so only the
+likeliest at each are looked at (`likely`), and the values at their frontier are computed step by step (`Outer.beyond`).
 """
 
 from __future__ import annotations
@@ -339,10 +360,10 @@ def _within(
 
 
 def _seen(region: Region, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
-    """Give the problem on a region where nobody errs beyond, with what the person expects there."""
+    """Return the problem on a region beyond which people never err, with V(x) of the whole task at its frontier."""
     beyond = region.bounds_of_anybody(setting.gamma, 1)
     expected = -region.choices.h[region.frontier]
-    if human is not None:  # what a suggestion does to trust depends on what they expect of the state it leads to
+    if human is not None or hasattr(setting.chooses(human, prior), "value"):  # else V(x) is minus the cost-to-go
         choices = region.choices
         advised = choices.optimal if setting.suggestions == "optimal" else choices.applicable
         at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
@@ -351,9 +372,9 @@ def _seen(region: Region, setting: Setting, human: Human | None, prior: Populati
 
 
 def _expected(
-    known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human, prior: Population | Mixture
+    known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human | None, prior: Population | Mixture
 ) -> Floats:
-    """Give V(x) of eq. 6 in some states, shape (N,): what a person expects there."""
+    """Return V(x) of eq. 6 in some states, shape (N,), from their choices in the whole task."""
     if not len(states):
         return np.empty(0)
     around = Visited(known).around(states)

@@ -110,6 +110,7 @@ class Priority:
             What a step of the robot's attention is worth to others, in cost units: at every step, where values from
             0.1 to 0.2 of the cheapest action's cost were about equally good for teams of 2 to 100; or at each of the
             steps from 0 on, and then nothing, for people on tasks that are looked at whole who all begin at step 0.
+            The policy then knows the states that can be reached by each step, and refuses a person in another one.
         progress : callable, optional
             Called with how many problems of people on tasks that are not looked at whole have been solved, and of how
             many.

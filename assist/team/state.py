@@ -78,7 +78,7 @@ def worth_of_actions(policy: Policy, x: NDArray[np.int64], belief: Floats) -> Fl
 
 
 def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
-    """Sort some people by their models, of which there are so many; give each that one of them has, and who that is.
+    """Return each model that some of the people have, of so many, and who they are; nothing where there are none.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> 
     models : int
     """
     if models == 1:  # nothing to sort
-        return [(0, rows)]
+        return [(0, rows)] if len(rows) else []
     own = model[rows]
     return [(number, rows[own == number]) for number in np.unique(own).tolist()]
 

@@ -52,8 +52,12 @@ class Layout:
 
     @classmethod
     def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> Layout:
-        """Keep what can be reached at each of so many steps; with none, every state of the task."""
+        """Keep what can be reached at each of so many steps; with none, every state of the task.
+
+        Nothing follows a state in which the problem ends.
+        """
         choices = alone.model.choices
+        leads = choices.applicable & ~alone.final[:, None]  # in empty slots a state is its own target
         if not steps:
             return cls(len(choices), positions, (np.arange(len(choices)),))
 
@@ -61,7 +65,8 @@ class Layout:
             return np.union1d(states, alone.afterstate[states].ravel())
 
         def after(step: int, states: NDArray[np.int64]) -> NDArray[np.int64]:
-            return np.unique(choices.targets[states if kept is None else states[kept[step, states]]])
+            going = states if kept is None else states[kept[step, states]]
+            return np.unique(choices.targets[going][leads[going]])
 
         layers = [and_executed(np.array([choices.initial]))]
         for step in range(steps):
@@ -214,11 +219,11 @@ class Visits:
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
         layout = Layout.of(alone, positions, len(price), kept)
-        choices = _choices(alone.model.choices, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
         final = alone.final[x] | layout.cut
+        choices = _choices(alone.model.choices, layout, final)
         count = np.where(final, 1, moves.count(position, alone.robot_actions[x]))
         used = np.arange(moves.meant.shape[1]) < count[:, None]
         row, meant = x[:, None], moves.meant[position]
@@ -278,26 +283,26 @@ def backwards(visits: Visits, tail: Floats) -> QMDP:
     return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
 
-def _choices(alone: Choices, layout: Layout) -> Choices:
-    """Give the person's choices: the same, while the step passes and the robot that is on its way comes nearer."""
+def _choices(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> Choices:
+    """Return the person's choices: the same, while the step passes and the robot that is on its way comes nearer."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
-    targets = layout.number(layout.step[:, None] + 1, position[:, None], alone.targets[x])
-    applicable = alone.applicable[x] & ~layout.cut[:, None]
+    targets = layout.number(layout.step[:, None] + 1, position[:, None], choices.targets[x])
+    applicable = choices.applicable[x] & ~final[:, None]
     return replace(
-        alone,
+        choices,
         state=None,
         terms=None,
         features=None,
-        key=None if alone.key is None else alone.key[x],
-        h=alone.h[x],
-        goal=alone.goal[x],
+        key=None if choices.key is None else choices.key[x],
+        h=choices.h[x],
+        goal=choices.goal[x],
         applicable=applicable,
-        actions=alone.actions[x],
+        actions=choices.actions[x],
         targets=np.where(applicable, targets, own[:, None]),
-        costs=alone.costs[x],
-        optimal=alone.optimal[x],
-        initial=int(layout.number(0, AWAY, alone.initial)),
+        costs=choices.costs[x],
+        optimal=choices.optimal[x],
+        initial=int(layout.number(0, AWAY, choices.initial)),
     )
 
 

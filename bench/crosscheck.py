@@ -1,0 +1,432 @@
+"""Check upper bounds on teams against simulated policies, in random settings.
+
+    python bench/crosscheck.py [COUNT] [--first N] [--jobs N] [--record FILE]
+
+Each setting has a number, from which everything in it is drawn: the task, costs, the people, what the robot knows, the
+way between people, late joiners, and how the bound is computed (on a part of the task or on all of it, with prices,
+with sample paths). In each, the bound is compared with the mean return of every shipped policy, simulated in the
+model's world, and a bound computed on a part of the task with a lower bound computed on all of it. A mean that exceeds
+the bound by more than `ERRORS` standard errors is a violation; it is printed with its setting, and the exit code is 1.
+`--first N COUNT` repeats the settings from number N on.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import click
+import numpy as np
+from graphs import graph_task
+from tables import Columns, cell, record_option, write_record
+
+from assist.certify import bound as bounds
+from assist.certify import prices
+from assist.certify.bound import TeamBound, upper_bound
+from assist.certify.certificate import horizon
+from assist.people.choice_model import ChoiceModel, boltzmann
+from assist.people.choices import Choices, mix
+from assist.people.decision import Floats, perceived_value
+from assist.people.human import Mixture, Population
+from assist.simulation.presence import Presence
+from assist.simulation.simulate import simulate
+from assist.team import bounded
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.state import TeamPolicy
+from assist.team.travel import Travel
+from planner import Instance, Table, load, sweep
+
+DOMAINS = Path(__file__).resolve().parent.parent / "domains"
+ERRORS = 4.0
+"""A mean that exceeds a bound by more than so many standard errors is a violation."""
+EPISODES = (1_000, 10_000, 100_000)
+"""Simulated for each policy; where a mean exceeds the bound, more with other random numbers, which decide: a sample in
+which a rare outcome has not come up has an error of next to nothing."""
+EPISODES_ON_PART = (32, 320, 3_200)
+"""The same for policies that look states up step by step."""
+GAP = 0.02
+TASKS = (
+    "kitting/tiny", "delivery/one-parcel", "stations/one-bench", "stations/one-way", "gripper/balls-01", "tower/turn",
+    "blocks/blocks-3",
+)  # fmt: skip
+"""Shipped tasks of 8 to 36 states; the second has actions that cost nothing, the fourth has dead ends."""
+SO_SOON = "with prices of steps all begin at step 0"
+"""Priority at a bound's prices refuses people who join late, where its states show it."""
+
+
+class Unmoved:
+    """People who choose by cost-to-go, and whose trust never moves."""
+
+    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
+        """Return the chance of each choice, shape (B, n, A)."""
+        return boltzmann(choices, q, beta)
+
+    def value(self, choices: Choices, q: Floats) -> Floats:  # noqa: ARG002
+        """Return V(x), shape (n,)."""
+        return np.zeros(len(choices))
+
+
+class Doubled(Unmoved):
+    """People whose trust moves the other way, and twice as fast."""
+
+    def value(self, choices: Choices, q: Floats) -> Floats:
+        """Return V(x), shape (n,)."""
+        return -2 * np.nan_to_num(perceived_value(choices, q), neginf=-1e3)
+
+
+class Arbitrary:
+    """People whose choices are an array: a random number for each action in each state, to the power of beta."""
+
+    def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:  # noqa: ARG002
+        """Return the chance of each choice, shape (B, n, A)."""
+        keys = mix(choices.keys[:, None] ^ (choices.actions + 2).astype(np.uint64))
+        liking = (keys >> np.uint64(11)).astype(float) * 2.0**-53 + 0.01
+        p = np.where(choices.applicable, liking ** beta[:, None, None], 0.0)
+        return p / np.where(choices.applicable.any(axis=1), p.sum(axis=2), 1.0)[:, :, None]
+
+
+MODELS: dict[str, ChoiceModel] = {"unmoved": Unmoved(), "doubled": Doubled(), "arbitrary": Arbitrary()}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A random setting.
+
+    Attributes
+    ----------
+    number : int
+        Everything is drawn from it.
+    task : str
+        A shipped task, or "graph" for a random one.
+    setting : Setting
+    population, prior : Population or Mixture
+    team : tuple of int
+        Numbers of the pool's people.
+    distance : float array, shape (K + 1, K + 1), or None
+    joins : tuple of int
+        The step in which each of them begins.
+    part : mapping, or None
+        On how many states the bound is computed; None for all of the task.
+    window : int or None
+    paths : int
+    """
+
+    number: int
+    task: str
+    setting: Setting
+    population: Population | Mixture
+    prior: Population | Mixture
+    team: tuple[int, ...]
+    distance: Floats | None
+    joins: tuple[int, ...]
+    part: dict[str, int] | None
+    window: int | None
+    paths: int
+
+    @classmethod
+    def of(cls, number: int) -> Case:
+        """Draw the setting of a number."""
+        rng = np.random.default_rng([number, 4])
+
+        def one(*values: Any) -> Any:
+            return values[int(rng.integers(len(values)))]
+
+        def span(most: float) -> tuple[float, float]:
+            low, high = np.sort(rng.uniform(0, most, 2)).round(3).tolist()
+            return one((low, high), (low, high), (low, low), (0.0, high), (low, most))
+
+        task = one(*TASKS, "graph", "graph", "graph")
+        part = None
+        if rng.random() < 0.4:
+            part = {
+                "region": one(1, 2, 4, 8), "SEEN": one(0, 6, 20_000), "COMPLYING": one(4, 600_000),
+                "PAIRS_FEW": one(3, 8), "PAIRS": one(8, 20_000), "SWEEPS": one(1, 3, 20), "BETWEEN": one(3, 5_000),
+            }  # fmt: skip
+        people = one(1, 2, 2, 2, 3, 3, 4)
+        execute = part is None and rng.random() < 0.2
+        how = one("", "", "", "", *MODELS, *() if part is not None or execute else ("weights",))
+
+        def population() -> Population:
+            weights = {"goals": span(1.0), "back": (-1.0, 0.0)} if how == "weights" else {}
+            return Population(
+                beta=one((0.1, 3.0), span(3.0), span(10.0)), theta=one((0.5, 0.95), span(1.0), span(1.0)),
+                sigma=one((0.0, 0.0), (0.1, 1.0), span(2.0)), noise=one("state", "state", "action"), weights=weights,
+                chooses=MODELS.get(how),
+            )  # fmt: skip
+
+        several = rng.random() < 0.15
+        whom = Mixture((population(), population()), (0.25, 0.75)) if several else population()
+        setting = Setting(
+            gamma=one(0.5, 0.8, 0.9, 0.95, 0.97), c_suggest=one(0.0, 0.05, 0.2, 0.5), c_move=one(0.0, 0.2, 0.5),
+            travel_time=one(0.0, 0.0, 0.0, 0.5, 1.0, 2.0), eta=one(0.0, 0.05, 0.2, 0.8),
+            utility_scale=one(1.0, 1.0, 3.0), lapse=one(0.0, 0.0, 1e-3, 0.02, 0.3), knowledge=one("own", "exact"),
+            suggestions=one("optimal", "all"), execute=execute, c_execute=one(0.0, 0.5, 1.5),
+        )  # fmt: skip
+        distance = None
+        if rng.random() < 0.3:
+            distance = rng.uniform(0, 2, (people + 1, people + 1)).round(2)
+            np.fill_diagonal(distance, 0.0)
+        late = people > 1 and rng.random() < 0.2
+        joins = tuple(int(step) for step in rng.integers(0, 6, people)) if late else (0,) * people
+        team = tuple(int(person) for person in rng.integers(0, people, people))
+        window = one(None, 0, 2, 4, 8)
+        sampled = not any(joins) and people < 4 and rng.random() < 0.3
+        return cls(
+            number, task, setting, whom, population() if rng.random() < 0.2 and how != "weights" else whom,
+            one(team, tuple(range(people))), distance, joins, part, window, 60 if sampled else 0,
+        )  # fmt: skip
+
+    @property
+    def late(self) -> bool:
+        """Whether anybody joins after the first step."""
+        return any(self.joins)
+
+    @property
+    def travel(self) -> Travel:
+        """The way between people."""
+        return self.setting.travel(len(self.team), self.distance)
+
+    def table(self) -> Table:
+        """Return the cost-to-go of the task."""
+        if self.task != "graph":
+            return shipped(self.task)
+        rng = np.random.default_rng([self.number, 7])
+        while True:
+            nodes = int(rng.integers(3, 9))
+            edges = rng.integers(0, nodes, (int(rng.integers(nodes, 3 * nodes)), 2))
+            costs = rng.choice([1, 1, 1, 0, 2, 3] if rng.random() < 0.5 else [1, 2, 3, 5], len(edges))
+            drawn = [(int(a), int(b), int(c)) for (a, b), c in zip(edges, costs, strict=True) if a != b]
+            if drawn:
+                table = sweep(graph_task(drawn))
+                if 0 < table[table.initial] < math.inf:
+                    return table
+
+    def pool(self, table: Table, **options: int) -> Pool:
+        """Draw the people and solve their problems."""
+        return Pool.sample(
+            table, max(self.team) + 1, seed=self.number, setting=self.setting, population=self.population,
+            prior=self.prior, **options,
+        )  # fmt: skip
+
+    def __str__(self) -> str:
+        return "\n".join(f"  {one.name}: {getattr(self, one.name)}" for one in fields(self))
+
+
+@cache
+def shipped(name: str) -> Table:
+    """Return the cost-to-go of a shipped task."""
+    file = DOMAINS / f"{name}.pddl"
+    return sweep(load(Instance(file, file.parent / "domain.pddl")))
+
+
+@dataclass
+class Outcome:
+    """What came of a setting.
+
+    Attributes
+    ----------
+    number : int
+    upper, slack : float
+    best : str
+        The policy with the highest mean.
+    mean, error : float
+        That mean, and its standard error.
+    seconds : float
+    violations : list of str
+    kinds : list of str
+        What was compared.
+    refused : int
+        Policies that the program refuses by design.
+    """
+
+    number: int
+    upper: float = math.nan
+    slack: float = 0.0
+    best: str = ""
+    mean: float = -math.inf
+    error: float = 0.0
+    seconds: float = 0.0
+    violations: list[str] = field(default_factory=list)
+    kinds: list[str] = field(default_factory=list)
+    refused: int = 0
+
+
+@contextmanager
+def cheaper(part: dict[str, int] | None) -> Iterator[None]:
+    """Spend less on a bound: what makes it tight, not what makes it hold."""
+    with ExitStack() as stack:
+        for module, name, value in ((prices, "ROUNDS", 6), (prices, "SAMPLE", 128), (bounds, "MEETINGS", 200)):
+            stack.enter_context(patch.object(module, name, value))
+        for name, value in (part or {}).items():
+            if name != "region":
+                stack.enter_context(patch.object(bounded, name, value))
+        yield
+
+
+def bound_of(case: Case, pool: Pool) -> tuple[float, TeamBound, float]:
+    """Return an upper bound on a team, what it was computed from, and its standard error.
+
+    Nobody who joins late gets more than with a robot of their own from then on: U_k of one person alone, who begins
+    at step s, is discounted by gamma^s.
+    """
+    found = upper_bound(
+        pool, case.team, travel=case.travel, window=case.window, gap=GAP, paths=case.paths, seed=1, jobs=1
+    )
+    if not case.late:
+        error = 0.0
+        if found.sampled is not None and found.upper < found.proven:
+            error = found.sampled.stderr
+        return found.upper, found, error
+    total = 0.0
+    for person, step, travel in zip(case.team, case.joins, alone(case.travel), strict=True):
+        total += case.setting.gamma**step * upper_bound(pool, (person,), travel=travel, gap=GAP, jobs=1).upper
+    return total, found, 0.0
+
+
+def alone(travel: Travel) -> list[Travel]:
+    """Return for each place the way there from the nearest other one."""
+    ways = []
+    for k in range(len(travel)):
+        least = np.delete(travel.distance[:, k], k).min()
+        steps = int(travel.entry_steps[k])
+        ways.append(Travel(np.array([[0, least], [least, 0]]), np.array([[0, steps], [steps, 0]]), travel.c_move))
+    return ways
+
+
+def policies_of(case: Case, pool: Pool, found: TeamBound | None) -> Iterator[tuple[str, TeamPolicy]]:
+    """Return the shipped policies, priority at the bound's prices among them where there are any."""
+    for name in ("none", "reactive", "attention", "attention-never", "priority"):
+        if not (pool.wide and name == "attention-never"):
+            yield name, pool.policy(name, case.travel)
+    if found is not None and not found.pool.wide and len(found.price):
+        yield "priority at the bound's prices", found.policy()
+
+
+def simulated_mean(case: Case, pool: Pool, policy: TeamPolicy, episodes: int) -> tuple[float, float]:
+    """Return the mean return of a policy, or less, and its standard error."""
+    gamma, last = case.setting.gamma, horizon(case.setting.gamma) + max(case.joins)
+    limited = replace(pool, setting=replace(pool.setting, max_steps=last))
+    run = simulate(
+        limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=case.travel,
+        presence=Presence.of(len(case.team), joins=list(case.joins)), world="model",
+    )  # fmt: skip
+    dearest = max(
+        float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies
+    ) + case.travel.c_move * float(case.travel.distance.max())
+    left = (~run.finished).sum(axis=1) * dearest * gamma**last / (1 - gamma)
+    returns = run.discounted_return - left
+    return float(returns.mean()), float(returns.std(ddof=1) / math.sqrt(episodes))
+
+
+def check(case: Case) -> Outcome:
+    """Compare the bound of a setting with all shipped policies, and with the problem of the whole task."""
+    start = time.perf_counter()
+    outcome = Outcome(case.number)
+    table = case.table()
+    whole = case.pool(table)
+    pool = whole if case.part is None else case.pool(table, states=0, region=case.part["region"])
+    with cheaper(case.part):
+        upper, found, error = bound_of(case, pool)
+        outcome.upper, outcome.slack = upper, found.slack
+        if case.part is not None:
+            for person, travel in dict(zip(case.team, alone(case.travel), strict=True)).items():
+                part, everything = (upper_bound(one, (person,), travel=travel, gap=GAP) for one in (pool, whole))
+                outcome.kinds.append("part against whole")
+                if part.upper < everything.upper - everything.slack - 1e-9 * abs(part.upper):
+                    outcome.violations.append(
+                        f"person {person}: {part.upper:.6f} on a part, at least "
+                        f"{everything.upper - everything.slack:.6f} on all"
+                    )
+    simulated = [(whole, name, policy) for name, policy in policies_of(case, whole, found)]
+    if case.part is not None:
+        simulated += [(pool, f"{name} on the part", policy) for name, policy in policies_of(case, pool, None)]
+    for one, name, policy in simulated:
+        for episodes in EPISODES if one is whole else EPISODES_ON_PART:
+            try:
+                mean, stderr = simulated_mean(case, one, policy, episodes)
+            except ValueError as refusal:
+                if not (case.late and SO_SOON in str(refusal)):
+                    raise
+                outcome.refused += 1
+                break
+            over = mean - ERRORS * math.hypot(stderr, error) > upper + 1e-9 * (1 + abs(upper))
+            if not over:
+                break
+        else:
+            outcome.violations.append(f"{name}: {mean:.5f} ± {stderr:.5f}, upper {upper:.5f} ± {error:.5f}")
+        outcome.kinds.append(name)
+        if mean > outcome.mean:
+            outcome.best, outcome.mean, outcome.error = name, mean, stderr
+    outcome.seconds = time.perf_counter() - start
+    return outcome
+
+
+def checked(number: int) -> Outcome:
+    """Check the setting of a number; one that fails is a violation, too, so that the others are still checked."""
+    try:
+        return check(Case.of(number))
+    except Exception as error:  # noqa: BLE001
+        return Outcome(number, violations=["".join(traceback.format_exception(error))])
+
+
+@click.command()
+@click.argument("count", type=click.IntRange(1), default=20)
+@click.option("--first", type=click.IntRange(0), default=0, show_default=True, help="The number of the first setting.")
+@click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Settings at a time.")
+@record_option
+def main(count: int, first: int, jobs: int, record: Path | None) -> None:
+    """Check so many settings."""
+    outcomes = []
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as processes:
+        for outcome in processes.map(checked, range(first, first + count)):
+            outcomes.append(outcome)
+            if outcome.violations:
+                print(f"setting {outcome.number}", *outcome.violations, Case.of(outcome.number), sep="\n", flush=True)
+    compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
+    for kind, number in compared.most_common():
+        print(f"{number:6,} comparisons with {kind}")
+    wrong = [outcome.number for outcome in outcomes if outcome.violations]
+    cases = [Case.of(outcome.number) for outcome in outcomes]
+    row = {
+        "settings": len(outcomes),
+        "on a part": sum(case.part is not None for case in cases),
+        "sampled": sum(case.paths > 0 for case in cases),
+        "late joiners": sum(case.late for case in cases),
+        "no lapses": sum(case.setting.lapse == 0 for case in cases),
+        "execute": sum(case.setting.execute for case in cases),
+        "own choice model or terms": sum(bool(case.prior.weights) or case.prior.chooses is not None for case in cases),
+        "comparisons": compared.total(),
+        "refused": sum(outcome.refused for outcome in outcomes),
+        "violations": len(wrong),
+    }
+    print(*(f"{name} {number:,}" for name, number in row.items()), sep=", ")
+    write_record(record, COLUMNS, [row])
+    if wrong:
+        print(f"violations in settings {', '.join(map(str, wrong))}")
+        sys.exit(1)
+
+
+COLUMNS: Columns = {
+    name: cell(name, ",")
+    for name in (
+        "settings", "on a part", "sampled", "late joiners", "no lapses", "execute", "own choice model or terms",
+        "comparisons", "refused", "violations",
+    )
+}  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
