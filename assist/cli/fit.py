@@ -33,8 +33,8 @@ from .task import one_instance
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def fit(
     instance: str, domain: str | None, file: Path, out: Path | None, population: Path | None, family: str | None,
-    figures: Path | None, misconceptions: bool, terms: bool, compare: bool, folds: int, seed: int, as_json: bool,
-    **options: Any,
+    figures: Path | None, misconceptions: bool, terms: bool, compare: bool, people: str | None, folds: int, seed: int,
+    as_json: bool, **options: Any,
 ) -> None:  # fmt: skip
     """Learn expertise, influence and trust of people from the LOG of their actions.
 
@@ -45,8 +45,10 @@ def fit(
 
     if family and as_json and not population:
         raise click.UsageError("--family: expected --population, since with --json it has no effect otherwise")
-    apart({"--misconception": misconceptions, "--terms": terms, "--compare": compare})
+    apart({"--misconception": misconceptions, "--terms": terms, "--compare": compare, "--people": people})
     apart({"--population": population, "--compare": compare})
+    if population and people:
+        raise click.UsageError("--population and --people: a population file has no functions; expected one of them")
     apart({"--family": family, "--terms": terms, "--compare": compare})
     with one_line_errors("interrupted; states that were evaluated on demand are kept"):
         found = one_instance(instance, domain)
@@ -58,7 +60,10 @@ def fit(
         if compare:
             complete = show_comparison(known, folds, out, figures, as_json=as_json)
         else:
-            people = people_of(known, misconceptions=misconceptions, terms=terms, seed=seed)
-            complete = show_people(people, out, population, family, figures, as_json=as_json)
+            learned = people_of(
+                known, misconceptions=misconceptions, terms=terms, people=people, max_states=options["max_states"],
+                seed=seed,
+            )  # fmt: skip
+            complete = show_people(learned, out, population, family, figures, as_json=as_json)
     if not complete:
         sys.exit(EXIT_FAILED)

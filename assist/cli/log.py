@@ -26,6 +26,7 @@ from .options import (
     seconds_option,
     with_options,
 )
+from .population import choice_model, people_option
 from .progress import progress_bar, stages
 from .task import tell_note, tell_of_compiling
 
@@ -56,6 +57,7 @@ def log_options(command: Command) -> Command:
             "--folds", type=click.IntRange(2), default=8, show_default=True,
             help="Groups of people that --compare leaves out in turn.",
         ),
+        people_option,
         click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given."),
         scale_option,
         lapse_option("Weight of a uniform choice."),
@@ -163,17 +165,33 @@ def replayed(
     return Replayed(log, walked, recording, h, faults, method, jobs)
 
 
-def people_of(known: Replayed, *, misconceptions: bool, terms: bool, seed: int) -> People:
+def people_of(
+    known: Replayed, *, misconceptions: bool, terms: bool, people: str | None, max_states: int, seed: int
+) -> People:
     """Learn about the people of a log; errors are those of a command."""
     from ..learning.people import LogError, learn
+    from ..people.choice_model import ChoiceModelError
+    from ..people.own import OwnError
+    from ..person.problem import WHOLE, is_whole
 
+    try:
+        chooses = None if people is None else choice_model(people)
+    except OwnError as error:
+        fail(str(error), EXIT_FAILED)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    task = known.walked.task
+    table = None if chooses is None else cost_to_go(task, max_states=min(WHOLE, max_states), cache=Cache(task))
+    if table is not None and not is_whole(table):
+        raise click.UsageError(f"--people: expected a task of at most {min(WHOLE, max_states):,} states")
     try:
         with progress_bar("fitting people", len(known.recording.people)) as advance:
             return learn(
                 known.log, known.walked, known.recording, known.h, faults=known.faults, method=known.method,
-                misconceptions=misconceptions, terms=terms, seed=seed, jobs=known.jobs, progress=advance,
+                misconceptions=misconceptions, terms=terms, chooses=chooses, table=table, seed=seed, jobs=known.jobs,
+                progress=advance,
             )  # fmt: skip
-    except LogError as error:
+    except (LogError, ChoiceModelError) as error:
         fail(str(error), EXIT_FAILED)
 
 

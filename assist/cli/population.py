@@ -15,6 +15,7 @@ import click
 from .options import INPUT_FILE, Command, Option, Range, is_given, range_option, with_options
 
 if TYPE_CHECKING:
+    from ..people.choice_model import ChoiceModel
     from ..people.human import Mixture, Population
 
 RANGES = ("beta", "theta", "sigma")
@@ -87,13 +88,18 @@ def read_population(file: Path) -> Mixture:
         raise ValueError(str(error)) from None
 
 
-def choosing(population: Population, people: str) -> Population:
-    """Give a population that chooses as a function of the user's own says, FILE.py:FUNCTION."""
-    from dataclasses import replace
-
+def choice_model(people: str) -> ChoiceModel:
+    """Return the choice model that a function of the user's own is, FILE.py:FUNCTION."""
     from ..people import own
 
     place = own.parse(people)
     if place is None:
         raise ValueError(f"--people '{people}'; expected FILE.py:FUNCTION")
-    return replace(population, chooses=own.OwnModel.load(*place))
+    return own.OwnModel.load(*place)
+
+
+def choosing(population: Population, people: str) -> Population:
+    """Return a population that chooses as a function of the user's own says, FILE.py:FUNCTION."""
+    from dataclasses import replace
+
+    return replace(population, chooses=choice_model(people))

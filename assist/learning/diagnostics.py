@@ -102,6 +102,10 @@ class Check:
         return max(known, key=lambda term: known[term]) if known else None
 
 
+UNCHECKED = Check(None, dict.fromkeys(TERMS))
+"""Of a person of whom this cannot be told."""
+
+
 def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
     """Test the model on one person's actions.
 
@@ -117,7 +121,7 @@ def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
     p = np.where(np.isfinite(o.excess), p, 0.0)  # into a dead end: a lapse, of which these terms say nothing
     kept = np.isfinite(o.regret) & (o.applicable.sum(axis=1) > 1)
     if not kept.any():
-        return Check(None, dict.fromkeys(TERMS))
+        return UNCHECKED
     p = p[kept] / p[kept].sum(axis=1, keepdims=True)
     gap = np.where(np.isfinite(o.excess), o.excess, 0.0)[kept]
     features = _features(fitted, gap, kept)
@@ -131,7 +135,7 @@ def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
     usable = spread > 1e-3 * np.maximum(total, 1e-9)
     mistakes = float((p * (gap > 0)).sum())
     if not usable.any() or mistakes < 1:
-        return Check(None, dict.fromkeys(TERMS))
+        return UNCHECKED
     f = f[usable] / spread[usable][:, None, None]
     rows = np.arange(len(p))
     observed = f[:, rows, o.chosen[kept]].sum(axis=1)

@@ -88,7 +88,10 @@ class Fit:
         """Give the probability of each choice at the estimates, shape (N, A), lapses included."""
         o = self.observations
         bias = o.features @ np.array([weight.value for weight in self.weights.values()]) if self.weights else None
-        p = choice(o.excess, o.applicable, np.full(len(o), self.beta.value), bias)
+        if o.own is not None:
+            p = o.own.at(self.beta.value)
+        else:
+            p = choice(o.excess, o.applicable, np.full(len(o), self.beta.value), bias)
         return lapse(influence(p, o.suggested, self.thetas()), o.applicable, self.method.lapse)
 
     def thetas(self) -> Floats:

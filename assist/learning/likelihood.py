@@ -85,14 +85,17 @@ class Data(NamedTuple):
     gain: Floats
     begins: NDArray[np.bool_]
     lapse: float
+    grid: Floats
+    chances: Floats
 
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Arrange one person's observations."""
         gain = o.gain / method.utility_scale
+        grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         return cls(
             excess=o.excess, options=o.applicable.sum(axis=1), chosen=o.chosen, suggested=o.suggested, gain=gain,
-            begins=o.begins, lapse=method.lapse,
+            begins=o.begins, lapse=method.lapse, grid=grid, chances=chances,
         )  # fmt: skip
 
 
@@ -101,11 +104,21 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> N
     """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
 
     It is that without a suggestion. The others are summed: 1 - told would lose its digits where that is almost 1.
+    Chances of a choice model of one's own are interpolated between those at two values of beta.
     """
+    own_model = len(data.grid) > 0
+    low, share = 0, 0.0
+    if own_model:
+        place = int(np.searchsorted(data.grid, beta))
+        low = min(max(place - 1, 0), len(data.grid) - 2)
+        share = min(max((beta - data.grid[low]) / (data.grid[low + 1] - data.grid[low]), 0.0), 1.0)
     for i in range(len(data.chosen)):
         picked = heard = others = 0.0
         for a in range(data.options[i]):
-            weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
+            if own_model:
+                weight = (1.0 - share) * data.chances[i, a, low] + share * data.chances[i, a, low + 1]
+            else:
+                weight = 1.0 if beta == 0.0 else math.exp(-beta * data.excess[i, a])
             if a == data.chosen[i]:
                 picked = weight
             if a == data.suggested[i]:

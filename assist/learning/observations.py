@@ -16,6 +16,32 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
+class Chances:
+    """The chance of each choice at each step, without suggestions and lapses; N steps of up to A choices.
+
+    Attributes
+    ----------
+    beta : float array, shape (G,)
+        Ascending.
+    chance : float array, shape (N, A, G)
+    """
+
+    beta: Floats
+    chance: Floats
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def at(self, beta: float) -> Floats:
+        """Return the chances for one beta, shape (N, A)."""
+        low = int(np.clip(np.searchsorted(self.beta, beta) - 1, 0, len(self.beta) - 2))
+        share = np.clip((beta - self.beta[low]) / (self.beta[low + 1] - self.beta[low]), 0.0, 1.0)
+        return (1 - share) * self.chance[:, :, low] + share * self.chance[:, :, low + 1]
+
+
+@dataclass(frozen=True)
 class Observations:
     """What one person could choose from and what they chose; N steps of up to A choices.
 
@@ -47,6 +73,8 @@ class Observations:
         What besides cost may speak for a choice.
     features : float array, shape (N, A, terms)
         How much of it each choice has.
+    own : Chances, optional
+        The chance of each choice under a choice model of one's own; None: they choose by cost-to-go.
     """
 
     person: str
@@ -64,6 +92,7 @@ class Observations:
     goal: NDArray[np.bool_]
     terms: tuple[str, ...]
     features: Floats
+    own: Chances | None = None
 
     __repr__ = outline
 

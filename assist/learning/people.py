@@ -8,19 +8,21 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from planner import CostToGo, LimitError
+from planner import CostToGo, LimitError, Table
 from planner.arrays import outline
 
+from ..people.choice_model import ChoiceModel
 from ..people.decision import Floats
 from ..people.human import Mixture
 from ..people.terms import TERMS, Term, features
-from .diagnostics import check
-from .estimates import maximum_likelihood
+from .choosing import with_model
+from .diagnostics import UNCHECKED, check
+from .estimates import largest_beta, maximum_likelihood
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
 from .log import Fault, Log, in_order
@@ -56,6 +58,8 @@ class People(Mapping[str, Record]):
         Gives what holds in states, shape (M,), of the task.
     hierarchy : Hierarchy or None
         The population that people were taken from, where terms were asked for.
+    chooses : ChoiceModel or None
+        How they were taken to choose, where that is not by cost-to-go.
     """
 
     records: tuple[Record, ...]
@@ -64,6 +68,7 @@ class People(Mapping[str, Record]):
     method: Method
     facts: Callable[[Ints], list[list[str]]]
     hierarchy: Hierarchy | None = None
+    chooses: ChoiceModel | None = None
 
     __repr__ = outline
 
@@ -105,7 +110,10 @@ class People(Mapping[str, Record]):
         family : str, optional
             Of beta's distribution, as for `distribution`.
         """
-        return self.distribution(family=family).population(self.sigma)
+        found = self.distribution(family=family).population(self.sigma)
+        if self.chooses is None:
+            return found
+        return Mixture(tuple(replace(part, chooses=self.chooses) for part in found.parts), found.shares)
 
     @property
     def sigma(self) -> tuple[float, float]:
@@ -129,6 +137,7 @@ def fit(
     method: Method | None = None,
     misconceptions: bool = False,
     terms: Terms = False,
+    chooses: ChoiceModel | None = None,
     strict: bool = False,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
@@ -152,6 +161,8 @@ def fit(
     terms : bool, or mapping of str to callable
         Whether to estimate the weights of terms as well, those that are given (`TERMS`) or one's own by their names.
         Everybody is then taken for one of a population (`hierarchy`).
+    chooses : ChoiceModel, optional
+        How people choose, in place of by cost-to-go: beta is then that of this model. `costs` has to be a table.
     strict : bool
         Whether to refuse a log that cannot be used completely.
     seed : int or numpy.random.Generator
@@ -177,8 +188,8 @@ def fit(
     """
     recording, h, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
     return learn(
-        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, terms=terms, seed=seed,
-        jobs=jobs, progress=progress,
+        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, terms=terms,
+        chooses=chooses, table=costs if isinstance(costs, Table) else None, seed=seed, jobs=jobs, progress=progress,
     )  # fmt: skip
 
 
@@ -234,6 +245,8 @@ def learn(
     method: Method | None = None,
     misconceptions: bool = False,
     terms: Terms = False,
+    chooses: ChoiceModel | None = None,
+    table: Table | None = None,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
     progress: Progress | None = None,
@@ -246,13 +259,22 @@ def learn(
         Of the task, as it was replayed on; it is not asked for costs.
     h : float array, shape (states,)
         h* of the states that `recording.wanted()` names, NaN where it is not known.
-    faults, method, misconceptions, terms, seed, jobs, progress
+    faults, method, misconceptions, terms, chooses, seed, jobs, progress
         As for `fit`; faults are all that was found.
+    table : Table, optional
+        Of the same task; where people choose by a model of one's own.
     """
     method = method or Method()
+    if chooses is not None and (misconceptions or terms):
+        raise ValueError("a choice model, and misconceptions or terms: expected one of them")
     if misconceptions and terms:
         raise ValueError("misconceptions and terms: expected one of them, since nobody has estimated both at once")
     observations, left_out = observed(log, costs, recording, h, terms)
+    if chooses is not None:
+        if table is None:
+            raise ValueError("people who choose by a model of their own: expected a table of the whole task")
+        method = replace(method, largest_beta=largest_beta(observations, method))
+        observations = with_model(observations, chooses, costs, table, largest_beta(observations, method))
     rng = np.random.default_rng(seed)
     if misconceptions:
         require_memory(observations)
@@ -265,7 +287,8 @@ def learn(
     for fitted in fits:
         misconception = fit_misconception(fitted) if misconceptions else None
         person = fitted.observations.person
-        records.append(Record(fitted, check(fitted, rng), misconception, left_out.get(person, 0)))
+        fits_model = UNCHECKED if chooses is not None else check(fitted, rng)  # it is one of the paper's model
+        records.append(Record(fitted, fits_model, misconception, left_out.get(person, 0)))
         if (misconceptions or terms) and progress is not None:
             progress(1)
 
@@ -281,7 +304,7 @@ def learn(
         )
         for person in sorted(named - {o.person for o in observations}, key=in_order)
     }
-    return People(tuple(records), unknown, faults, method, facts, population)
+    return People(tuple(records), unknown, faults, method, facts, population, chooses)
 
 
 def observed(

@@ -1,0 +1,151 @@
+"""People who choose by a model of one's own: estimated as the paper's are, and refused where that cannot be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import invoke, kit
+from recorded import lines, people_at_work, write_log
+
+from assist import fit
+from assist.learning.log import Log
+from assist.learning.people import People
+from assist.people.choice_model import ChoiceModelError, boltzmann
+from assist.people.choices import Choices
+from assist.people.decision import perceived_value
+from planner import OnDemand
+
+PAPER = kit("paper")
+ROWS = people_at_work(Choices.of(PAPER), [0.4, 1.2, 2.5], np.random.default_rng(7), suggest=0.4)
+HORIZON = 4.0
+
+
+def same(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    """The paper's model, as anybody may write it."""
+    return boltzmann(choices, q, beta)
+
+
+def short_sighted(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    seen = np.minimum(q, HORIZON)
+    weight = np.exp(-beta[:, None, None] * (seen - seen.min(axis=1, keepdims=True))) * choices.applicable
+    return weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-300)
+
+
+def walked(model: object, beta: float, episodes: int) -> list[dict]:
+    """What somebody does who chooses by a model."""
+    choices, rng, rows = Choices.of(PAPER), np.random.default_rng(3), []
+    q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
+    p = model(choices, q, np.array([beta]))[0]  # type: ignore[operator]
+    for episode in range(episodes):
+        x, step = choices.initial, 0
+        while not choices.goal[x] and step < 40:
+            slot = int(rng.choice(p.shape[1], p=p[x]))
+            rows.append({"person": "ann", "episode": episode, "step": step, "action": choices.name(x, slot)})
+            x, step = int(choices.targets[x, slot]), step + 1
+    return rows
+
+
+@pytest.fixture(scope="module")
+def plain() -> People:
+    return fit(PAPER, Log.of(ROWS))
+
+
+def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: People) -> None:
+    """Chances are interpolated between values of beta, which changes the third digit at most."""
+    own = fit(PAPER, Log.of(ROWS), chooses=same)
+    assert list(own) == list(plain)
+    for person, record in own.items():
+        expected = plain[person]
+        assert record.beta == pytest.approx(expected.beta, rel=2e-3)
+        assert record.beta_interval == pytest.approx(expected.beta_interval, rel=2e-3)
+        assert record.theta == pytest.approx(expected.theta, abs=5e-3)
+        assert record.theta_interval == pytest.approx(expected.theta_interval, abs=5e-3)
+        assert record.fit.log_likelihood == pytest.approx(expected.fit.log_likelihood, abs=1e-2)
+        np.testing.assert_allclose(record.fit.probabilities(), expected.fit.probabilities(), atol=2e-3)
+        assert (record.check.p, record.suboptimal_actions) == (None, expected.suboptimal_actions)
+
+
+def test_the_likelihood_is_the_models_own() -> None:
+    """At the estimate it is the sum over the choices of what the model says, lapses included."""
+    rows = walked(short_sighted, 1.5, 25)
+    found = fit(PAPER, Log.of(rows), chooses=short_sighted)["ann"]
+    low, high = found.beta_interval
+    assert low <= 1.5 <= high
+    other = fit(PAPER, Log.of(rows))["ann"]
+    assert found.fit.log_likelihood > other.fit.log_likelihood + 2
+    choices = Choices.of(PAPER)
+    q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
+    o, rate = found.fit.observations, found.fit.method.lapse
+    p = short_sighted(choices, q, np.array([found.beta]))[0][o.state, o.chosen]
+    wanted = np.log((1 - rate) * p + rate / o.applicable.sum(axis=1)).sum()
+    assert found.fit.log_likelihood == pytest.approx(wanted, abs=1e-2)
+
+
+def test_trust_looks_at_the_models_own_value() -> None:
+    class Doubled:
+        def __call__(self, choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
+            return boltzmann(choices, q, beta)
+
+        def value(self, choices: Choices, q: np.ndarray) -> np.ndarray:
+            return 2 * perceived_value(choices, q)
+
+    gains = [fit(PAPER, Log.of(ROWS), chooses=model)["p1"].fit.observations.gain for model in (same, Doubled())]
+    np.testing.assert_allclose(gains[1], 2 * gains[0])
+    assert np.any(gains[0] != 0)
+
+
+def test_people_like_them_choose_so_too(plain: People) -> None:
+    found = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
+    assert found.population().chooses is short_sighted
+    assert plain.population().chooses is None
+
+
+def test_what_cannot_be_fitted_is_refused() -> None:
+    log = Log.of(ROWS)
+    with pytest.raises(ValueError, match="expected a table of the whole task"):
+        fit(OnDemand(PAPER.task), Log.of(lines("(fetch box-a)")), chooses=same)
+    for more in ({"terms": True}, {"misconceptions": True}):
+        with pytest.raises(ValueError, match="a choice model, and misconceptions or terms: expected one of them"):
+            fit(PAPER, log, chooses=same, **more)
+    with pytest.raises(ChoiceModelError, match=r"gives an array of shape \(836, \d+\); expected \(8, 836, "):
+        fit(PAPER, log, chooses=lambda choices, q, beta: q)  # noqa: ARG005
+
+
+MINE = """
+import numpy as np
+
+def mine(choices, q, beta):
+    worse = np.minimum(q, 4.0)
+    weight = np.exp(-beta[:, None, None] * (worse - worse.min(axis=1, keepdims=True))) * choices.applicable
+    return weight / np.maximum(weight.sum(axis=2, keepdims=True), 1e-300)
+
+def wrong(choices, q, beta):
+    return q
+
+def broken(choices, q, beta):
+    return nothing
+"""
+
+
+def test_fit_takes_a_function_of_the_users_own(tmp_path: Path) -> None:
+    log, mine = write_log(tmp_path / "log.jsonl", ROWS), tmp_path / "mine.py"
+    mine.write_text(MINE)
+    found = invoke("fit", "kitting/paper", log, "--people", f"{mine}:mine", "--json", "--jobs", 1)
+    people = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
+    assert found.exit_code == 0
+    assert [one["beta"] for one in json.loads(found.stdout)] == [people[name].beta for name in people]
+    for people_option, more, code, message in (
+        ("other", (), 1, "has no function 'other'"),
+        ("wrong", (), 1, "gives an array of shape (836, "),
+        ("broken", (), 1, "mine.py:13: NameError"),
+        ("mine", ("--terms",), 2, "--terms and --people: expected one of them"),
+        ("mine", ("--population", tmp_path / "p.json"), 2, "a population file has no functions"),
+        ("mine", ("--max-states", 10), 2, "--people: expected a task of at most 10 states"),
+    ):
+        refused = invoke("fit", "kitting/paper", log, "--people", f"{mine}:{people_option}", "--jobs", 1, *more)
+        assert (refused.exit_code, message in refused.stderr) == (code, True), refused.stderr
+    refused = invoke("fit", "kitting/paper", log, "--people", "mine")
+    assert (refused.exit_code, "--people 'mine'; expected FILE.py:FUNCTION" in refused.stderr) == (2, True)
