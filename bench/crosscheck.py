@@ -35,7 +35,6 @@ from tables import Columns, cell, record_option, write_record
 from assist.certify import bound as bounds
 from assist.certify import prices
 from assist.certify.bound import TeamBound, upper_bound
-from assist.certify.certificate import horizon
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices, mix
 from assist.people.decision import Floats, perceived_value
@@ -44,6 +43,7 @@ from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
 from assist.team import bounded
 from assist.team.pool import Pool
+from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
 from assist.team.travel import Travel
@@ -58,6 +58,9 @@ which a rare outcome has not come up has an error of next to nothing."""
 EPISODES_ON_PART = (32, 320, 3_200)
 """The same for policies that look states up step by step."""
 GAP = 0.02
+BEYOND = 1e-3
+"""Episodes are cut off where what may come later is worth less than this share of a step's largest cost. It is counted
+as if each later step cost that."""
 TASKS = (
     "kitting/tiny", "delivery/one-parcel", "stations/one-bench", "stations/one-way", "gripper/balls-01", "tower/turn",
     "blocks/blocks-3",
@@ -170,7 +173,7 @@ class Case:
         several = rng.random() < 0.15
         whom = Mixture((population(), population()), (0.25, 0.75)) if several else population()
         setting = Setting(
-            gamma=one(0.5, 0.8, 0.9, 0.95, 0.97), c_suggest=one(0.0, 0.05, 0.2, 0.5), c_move=one(0.0, 0.2, 0.5),
+            max_steps=60, gamma=one(0.5, 0.8, 0.9, 0.95), c_suggest=one(0.0, 0.05, 0.2, 0.5), c_move=one(0.0, 0.2, 0.5),
             travel_time=one(0.0, 0.0, 0.0, 0.5, 1.0, 2.0), eta=one(0.0, 0.05, 0.2, 0.8),
             utility_scale=one(1.0, 1.0, 3.0), lapse=one(0.0, 0.0, 1e-3, 0.02, 0.3), knowledge=one("own", "exact"),
             suggestions=one("optimal", "all"), execute=execute, c_execute=one(0.0, 0.5, 1.5),
@@ -182,7 +185,7 @@ class Case:
         late = people > 1 and rng.random() < 0.2
         joins = tuple(int(step) for step in rng.integers(0, 6, people)) if late else (0,) * people
         team = tuple(int(person) for person in rng.integers(0, people, people))
-        window = one(None, 0, 2, 4, 8)
+        window = one(None, None, 0, 4, 8)
         sampled = not any(joins) and people < 4 and rng.random() < 0.3
         return cls(
             number, task, setting, whom, population() if rng.random() < 0.2 and how != "weights" else whom,
@@ -306,18 +309,21 @@ def alone(travel: Travel) -> list[Travel]:
     return ways
 
 
-def policies_of(case: Case, pool: Pool, found: TeamBound | None) -> Iterator[tuple[str, TeamPolicy]]:
-    """Return the shipped policies, priority at the bound's prices among them where there are any."""
+def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterator[tuple[str, Pool, TeamPolicy]]:
+    """Return the shipped policies, each with the pool that it is for."""
     for name in ("none", "reactive", "attention", "attention-never", "priority"):
-        if not (pool.wide and name == "attention-never"):
-            yield name, pool.policy(name, case.travel)
-    if found is not None and not found.pool.wide and len(found.price):
-        yield "priority at the bound's prices", found.policy()
+        yield name, whole, whole.policy(name, case.travel)
+    if len(found.price):
+        yield "priority at the bound's prices", whole, Priority.of(whole.policies, case.travel, found.price)
+    if pool is not whole:
+        for name in ("attention", "priority"):
+            yield f"{name} on the part", pool, pool.policy(name, case.travel)
 
 
 def simulated_mean(case: Case, pool: Pool, policy: TeamPolicy, episodes: int) -> tuple[float, float]:
     """Return the mean return of a policy, or less, and its standard error."""
-    gamma, last = case.setting.gamma, horizon(case.setting.gamma) + max(case.joins)
+    gamma = case.setting.gamma
+    last = math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma)) + max(case.joins)
     limited = replace(pool, setting=replace(pool.setting, max_steps=last))
     run = simulate(
         limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=case.travel,
@@ -342,18 +348,16 @@ def check(case: Case) -> Outcome:
         upper, found, error = bound_of(case, pool)
         outcome.upper, outcome.slack = upper, found.slack
         if case.part is not None:
-            for person, travel in dict(zip(case.team, alone(case.travel), strict=True)).items():
-                part, everything = (upper_bound(one, (person,), travel=travel, gap=GAP) for one in (pool, whole))
-                outcome.kinds.append("part against whole")
-                if part.upper < everything.upper - everything.slack - 1e-9 * abs(part.upper):
-                    outcome.violations.append(
-                        f"person {person}: {part.upper:.6f} on a part, at least "
-                        f"{everything.upper - everything.slack:.6f} on all"
-                    )
-    simulated = [(whole, name, policy) for name, policy in policies_of(case, whole, found)]
-    if case.part is not None:
-        simulated += [(pool, f"{name} on the part", policy) for name, policy in policies_of(case, pool, None)]
-    for one, name, policy in simulated:
+            travel = alone(case.travel)[0]
+            part, everything = (
+                upper_bound(one, case.team[:1], travel=travel, gap=GAP, jobs=1) for one in (pool, whole)
+            )
+            outcome.kinds.append("part against whole")
+            if part.upper < everything.upper - everything.slack - 1e-9 * abs(part.upper):
+                outcome.violations.append(
+                    f"one person: {part.upper:.6f} on a part, at least {everything.upper - everything.slack:.6f} on all"
+                )
+    for name, one, policy in policies_of(case, whole, pool, found):
         for episodes in EPISODES if one is whole else EPISODES_ON_PART:
             try:
                 mean, stderr = simulated_mean(case, one, policy, episodes)

@@ -1,0 +1,48 @@
+"""No policy exceeds a bound, in random settings: tasks, costs, people, ways, parts of tasks, prices, sample paths."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from crosscheck import Case, Outcome, check
+
+REFUSED = 0.02
+"""The share of comparisons that the program may refuse by design."""
+
+
+def assert_no_violation(numbers: range) -> list[Outcome]:
+    outcomes = [check(Case.of(number)) for number in numbers]
+    for outcome in outcomes:
+        assert not outcome.violations, f"{Case.of(outcome.number)}\n" + "\n".join(outcome.violations)
+    return outcomes
+
+
+def test_no_policy_exceeds_a_bound() -> None:
+    outcomes = assert_no_violation(range(20))
+    compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
+    assert compared["none"] == compared["priority"] == compared["attention"] == compared["reactive"] == len(outcomes)
+    assert compared["priority at the bound's prices"] > 0
+    assert compared["part against whole"] > 0
+    assert sum(outcome.refused for outcome in outcomes) <= REFUSED * compared.total()
+    # A bound that is far above all policies would show nothing: most are near.
+    near = [outcome for outcome in outcomes if outcome.upper - outcome.mean < 0.05 * abs(outcome.mean) + 0.05]
+    assert len(near) >= len(outcomes) / 2
+
+
+@pytest.mark.slow
+def test_no_policy_exceeds_a_bound_in_two_hundred_settings() -> None:
+    cases = [Case.of(number) for number in range(20, 220)]
+    # All that there is to combine is there.
+    for has in (
+        lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
+        lambda case: case.late, lambda case: case.setting.execute, lambda case: case.setting.lapse == 0,
+        lambda case: case.prior.weights, lambda case: case.prior.chooses is not None,
+        lambda case: case.setting.travel_time > 0, lambda case: case.distance is not None,
+        lambda case: case.task == "delivery/one-parcel", lambda case: case.setting.knowledge == "exact",
+        lambda case: case.setting.knowledge == "own", lambda case: case.setting.suggestions == "all",
+    ):  # fmt: skip
+        assert sum(bool(has(case)) for case in cases) >= 5
+    outcomes = assert_no_violation(range(20, 220))
+    compared = sum(len(outcome.kinds) for outcome in outcomes)
+    assert sum(outcome.refused for outcome in outcomes) <= REFUSED * compared
