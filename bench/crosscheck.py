@@ -55,8 +55,11 @@ ERRORS = 4.0
 EPISODES = (1_000, 10_000, 100_000)
 """Simulated for each policy; where a mean exceeds the bound, more with other random numbers, which decide: a sample in
 which a rare outcome has not come up has an error of next to nothing."""
-EPISODES_ON_PART = (32, 320, 3_200)
+EPISODES_ON_PART = (32, 320, 3_200, 16_000)
 """The same for policies that look states up step by step."""
+UNSEEN = -math.log(math.erfc(ERRORS / math.sqrt(2)) / 2)
+"""An outcome that has not come up in N episodes has a chance below this divided by N, as surely as a mean is less than
+`ERRORS` standard errors too high. In the last and largest sample it is counted as if it cost the most there is."""
 GAP = 0.02
 BEYOND = 1e-3
 """Episodes are cut off where what may come later is worth less than this share of a step's largest cost. It is counted
@@ -217,7 +220,7 @@ class Case:
                 if 0 < table[table.initial] < math.inf:
                     return table
 
-    def pool(self, table: Table, **options: int) -> Pool:
+    def pool(self, table: Table, **options: Any) -> Pool:
         """Draw the people and solve their problems."""
         return Pool.sample(
             table, max(self.team) + 1, seed=self.number, setting=self.setting, population=self.population,
@@ -320,21 +323,33 @@ def policies_of(case: Case, whole: Pool, pool: Pool, found: TeamBound) -> Iterat
             yield f"{name} on the part", pool, pool.policy(name, case.travel)
 
 
-def simulated_mean(case: Case, pool: Pool, policy: TeamPolicy, episodes: int) -> tuple[float, float]:
-    """Return the mean return of a policy, or less, and its standard error."""
-    gamma = case.setting.gamma
+@dataclass(frozen=True)
+class Value:
+    """The mean return of a policy, or less, its standard error, and whether it violates a bound."""
+
+    mean: float
+    error: float
+    violates: bool
+
+
+def compared(case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: float) -> Value:
+    """Compare a policy with a bound that has a standard error of its own."""
+    gamma, way = case.setting.gamma, case.travel
     last = math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma)) + max(case.joins)
     limited = replace(pool, setting=replace(pool.setting, max_steps=last))
-    run = simulate(
-        limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=case.travel,
-        presence=Presence.of(len(case.team), joins=list(case.joins)), world="model",
-    )  # fmt: skip
-    dearest = max(
-        float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies
-    ) + case.travel.c_move * float(case.travel.distance.max())
-    left = (~run.finished).sum(axis=1) * dearest * gamma**last / (1 - gamma)
-    returns = run.discounted_return - left
-    return float(returns.mean()), float(returns.std(ddof=1) / math.sqrt(episodes))
+    dearest = max(float(one.pomdp.model.choices.costs.max() + one.pomdp.robot_costs.max()) for one in pool.policies)
+    dearest += way.c_move * float(way.distance.max())
+    for episodes in EPISODES_ON_PART if pool.wide else EPISODES:
+        run = simulate(
+            limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,
+            presence=Presence.of(len(case.team), joins=list(case.joins)), world="model",
+        )  # fmt: skip
+        returns = run.discounted_return - (~run.finished).sum(axis=1) * dearest * gamma**last / (1 - gamma)
+        mean, stderr = float(returns.mean()), float(returns.std(ddof=1) / math.sqrt(episodes))
+        over = mean - ERRORS * math.hypot(stderr, error) - upper - 1e-9 * (1 + abs(upper))
+        if over <= 0:
+            return Value(mean, stderr, False)
+    return Value(mean, stderr, over > UNSEEN / episodes * len(case.team) * dearest / (1 - gamma))
 
 
 def check(case: Case) -> Outcome:
@@ -358,19 +373,16 @@ def check(case: Case) -> Outcome:
                     f"one person: {part.upper:.6f} on a part, at least {everything.upper - everything.slack:.6f} on all"
                 )
     for name, one, policy in policies_of(case, whole, pool, found):
-        for episodes in EPISODES if one is whole else EPISODES_ON_PART:
-            try:
-                mean, stderr = simulated_mean(case, one, policy, episodes)
-            except ValueError as refusal:
-                if not (case.late and SO_SOON in str(refusal)):
-                    raise
-                outcome.refused += 1
-                break
-            over = mean - ERRORS * math.hypot(stderr, error) > upper + 1e-9 * (1 + abs(upper))
-            if not over:
-                break
-        else:
-            outcome.violations.append(f"{name}: {mean:.5f} ± {stderr:.5f}, upper {upper:.5f} ± {error:.5f}")
+        try:
+            value = compared(case, one, policy, upper, error)
+        except ValueError as refusal:
+            if not (case.late and SO_SOON in str(refusal)):
+                raise
+            outcome.refused += 1
+            continue
+        mean, stderr = value.mean, value.error
+        if value.violates:
+            outcome.violations.append(f"{name}: {mean:.6f} ± {stderr:.6f}, upper {upper:.6f} ± {error:.6f}")
         outcome.kinds.append(name)
         if mean > outcome.mean:
             outcome.best, outcome.mean, outcome.error = name, mean, stderr
@@ -399,8 +411,8 @@ def main(count: int, first: int, jobs: int, record: Path | None) -> None:
             outcomes.append(outcome)
             if outcome.violations:
                 print(f"setting {outcome.number}", *outcome.violations, Case.of(outcome.number), sep="\n", flush=True)
-    compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
-    for kind, number in compared.most_common():
+    counts = Counter(kind for outcome in outcomes for kind in outcome.kinds)
+    for kind, number in counts.most_common():
         print(f"{number:6,} comparisons with {kind}")
     wrong = [outcome.number for outcome in outcomes if outcome.violations]
     cases = [Case.of(outcome.number) for outcome in outcomes]
@@ -412,7 +424,7 @@ def main(count: int, first: int, jobs: int, record: Path | None) -> None:
         "no lapses": sum(case.setting.lapse == 0 for case in cases),
         "execute": sum(case.setting.execute for case in cases),
         "own choice model or terms": sum(bool(case.prior.weights) or case.prior.chooses is not None for case in cases),
-        "comparisons": compared.total(),
+        "comparisons": counts.total(),
         "refused": sum(outcome.refused for outcome in outcomes),
         "violations": len(wrong),
     }
