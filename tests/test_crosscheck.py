@@ -7,6 +7,8 @@ from collections import Counter
 import pytest
 from crosscheck import Case, Outcome, check
 
+pytestmark = pytest.mark.long
+
 REFUSED = 0.02
 """The share of comparisons that the program may refuse by design."""
 
