@@ -389,7 +389,7 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
         (lambda desk: desk.join("ann"), "ann is there already"),
         (lambda desk: desk.join(" "), "expected a name"),
         (lambda desk: Assistant(desk._task, "ann"), "expected a list of names"),
-        (lambda desk: Assistant(desk._task, policy="atention"), "unknown policy 'atention'; expected one of none"),
+        (lambda desk: Assistant(desk._task, policy="atention"), "unknown policy 'atention'; did you mean 'attention'"),
         (lambda _: Assistant(None, ["ann"]), "there is no task"),
         (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
         (lambda desk: Assistant.from_json("{}", desk._task), "no saved team"),
@@ -405,3 +405,27 @@ def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(tiny: Table, 
     assert "\n" not in str(error.value)
     assert desk.to_json() == before
     assert json.loads(before)["people"][0]["person"] == "ann"
+
+
+@pytest.mark.parametrize("reports", [False, True])
+def test_a_robot_on_its_way_to_a_person_who_leaves_helps_others(tiny: Table, reports: bool) -> None:
+    """Whether or not it reports its arrival at the place of the person who has left, as the robot's program does."""
+    desk = Assistant(tiny, ["ann", "bob"], policy="reactive", setting=Setting(travel_time=2, c_suggest=0, c_move=0))
+    for name in ("ann", "bob"):
+        desk.observe(name, "(fetch box-a)")
+    desk.observe("ann", WRONG)
+    going = desk.recommend()
+    assert (going.person, going.arrived) == ("ann", False)
+    desk.leave("ann")
+    if reports:
+        desk.arrived("ann")
+    assert desk.recommend().person is None
+    desk.observe("bob", WRONG)
+    assert desk.recommend().person == "bob"
+    again = Assistant.from_json(desk.to_json(), tiny)
+    again.join("ann")
+    assert again.recommend() == desk.recommend()
+    desk.arrived("bob")
+    assert desk.recommend().arrived
+    with pytest.raises(UnknownError):
+        desk.arrived("carl")

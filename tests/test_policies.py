@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, ByPolicy, TeamAction, TeamState
 from assist.team.travel import Travel
-from planner import Table
+from planner import Table, cost_to_go, load
 
 
 def test_no_assistance_does_nothing(pool: Pool) -> None:
@@ -35,6 +36,27 @@ def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
     assert action.person.tolist() == [0]
     slot = pool.policies[0].pomdp.suggested[start[0], action.robot[0]]
     assert pool.choices(0).optimal[start[0], slot]
+
+
+def test_a_mistake_is_an_action_that_is_not_an_optimal_choice() -> None:
+    """Where actions cost more or less, or nothing: a cheapest way may begin with an action that does not lower h*."""
+    table = cost_to_go(load("delivery/one-parcel"))
+    choices, reactive = Choices.of(table), Reactive()
+    assert (choices.optimal & ~(choices.h[choices.targets] < choices.h[:, None])).any()
+    seen: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def watched(team: TeamState) -> TeamAction:
+        seen.append((team.x.copy(), team.erred.copy()))
+        return reactive(team)
+
+    simulate(Pool.sample(table, 2, seed=0), watched, humans=2, episodes=1, seed=0)
+    mistakes = []
+    for (before, _), (x, erred) in pairwise(seen):
+        optimal = choices.optimal[before] & (choices.targets[before] == x[..., None])
+        moved = ~choices.goal[before]
+        assert (erred == ~optimal.any(axis=2))[moved].all()
+        mistakes += erred[moved].tolist()
+    assert 0 < sum(mistakes) < len(mistakes)
 
 
 def test_attention_follows_algorithm_1(pool: Pool) -> None:

@@ -75,7 +75,7 @@ def test_an_episodes_records_and_trace_agree(pool: Pool, name: str) -> None:
         ({"seed": 0.5}, "seed 0.5"),
         ({"jobs": 0}, "jobs 0"),
         ({"world": "moon"}, "world 'moon': expected 'people' or 'model'"),
-        ({"policy": "Attention"}, "unknown policy 'Attention'; expected one of none, reactive"),
+        ({"policy": "Attention"}, "unknown policy 'Attention'; did you mean 'attention'"),
         ({"memory_limit_mb": 0}, "memory_limit_mb 0: expected more than 0"),
     ],
 )
@@ -240,7 +240,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
                 np.zeros(n, dtype=bool),
             )  # fmt: skip
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
-            minds = Minds(alone[None], value[None], tiny_choices.h, model.eta, model.lapse, False)
+            minds = Minds(alone[None], value[None], tiny_choices.optimal, model.eta, model.lapse, False)
             act(np.arange(n), people, minds, Arrays.of(pomdp))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:
@@ -253,7 +253,7 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
             assert (np.abs(seen - p) < 5 * np.sqrt(p * (1 - p) / n) + 1e-12).all()
             assert (people.x == tiny_choices.targets[place, people.slot]).all()
             assert (people.cost == tiny_choices.costs[place, people.slot]).all()
-            assert (people.erred == ~(tiny_choices.h[people.x] < tiny_choices.h[place])).all()
+            assert (people.erred == ~tiny_choices.optimal[place, people.slot]).all()
             after = theta
             if told >= 0:
                 after = trust(theta, value[x], value[tiny_choices.targets[x, told]], model.eta)

@@ -11,7 +11,8 @@ once, the assistant is that model, choice by choice. Real people are not in step
 - A suggestion stands until the person to whom it was made acts, and that action is taken for their answer to it.
   Until then they are asked nothing more, and the robot is free for others. So a decision may follow every observation.
 - Where the way takes time the robot is under way until its arrival is reported (`arrived`), says nothing meanwhile, and
-  is not called back. Elsewhere it counts as being where it was sent.
+  is not called back, unless the person whom it was sent to leaves: then it counts as being at that place, and the next
+  decision may send it on. Elsewhere it counts as being where it was sent.
 """
 
 from __future__ import annotations
@@ -270,11 +271,11 @@ class Assistant:
         return last.action
 
     def _believe(self, record: Record, step: Step) -> bool:
-        """Take note of what a step tells of somebody, and tell whether it was no progress."""
+        """Update the belief in a person by a step, and return whether it was not an optimal choice."""
         part, row = record.problem.at(step.place)
         belief, choices = self._team.belief[record.place], part.choices
         update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
-        return not choices.h[choices.targets[row, step.slot]] < choices.h[row]
+        return not choices.optimal[row, step.slot]
 
     # Advice goes out.
 
@@ -302,12 +303,17 @@ class Assistant:
         self._advice = None
 
     def arrived(self, person: str | None = None) -> None:
-        """Take note of where the robot is: with somebody, or at its base."""
-        self._location = BASE if person is None else self._team.known(person).place
+        """Take note of where the robot is: with a person, at the place of a person who has left, or at its base."""
+        if person is None:
+            self._location = BASE
+        else:
+            self._location = (self._team.by_name.get(person) or self._team.known(person)).place
         self._under_way = False
         self._advice = None
 
     def _decide(self) -> Advice:
+        if self._under_way and not self._team.present[self._location]:
+            self._under_way = False  # it counts as being at that place: where it is on the way there, is not known
         if self._under_way:
             going_to = self._team.records[self._location]
             return Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)

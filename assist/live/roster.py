@@ -116,7 +116,7 @@ class Roster:
     robot : int array, shape (P,)
         What was suggested to them since their last action; 0 for nothing.
     erred, present, ended : bool arrays, shape (P,)
-        Whose last action was no progress; who is there; who has reached their goal.
+        Whose last action was not an optimal choice; who is there; who has reached their goal.
     belief : float array, shape (P, B, T)
     """
 

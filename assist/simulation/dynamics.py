@@ -39,7 +39,7 @@ class People(NamedTuple):
     cost : float array, shape (N,)
         What they spent.
     erred : bool array, shape (N,)
-        Whether their action did not lower the exact cost-to-go.
+        Whether their action was not an optimal choice: no cheapest way to the goal begins with it.
     """
 
     x: NDArray[np.int64]
@@ -77,8 +77,8 @@ class Minds(NamedTuple):
         The chance of each choice where nothing is suggested.
     value : float array, shape (m, n)
         Perceived values.
-    h : float array, shape (n,)
-        The exact cost-to-go.
+    optimal : bool array, shape (n, A)
+        Which choices a cheapest way to the goal begins with.
     eta : float
         Rate of the trust update, divided by the unit of value.
     lapse : float
@@ -89,7 +89,7 @@ class Minds(NamedTuple):
 
     p: Floats
     value: Floats
-    h: Floats
+    optimal: NDArray[np.bool_]
     eta: float
     lapse: float
     on_grid: bool
@@ -116,7 +116,7 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
         slot = _draw(p, count, minds.lapse, people.luck[i, 0])
         y = m.targets[place, slot]
         people.slot[i], people.cost[i] = slot, m.costs[place, slot]
-        people.erred[i] = not minds.h[y] < minds.h[place]
+        people.erred[i] = not minds.optimal[place, slot]
         if suggestion >= 0:
             if minds.on_grid:
                 t = np.searchsorted(m.theta, theta)

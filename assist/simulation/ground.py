@@ -93,7 +93,9 @@ class Group:
             minds = [_mind(pool.people[i], choices) for i in own.tolist()]
             p, v, lapse = np.array([mind[0] for mind in minds]), np.array([mind[1] for mind in minds]), 0.0
             row[own] = np.arange(len(own))
-        made = Minds(p, v, read_only(choices.h), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid)
+        made = Minds(
+            p, v, read_only(choices.optimal), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid
+        )
         return cls(Arrays.of(pomdp), made, own, row, states)
 
 

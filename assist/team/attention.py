@@ -31,10 +31,11 @@ class NoAssistance:
 
 @dataclass(frozen=True)
 class Reactive:
-    """Go to a person whose last action was no progress, and suggest an optimal action.
+    """Go to a person whose last action was a mistake, and suggest an optimal action.
 
-    Where several have erred the robot stays with the person it is with, if that is one of them, and
-    takes the first otherwise. In a dead end there is nothing to suggest.
+    A mistake is an action that is not an optimal choice: no cheapest way to the goal begins with it. (That h* did not
+    fall is another thing, where actions differ in cost or are free.) Where several have erred the robot stays with the
+    person it is with, if that is one of them, and takes the first otherwise. In a dead end there is nothing to suggest.
     """
 
     uses_belief = False

@@ -109,7 +109,7 @@ class TeamState:
     active : bool array, shape (N, K)
         Who is there and has not finished.
     erred : bool array, shape (N, K)
-        Whose last action did not lower the exact cost-to-go.
+        Whose last action was not an optimal choice.
     location : int array, shape (N,)
         Whom the robot is with, or `BASE`.
     model : int array, shape (N, K)
