@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T", bound=np.generic)
 
 SHOWN = 80
 """Characters of a value that are shown."""
@@ -18,6 +21,15 @@ def read_only(record: Any) -> None:
         value = getattr(record, field.name)
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
+
+
+def frozen(array: NDArray[T]) -> NDArray[T]:
+    """Return the array if it is read-only, else a read-only copy: a caller's own array stays as it was."""
+    if not array.flags.writeable:
+        return array
+    copy = array.copy()
+    copy.flags.writeable = False
+    return copy
 
 
 def outline(record: Any) -> str:

@@ -23,6 +23,7 @@ from assist.people.decision import (
     trust,
 )
 from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.team.travel import Travel
 from planner import Table, load, sweep
 
 ALL = np.ones(3, dtype=bool)
@@ -336,3 +337,20 @@ def test_a_lapse_is_uniform_over_what_each_state_offers() -> None:
     applicable = np.array([[True, True, True], [True, True, False]])
     expected = 0.9 * p + 0.1 * np.array([[1 / 3, 1 / 3, 1 / 3], [1 / 2, 1 / 2, 0.0]])
     np.testing.assert_allclose(lapse(p, applicable, 0.1), expected, atol=1e-15)
+
+
+def test_arrays_of_the_caller_stay_their_own(tiny: Table) -> None:
+    """They can be written to afterwards, and what was made of them does not change."""
+    choices = Choices.of(tiny)
+    h, distance = choices.h.copy(), np.ones((3, 3)) - np.eye(3)
+    human = Human(1.0, 0.5, 0.0, h)
+    q = perceived_cost(choices, h)
+    model = HumanModel(choices, q)
+    travel = Travel(distance, np.zeros((3, 3), dtype=np.int64), 0.5)
+    before = human.h[0], model.q[0, 0], travel.distance[0, 1]
+    h += 1
+    q += 1
+    distance += 1
+    assert (human.h[0], model.q[0, 0], travel.distance[0, 1]) == before
+    for array in (human.h, model.q, travel.distance, travel.steps):
+        assert not array.flags.writeable

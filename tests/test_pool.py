@@ -88,7 +88,7 @@ def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
 def test_a_team_of_different_tasks_costs_and_models(tiny_choices: Choices, fixed: Table) -> None:
     """Each person of a mixed team does what they do in a pool of their own kind."""
     small = Pool.sample(tiny_choices, 2, seed=1, setting=Setting(c_suggest=0.05, c_move=0.1))
-    large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1))
+    large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1, c_move=0.1))
     mixed = Pool.joined([small, large])
     assert [len(mixed.choices(i)) for i in range(4)] == [21, 21, 128, 128]
     trace: Trace = []

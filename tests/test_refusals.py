@@ -38,7 +38,7 @@ from assist.people import own
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
-from assist.people.human import Mixture, Population
+from assist.people.human import Human, Mixture, Population
 from assist.people.misconception import Misconception
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
@@ -47,6 +47,7 @@ from assist.simulation.luck import BLOCK
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
+from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
 from assist.userstudy.questionnaires import FORMS, Item
@@ -148,6 +149,22 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "gamma 0.99: expected that of the setting, 0.9",
     ),
     "no pools": (lambda _: Pool.joined([]), ValueError, "joined: expected one pool or more"),
+    "pools of two settings": (
+        lambda g: Pool.joined([g.pool, replace(g.pool, setting=replace(g.pool.setting, c_move=0.9))]),
+        ValueError, "joined: c_move is",
+    ),
+    **{
+        f"{name} {value}": (
+            lambda _, name=name, value=value: Setting(**{name: value}),
+            ValueError, f"{name} {value!r}: expected",
+        )
+        for name, value in (
+            ("gamma", 1.5), ("gamma", 1.0), ("gamma", 0.0), ("c_suggest", -1), ("c_execute", -0.1), ("lapse", 7),
+            ("lapse", 1.0), ("eta", -0.1), ("eta", float("nan")), ("utility_scale", 0.0), ("c_suggest", float("inf")),
+        )
+    },
+    "a person without bounds": (lambda _: Human(-1.0, 0.5, 0.0, np.zeros(2)), ValueError, "beta -1, theta 0.5"),
+    "trust above 1": (lambda _: Human(1.0, 1.5, 0.0, np.zeros(2)), ValueError, "theta from 0 to 1"),
     # Teams.
     "distances of a line": (
         lambda _: Travel(np.zeros((2, 3)), np.zeros((2, 3), dtype=np.int64), 1.0),

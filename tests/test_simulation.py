@@ -387,3 +387,13 @@ def test_teams_may_differ_from_episode_to_episode(tiny_choices: Choices) -> None
         simulate(pool, pool.policy("none"), humans=teams[:2], episodes=3, seed=1)
     with pytest.raises(ValueError, match="from 0 to 3"):
         simulate(pool, pool.policy("none"), humans=teams + 1, episodes=3, seed=1)
+
+
+def test_people_who_left_are_not_cut_off(pool: Pool) -> None:
+    """An episode is cut off where a person could have gone on after the last step."""
+    short = replace(pool, setting=replace(pool.setting, max_steps=3))
+    for leaves, cut in ((1, 0), (3, 0), (4, 20)):
+        presence = Presence.of(2, leaves=[leaves, leaves])
+        episodes = simulate(short, "none", humans=2, episodes=20, seed=0, presence=presence)
+        assert not episodes.finished.any()
+        assert episodes.summary().cut_off == cut

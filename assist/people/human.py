@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.arrays import outline
+from planner.arrays import frozen, outline
 
 from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
@@ -46,8 +46,13 @@ class Human:
     chooses: ChoiceModel = boltzmann
 
     def __post_init__(self) -> None:
+        if not (0 <= self.beta < np.inf and 0 <= self.sigma < np.inf and 0 <= self.theta <= 1):
+            raise ValueError(
+                f"beta {self.beta:g}, theta {self.theta:g}, sigma {self.sigma:g}: expected beta and sigma of 0 or "
+                "more, and theta from 0 to 1"
+            )
         if not isinstance(self.h, Misconception):
-            self.h.flags.writeable = False
+            object.__setattr__(self, "h", frozen(self.h))
 
     def expects(self, choices: Choices) -> Floats:
         """Give what they take for the cost-to-go in a task or a part of one, shape (n,) or (n, A)."""
@@ -251,7 +256,7 @@ class HumanModel:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
         if not (0 <= self.eta < np.inf and 0 < self.utility_scale < np.inf):
             raise ValueError(f"eta {self.eta:g}, utility_scale {self.utility_scale:g}: expected eta >= 0, scale > 0")
-        self.q.flags.writeable = False
+        object.__setattr__(self, "q", frozen(self.q))
 
     @classmethod
     def exact(

@@ -77,6 +77,8 @@ class Episodes:
     finished : bool array, shape (N, K)
     interventions, moves, steps : int arrays, shape (N,)
     discounted_return : float array, shape (N,)
+    cut_off : bool array, shape (N,)
+        Whether a person had neither finished nor left at the step limit.
     """
 
     policy: str
@@ -93,6 +95,7 @@ class Episodes:
     moves: NDArray[np.int64]
     steps: NDArray[np.int64]
     discounted_return: Floats
+    cut_off: NDArray[np.bool_]
 
     __repr__ = outline
 
@@ -111,7 +114,7 @@ class Episodes:
             interventions=_mean_and_error(self.interventions),
             moves=_mean_and_error(self.moves),
             discounted_return=_mean_and_error(self.discounted_return),
-            cut_off=int((~self.finished).any(axis=1).sum()),
+            cut_off=int(self.cut_off.sum()),
         )
 
     def to_frame(self) -> Any:
@@ -195,7 +198,7 @@ class Summary:
         Mean and standard error: human actions per person, and suggestions, changes of place and
         return per episode.
     cut_off : int
-        Episodes in which somebody had not finished at the step limit.
+        Episodes in which a person had neither finished nor left at the step limit.
     """
 
     policy: str

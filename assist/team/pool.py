@@ -30,6 +30,9 @@ LARGEST = 200_000
 MEMORY_LIMIT_MB = 4000.0
 """What people's policies may take, unless more is allowed."""
 
+OF_THE_TEAM = ("gamma", "c_move", "travel_time", "max_steps")
+"""Fields of a setting that all people of a team share."""
+
 ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
@@ -169,9 +172,22 @@ class Pool:
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
-        """Put pools of different tasks, costs or models together; the setting is that of the first."""
+        """Join pools of different tasks, models or costs of suggestions; the setting is that of the first.
+
+        What a setting says of one person's problem is part of their policy, and may differ. What it says of the whole
+        team (`OF_THE_TEAM`) has to be the same.
+
+        Raises
+        ------
+        ValueError
+            There is no pool, or their settings differ in that.
+        """
         if not pools:
             raise ValueError("joined: expected one pool or more")
+        for name in OF_THE_TEAM:
+            values = [getattr(pool.setting, name) for pool in pools]
+            if len(set(values)) > 1:
+                raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
         offsets = np.cumsum([0, *(len(pool.policies) for pool in pools[:-1])])
         return cls(
             pools[0].setting,

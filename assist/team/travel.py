@@ -10,6 +10,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arrays import frozen
+
 from ..people.decision import Floats
 from .arguments import whole
 
@@ -44,8 +46,8 @@ class Travel:
             raise ValueError("distance: expected 0 from each place to itself, and 0 or more to the others")
         if self.steps.shape != self.distance.shape or self.steps.min() < 0 or self.steps.diagonal().any():
             raise ValueError("steps: expected one number of 0 or more for each distance, and 0 to stay")
-        self.distance.flags.writeable = False
-        self.steps.flags.writeable = False
+        object.__setattr__(self, "distance", frozen(self.distance))
+        object.__setattr__(self, "steps", frozen(self.steps))
 
     @classmethod
     def of(
