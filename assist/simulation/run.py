@@ -92,7 +92,7 @@ class Run:
             sigma=self.sigma, actions=self.actions, costs=self.costs, finished=self.finished, helped=self.helped,
             interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
             discounted_return=self.discounted,
-            cut_off=(~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1),
+            cut_off=np.asarray((~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1)),
         )  # fmt: skip
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
