@@ -9,13 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo live test test-all coverage lint bench bench-smallest study docs wheel-check clean
 
-# Compiled code that takes functions or constants from other files is kept when only those change (numba looks at one
-# file), so that it is thrown away here.
-SHARED := assist/certify/conflicts.py assist/certify/lattice.py assist/learning/likelihood.py \
-	assist/people/compiled.py assist/person/qmdp.py assist/person/upper_hull.py \
-	planner/atomics.py planner/kernels.py planner/reached.py
-
-demo: $(VENV)/.demo $(VENV)/.compiled
+demo: $(VENV)/.demo
 	@mkdir -p demo
 	$(BIN)/kitassist solve domains/kitting/paper.pddl
 	@echo
@@ -26,7 +20,7 @@ demo: $(VENV)/.demo $(VENV)/.compiled
 	@echo "One episode as a picture: demo/episode.png; every action of all of them: demo/trace.jsonl"
 
 # A first look at the live assistant for one person: two others are simulated; the links are printed.
-live: $(VENV)/.live $(VENV)/.compiled
+live: $(VENV)/.live
 	@$(BIN)/kitassist serve domains/kitting/paper.pddl --humans 3 --simulate 2 --c-suggest 0.2
 
 test: $(VENV)/.test $(VENV)/.warm
@@ -65,19 +59,18 @@ docs: $(VENV)/.docs
 wheel-check:
 	@.ci/wheel $(PYTHON)
 
-$(VENV)/.compiled: $(VENV)/bin/python $(SHARED)
-	@find planner assist -name '*.nb[ci]' -delete
-	@touch $@
-
 # What takes long to compile is compiled once, two halves at a time, and not by every worker of the tests for itself.
-$(VENV)/.warm: $(VENV)/.test $(VENV)/.compiled $(wildcard planner/*.py assist/*/*.py)
+$(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py assist/*/*.py)
 	@echo "Compiling ..."
-	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && $(BIN)/kitassist solve $$tiny >$$folder/solved && \
-		{ { $(BIN)/kitassist policy $$tiny --gap 0.1 >$$folder/policy && \
-		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --paths 2 >$$folder/bound; } & \
-		$(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl >$$folder/team && \
-		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception >$$folder/people; wait; } 2>$$folder/said; \
-		rm -rf $$folder
+	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && run="env PYTHONPATH=bench $(BIN)/python tests/warm.py" && \
+		$(BIN)/kitassist solve $$tiny >$$folder/solved 2>$$folder/said && { \
+		{ $(BIN)/kitassist policy $$tiny --gap 0.1 && \
+		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --paths 2 && \
+		$$run people; } >$$folder/people 2>&1 & half=$$!; \
+		{ $(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl && \
+		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception && \
+		$$run planner; } >$$folder/planner 2>&1; code=$$?; \
+		wait $$half || code=$$?; [ $$code = 0 ] || cat $$folder/*; rm -rf $$folder; exit $$code; }
 	@touch $@
 
 clean:

@@ -82,7 +82,7 @@ class Forms(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def canonical(forms, states):
     """Put the form of each state in its place; states of shape (n, words)."""
     variables, levels = len(forms.word), len(forms.begin) - 1

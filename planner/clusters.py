@@ -168,7 +168,7 @@ def _merged(projections: Projections, a: Cluster, b: Cluster, linked: Ints) -> t
     return math.log(product / len(values)), Cluster(variables, values)
 
 
-@njit(cache=True)
+@njit()
 def _explore(after, allowed, initial, factors, sizes, most):
     """List the keys (values times factors) that can be reached in a projection; none if they are more than `most`."""
     width = len(factors)

@@ -1,17 +1,25 @@
-"""numba, and what has to be known of it: code is compiled once after an installation, and kept in a cache."""
+"""numba, and its cache: a function is compiled when it is first called, and the code is kept for later processes."""
 
 from __future__ import annotations
 
+import hashlib
+import linecache
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from importlib import import_module
+from types import FunctionType, ModuleType
 from typing import Any
 
-from numba import njit as njit
+import numba
+import numpy as np
 from numba.core import event
 
 BLAS = "scipy.linalg.cython_blas"
+
+CONSTANTS = (bool, int, float, str, tuple, np.generic)
+"""Types of values that are written into compiled code."""
 
 
 def _load_without_scipy() -> None:
@@ -32,16 +40,58 @@ def _load_without_scipy() -> None:
 _load_without_scipy()
 
 
+def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator as `numba.njit` does; its cache also knows the other files that the code depends on.
+
+    numba alone compares the file of the function itself. It would use old code after an edit of a function, or of a
+    constant, that is compiled into this one from another file.
+    """
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        dispatcher = numba.njit(cache=True, **options)(function)
+        dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
+        return dispatcher
+
+    return compiled
+
+
+@cache
+def stamp(module: str) -> str:
+    """Return a hash of all that compiled functions of a module can take from files.
+
+    These are the module's own file, the values of constants that it imports, and the same of each module that it
+    imports compiled functions, intrinsics or named tuples from, or that it imports as a whole.
+    """
+    names = vars(sys.modules[module])
+    found = hashlib.sha256("".join(linecache.getlines(names["__file__"], names)).encode())
+    for name, value in sorted(names.items()):
+        other = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
+        if name.startswith("__") or isinstance(value, FunctionType) or _is_plain_class(value):
+            continue
+        if isinstance(value, CONSTANTS):
+            found.update(f"{name} {value!r}".encode())
+        elif isinstance(value, np.ndarray):
+            found.update(f"{name} {value.dtype} {value.shape}".encode() + value.tobytes())
+        elif other and other != module and other.partition(".")[0] in ("planner", module.partition(".")[0]):
+            found.update(stamp(other).encode())
+    return found.hexdigest()
+
+
+def _is_plain_class(value: object) -> bool:
+    """Whether a value is a class that compiled code cannot use: any but a named tuple."""
+    return isinstance(value, type) and not issubclass(value, tuple)
+
+
 @contextmanager
 def compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """Call `tell` before each function that is compiled meanwhile, since it is not in the cache."""
+    """Call `tell` before each function that is compiled meanwhile because it is not in the cache."""
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002
             tell()
 
         def on_end(self, event: Any) -> None:
-            """Nobody is told."""
+            """Do nothing."""
 
     with event.install_listener("numba:compile", Listener()):
         yield

@@ -148,7 +148,7 @@ def _null_space(matrix: Ints) -> Ints:
     return basis
 
 
-@njit(cache=True)
+@njit()
 def _reduce(matrix):
     """Bring a matrix to reduced row echelon form modulo the prime, in place; give each row's pivot column or -1."""
     rows, columns = matrix.shape

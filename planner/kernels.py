@@ -129,7 +129,7 @@ PRIME = 8191
 """Sums that tell the value of a variable are taken modulo this prime."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def decode(decoder, index, words):
     """Write the packed state of an index into `words`."""
     rest = np.uint64(index)
@@ -167,7 +167,7 @@ class Cursor(NamedTuple):
     upper: Words
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def start_cursor(tests, decoder):
     """Give a cursor, at no index."""
     width, sets = decoder.rows.shape[1], tests.candidates.sets.shape[1]
@@ -182,7 +182,7 @@ def start_cursor(tests, decoder):
     return cursor
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def applicable(tests, decoder, index, cursor, moves):
     """List the moves that can be applied in the state of an index, and leave that state in `cursor.words`."""
     words, sets = cursor.words, cursor.sets
@@ -243,7 +243,7 @@ def applicable(tests, decoder, index, cursor, moves):
     return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def after(tests, words, move, index):
     """Give the index that a move leads to, negative if there is none."""
     target = index + tests.delta[move]
@@ -256,14 +256,14 @@ def after(tests, words, move, index):
     return target
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def decode_all(decoder, indices, states):
     """Write the packed state of each index into a row of `states`."""
     for i in range(len(indices)):
         decode(decoder, indices[i], states[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def spread(tests, decoder, closed, block, start, out, filled):
     """Push the successors that are not closed yet, and close them.
 
@@ -305,7 +305,7 @@ def spread(tests, decoder, closed, block, start, out, filled):
     return i, filled, transitions
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
     """Push the successors that are not in a hash table yet, at most `room`, and put them there.
 
@@ -343,7 +343,7 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
     return i, filled, transitions
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
     """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
 
@@ -381,7 +381,7 @@ def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
     return i, filled, transitions
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def mark(decoder, block, masks, values, marks):
     """Write to `marks` in which states of a block a condition holds."""
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
@@ -393,7 +393,7 @@ def mark(decoder, block, masks, values, marks):
         marks[i] = met
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def fill_transitions(tests, decoder, states, block, number, offsets, actions, targets):
     """Write the rows of the transitions of the states of a block, numbered from `number`."""
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)

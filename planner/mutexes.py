@@ -79,7 +79,7 @@ def _rows(lists: Sequence[Sequence[int]]) -> Ints:
     return rows
 
 
-@njit(cache=True)
+@njit()
 def _close(needs, gains, keeps, variable, together, possible):
     """Add pairs until no move adds any more."""
     facts = len(variable)
@@ -144,7 +144,7 @@ def _close(needs, gains, keeps, variable, together, possible):
                 fixed[variable[needs[m, i]]] = False
 
 
-@njit(cache=True)
+@njit()
 def _bar(needs, variable, together, barred):
     """Mark facts that are mutex with one that a move needs."""
     for m in range(len(needs)):

@@ -94,7 +94,7 @@ class Rulebook(NamedTuple):
     again: NDArray[np.bool_]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def write(rules, rule, state):
     """Write what a rule writes; tell whether that has changed anything."""
     changed = False
@@ -106,7 +106,7 @@ def write(rules, rule, state):
     return changed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def derive(axioms, again, states):
     """Set the derived variables of states, shape (n, words): stage by stage, each to its least fixed point."""
     trie = axioms.trie
@@ -130,7 +130,7 @@ def derive(axioms, again, states):
                 changed &= again[stage]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def applicable(book, state, operators):
     """List the operators that count in a state, in ascending order: the first of each action."""
     trie = book.trie
@@ -161,7 +161,7 @@ def applicable(book, state, operators):
     return kept
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def expand(book, states, start, counts, actions, after):
     """Write what each action leads to, for `states[start:]` as far as the output holds it.
 
@@ -217,7 +217,7 @@ def expand(book, states, start, counts, actions, after):
     return i, filled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def hash_of(state):
     """Mix the words of a state."""
     mixed = np.uint64(0)
@@ -227,19 +227,19 @@ def hash_of(state):
     return mixed * np.uint64(0xD6E8FEB86659FD93)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def place_of(slots, mixed):
     """Give the slot from which a state is looked for."""
     return np.int64(mixed >> np.uint64(20) & np.uint64(len(slots) - 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def entry_of(mixed, number):
     """Give what a slot has of a state."""
     return mixed >> np.uint64(NUMBER) << np.uint64(NUMBER) | np.uint64(number + 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def find(slots, states, state, mixed):
     """Find the slot in which a state stands, or the free one (0) where it belongs."""
     at = place_of(slots, mixed)
@@ -255,7 +255,7 @@ def find(slots, states, state, mixed):
     return at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def insert(slots, states, held, block, numbers):
     """Give the number of each state of a block; those that are new are written to `states[held:]`, which has room.
 
@@ -287,7 +287,7 @@ def insert(slots, states, held, block, numbers):
     return held
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def look_up(slots, states, block, numbers):
     """Give the number of each state of a block, -1 where it is not held."""
     for i in range(len(block)):
@@ -295,7 +295,7 @@ def look_up(slots, states, block, numbers):
         numbers[i] = np.int64(entry & np.uint64((1 << NUMBER) - 1)) - 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def fill_slots(slots, states, first, stop):
     """Put `states[first:stop]`, which are distinct, into the slots, which have room."""
     for number in range(first, stop):
@@ -306,7 +306,7 @@ def fill_slots(slots, states, first, stop):
         slots[at] = entry_of(mixed, number)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def turn_round(counts, targets, kinds, into, sources, source_kinds):
     """Sort transitions by what they lead to: those that lead to `s` are `into[s]:into[s + 1]`; `into` is zeros before.
 
@@ -327,7 +327,7 @@ def turn_round(counts, targets, kinds, into, sources, source_kinds):
             row += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def relax(into, sources, kinds, costs, distance, block, start, d, out, through):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
 

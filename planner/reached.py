@@ -17,21 +17,21 @@ AHEAD = 16
 """How many entries before its turn the memory of one is asked for."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def set_bits(bits, indices):
     """Set the bits of indices."""
     for i in range(len(indices)):
         bits[indices[i] >> 6] |= np.uint64(1) << np.uint64(indices[i] & 63)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def first_slot(keys, index):
     """Give the place in a hash table from which an index is looked for."""
     mixed = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
     return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(len(keys) - 1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def find_slot(keys, index):
     """Find where an index stands in a hash table, or the free place (-1) where it belongs."""
     at = first_slot(keys, index)
@@ -40,7 +40,7 @@ def find_slot(keys, index):
     return at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def insert_all(keys, indices):
     """Put distinct indices into a hash table that has room for them."""
     for i in range(len(indices)):
@@ -49,7 +49,7 @@ def insert_all(keys, indices):
         keys[find_slot(keys, indices[i])] = indices[i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def number_members(keys, members, start, numbers):
     """Write the number of each member, from `start` on, beside its place in the hash table."""
     for i in range(len(members)):
@@ -80,7 +80,7 @@ class States(NamedTuple):
     numbers: Ints
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def count_ones(word):
     """Count the bits of a word (the compiler has an instruction for this pattern)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -89,7 +89,7 @@ def count_ones(word):
     return np.int64((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def fill_ranks(bits, ranks):
     """Fill in the ranks of a bitmap."""
     total = 0
@@ -100,7 +100,7 @@ def fill_ranks(bits, ranks):
     ranks[-1] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def ask_for(states, index):
     """Ask for the memory that tells the number of an index."""
     if len(states.bits):
@@ -112,7 +112,7 @@ def ask_for(states, index):
         prefetch(states.numbers, slot)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def number_of(states, index):
     """Give the number of the state with an index, or -1."""
     if len(states.bits) == 0:
@@ -128,14 +128,14 @@ def number_of(states, index):
     return number
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def numbers_of(states, indices, out):
     """Write the number of each index to `out`, -1 where there is no such state."""
     for i in range(len(indices)):
         out[i] = number_of(states, indices[i]) if indices[i] >= 0 else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def select(states, numbers, out):
     """Write the index of each numbered state to `out`."""
     for i in range(len(numbers)):
@@ -160,7 +160,7 @@ def select(states, numbers, out):
         out[i] = 64 * word + count_ones((rest & (~rest + np.uint64(1))) - np.uint64(1))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def list_members(states, start, out):
     """Write the next indices in ascending order to `out`, beginning after a bitmap's first `start` words.
 
@@ -190,7 +190,7 @@ def list_members(states, start, out):
     return len(states.bits), filled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def label(states, distance, d, block):
     """Set the distance of all states of a block."""
     for i in range(len(block)):
@@ -199,7 +199,7 @@ def label(states, distance, d, block):
         distance[number_of(states, block[i])] = d
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def close(states, distance, unreached, closed):
     """Fill a bitmap of the indices that no search has to look at: of no state, or of one that has a distance."""
     number = 0
@@ -215,13 +215,13 @@ def close(states, distance, unreached, closed):
         closed[word] = left
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def is_closed(closed, index):
     """Tell whether an index is closed; where there is no bitmap, none is."""
     return len(closed) != 0 and closed[index >> 6] & (np.uint64(1) << np.uint64(index & 63)) != 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def close_one(closed, index):
     """Close an index, where there is a bitmap; several threads may do so."""
     if len(closed):

@@ -13,7 +13,7 @@ from .kernels import PENDING, after, applicable, start_cursor
 from .reached import ask_for, close_one, is_closed, number_of
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def relax(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and the kinds of those moves.
 
@@ -68,7 +68,7 @@ def relax(tests, decoder, states, closed, kinds, costs, distance, block, start, 
     return i, filled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def by_kind(out, through, begin, ordered):
     """Put what was pushed in the order of its kinds: that of kind `k` is `ordered[begin[k]:begin[k + 1]]`.
 

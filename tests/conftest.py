@@ -8,13 +8,17 @@ import re
 import subprocess
 import sys
 import threading
+import time
+from collections import Counter
 from functools import cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
+from numba.core import event
 
 from assist.cli import main, progress, solving, task
 from assist.people.choices import Choices
@@ -59,6 +63,40 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         part = (len(items) - len(ordered)) // (workers - worker)
         ordered += [*first, *islice(others, max(0, part - len(first)))]
     items[:] = ordered
+
+
+compiled: Counter[str] = Counter()
+"""Seconds in which each function of this project was compiled while tests ran, since it was in no cache."""
+
+
+class Compiled(event.Listener):
+    def on_start(self, event: event.Event) -> None:  # noqa: ARG002
+        self.start = time.process_time()
+
+    def on_end(self, event: event.Event) -> None:
+        function = event.data["dispatcher"].py_func
+        if function.__module__.startswith(("planner.", "assist.")):
+            compiled[f"{function.__module__}.{function.__name__}"] += time.process_time() - self.start
+
+
+event.register("numba:compile", Compiled())
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["compiled"] = dict(compiled)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    compiled.update(getattr(node, "workeroutput", {}).get("compiled", {}))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say what `tests/warm.py` has left to be compiled while tests ran."""
+    if compiled:
+        terminalreporter.write_line(f"compiled while tests ran, {sum(compiled.values()):.0f} s of processor time:")
+        terminalreporter.write_line(", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.most_common()))
 
 
 @cache

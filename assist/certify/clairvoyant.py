@@ -69,6 +69,8 @@ import numpy as np
 from numba.typed import Dict
 from numpy.typing import NDArray
 
+from planner.compiled import njit
+
 from ..people.decision import Floats
 from .confidence import Sampled
 from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
@@ -345,7 +347,7 @@ def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats
     return kept
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None:
     """Fill in the least costs from each node on, and count the steps of attention on the best way."""
     layers = len(graph.layer) - 1
@@ -373,14 +375,14 @@ def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None
             break
 
 
-@numba.njit(cache=True)
+@njit()
 def _copy(to: Floats, row: Floats) -> None:
     """Copy a row; an assignment of arrays takes seconds to compile."""
     for c in range(len(to)):
         to[c] = row[c]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _search(
     team: _Team, ahead: Floats, price: Floats, alpha: float, scale: Scale, steps: int, most: int
 ) -> float:  # fmt: skip

@@ -24,9 +24,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.decision import Floats
 from ..person.qmdp import Arrays
@@ -211,7 +212,7 @@ class Conflicts:
             self.lattice.grow()
 
 
-@numba.njit(cache=True)
+@njit()
 def _wanted(
     node: int, x: int, price: float, top: float, nodes: Nodes, attended: NDArray[np.bool_], robots: int
 ) -> float:
@@ -226,7 +227,7 @@ def _wanted(
     return 0.0 if with_it == np.inf else min(without - with_it, top) + price
 
 
-@numba.njit(cache=True)
+@njit()
 def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
     """Fill in the mean of the rows after an edge, up to a column."""
     out[:end] = 0.0
@@ -240,7 +241,7 @@ def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
             out[c] += chance * row[c]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _row(
     node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
@@ -293,7 +294,7 @@ def _row(
     return True
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _wishes(
     graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
     known: Known, m: Arrays, order: Ints,
@@ -332,7 +333,7 @@ def _wishes(
     return True
 
 
-@numba.njit(cache=True)
+@njit()
 def lost(step: int, rows: Floats, scale: Scale) -> float:
     """Give U from a step on, discounted to step 0, of people with these rows, shape (K, A * (L + 2))."""
     levels = len(scale.width)

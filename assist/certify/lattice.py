@@ -16,9 +16,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.compiled import answer
 from ..people.decision import Floats
@@ -194,14 +195,14 @@ def _embedded(visits: Visits, solution: Solution, outer: Outer) -> Solution:
     return replace(solution, corner=corner, point=solution.point[order], drop=solution.drop[order], first=first)
 
 
-@numba.njit(cache=True)
+@njit()
 def at(node: int, known: Known) -> int:
     """Give the state of a node."""
     points = len(known.drop)
     return known.state[node] if node < points else (node - points) // known.corner.shape[1]
 
 
-@numba.njit(cache=True)
+@njit()
 def worth(node: int, known: Known) -> float:
     """Give the bound at a node."""
     points, size = len(known.drop), known.corner.shape[1]
@@ -213,7 +214,7 @@ def worth(node: int, known: Known) -> float:
     return value
 
 
-@numba.njit(cache=True)
+@njit()
 def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> int:
     """Divide an unnormalised belief of a state among its nodes; return how many get a part.
 
@@ -239,7 +240,7 @@ def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> in
     return count
 
 
-@numba.njit(cache=True)
+@njit()
 def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: Arrays) -> None:
     """Fill in the belief after a choice, times its chance."""
     betas, thetas = m.chosen.shape[2], len(m.theta)
@@ -262,7 +263,7 @@ def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: Arrays) -
             after[b * thetas + low + 1] += mass * up
 
 
-@numba.njit(cache=True)
+@njit()
 def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> bool:
     """Work the edges of a node out, unless they are known; tell whether there was room."""
     if nodes.first[node] >= 0:
@@ -318,7 +319,7 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
     return True
 
 
-@numba.njit(cache=True)
+@njit()
 def outcome(edge: int, luck: float, nodes: Nodes) -> int:
     """Give the node to which an edge leads with some luck."""
     low, high = nodes.begin[edge], nodes.begin[edge + 1] - 1
@@ -331,7 +332,7 @@ def outcome(edge: int, luck: float, nodes: Nodes) -> int:
     return nodes.to[low]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _unfold(
     root: int, luck: Floats, graph: Graph, stamp: Ints, mark: int, nodes: Nodes, known: Known, m: Arrays, order: Ints,
     attended: NDArray[np.bool_],

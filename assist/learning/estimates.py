@@ -17,10 +17,11 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri
+
+from planner.compiled import njit
 
 from ..people.decision import NOTHING, Floats, choice, influence, lapse
 from .likelihood import Data, Method, alone, at_point, on_grid, thetas, with_trust
@@ -269,7 +270,7 @@ class _Search:
         return self.small * math.expm1(coordinate) if axis == BETA else coordinate
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _climb(data: Data, at: Floats, step: Floats, low: Floats, high: Floats, small: float, unit: float) -> float:
     """Improve a point in place by a pattern search (Hooke and Jeeves 1961); return its log-likelihood.
 

@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.compiled import answer, moved
 from ..people.decision import Floats
@@ -99,7 +100,7 @@ class Data(NamedTuple):
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> None:
     """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
 
@@ -130,7 +131,7 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> N
         rest[i] = others / (heard + others)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
     """Add up the log-likelihood for what `alone` has filled in."""
     total = 0.0
@@ -151,7 +152,7 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
     return total + math.log(product)
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
     """Give the log-likelihood for all combinations, shape (B, T, E)."""
     result = np.empty((len(beta), len(theta), len(eta)))
@@ -165,7 +166,7 @@ def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
     return result
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def at_point(data: Data, at: Floats, small: float) -> float:
     """Give the log-likelihood at the coordinates (log1p(beta / small), theta, eta)."""
     n = len(data.chosen)
@@ -174,7 +175,7 @@ def at_point(data: Data, at: Floats, small: float) -> float:
     return with_trust(data, own, told, rest, at[1], at[2])
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def thetas(gain: Floats, begins: NDArray[np.bool_], first: float, eta: float) -> Floats:
     """Give theta before each step, shape (N,)."""
     result = np.empty(len(gain))

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
@@ -27,6 +26,8 @@ from scipy.optimize import brentq, minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.special import chdtri
+
+from planner.compiled import njit
 
 from ..people.decision import NOTHING, Floats
 from .estimates import Fit
@@ -300,7 +301,7 @@ class MarginalLikelihood:
         return cho_solve_banded((lower, True), b, check_finite=False), 2 * float(np.log(lower[0]).sum())
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _curvature(p: Floats, index: Ints, m: int) -> Floats:
     """Minus the second derivatives of the choices' log-likelihood by z, shape (M, M)."""
     result = np.zeros((m + 1, m + 1))
@@ -313,7 +314,7 @@ def _curvature(p: Floats, index: Ints, m: int) -> Floats:
     return result[:m, :m]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _band(p: Floats, index: Ints, m: int, band: int) -> Floats:
     """The same, the diagonal and what is below it: entry (i, j) in row i - j and column j of shape (band + 1, M)."""
     result = np.zeros((band + 1, m))

@@ -15,12 +15,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
 from planner.arrays import read_only
+from planner.compiled import njit
 
 from ..people.decision import NOTHING, Floats
 from .estimates import SMALL, largest_beta
@@ -228,7 +228,7 @@ class Likelihood:
         )  # fmt: skip
 
 
-@numba.njit(cache=True)
+@njit()
 def _evaluate(
     at: Floats, who: NDArray[np.bool_], bounds: Ints, speaks: Floats, possible: NDArray[np.bool_], options: Ints,
     chosen: Ints, gain: Floats, begins: NDArray[np.bool_], small: float, lapse: float, eta: float, told: bool,

@@ -3,23 +3,20 @@
 What simulates, fits and searches calls these; the choice without a suggestion (eq. 4) comes to it as an array, from a
 `choice_model`. Where a loop was made faster by arranging an equation in another way (`person.qmdp`,
 `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
-
-numba keeps compiled code for as long as the file of the function that was compiled is unchanged, and so keeps these
-functions within callers of other files: `make test` and `make demo` throw that away when this file has changed.
 """
 
 from __future__ import annotations
 
 import sys
 
-import numba
+from planner.compiled import njit
 
 from .decision import Floats
 
 LARGEST = sys.float_info.max
 
 
-@numba.njit(cache=True)
+@njit()
 def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
     """Weigh the chances of `count` choices by a suggestion (eq. 5), not normalised.
 
@@ -34,7 +31,7 @@ def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
             p[a] *= theta if a == suggestion else 1.0 - theta
 
 
-@numba.njit(cache=True)
+@njit()
 def answer(theta: float, p: float, others: float) -> tuple[float, float]:
     """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 5).
 
@@ -48,7 +45,7 @@ def answer(theta: float, p: float, others: float) -> tuple[float, float]:
     return 1.0, 1.0
 
 
-@numba.njit(cache=True)
+@njit()
 def moved(theta: float, eta: float, gain: float) -> float:
     """Give theta after a suggestion that changes the person's value by `gain` (eq. 6), in units of `eta`."""
     if eta == 0.0 or gain == 0.0:

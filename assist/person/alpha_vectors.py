@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import cached_property
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import outline
+from planner.compiled import njit
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -105,7 +105,7 @@ class VectorPolicy:
 
 
 # Sums may be taken in another order, so that a processor's vector units do them; nothing here is a proof.
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def _dot(alpha: Floats, belief: Floats) -> float:
     total = 0.0
     for i in range(len(alpha)):
@@ -113,7 +113,7 @@ def _dot(alpha: Floats, belief: Floats) -> float:
     return total
 
 
-@numba.njit(cache=True)
+@njit()
 def _most(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> tuple[float, int]:
     """Give the largest alpha . b in state y, and which vector has it; `belief` and `vectors` are flat, (..., B * T)."""
     if first[y] == first[y + 1]:
@@ -126,7 +126,7 @@ def _most(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> 
     return value, best
 
 
-@numba.njit(cache=True)
+@njit()
 def _maximise(
     value: Floats,
     best: NDArray[np.int64],
@@ -142,7 +142,7 @@ def _maximise(
         value[i], best[i] = _most(x[i], beliefs[i], alphas, first)
 
 
-@numba.njit(cache=True)
+@njit()
 def _look_ahead(
     q: Floats, x: NDArray[np.int64], belief: Floats, vectors: Floats, first: NDArray[np.int64], m: Arrays
 ) -> None:

@@ -19,11 +19,11 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import Table
+from planner.compiled import njit
 
 from ..people.decision import Floats
 from ..people.human import Human
@@ -141,7 +141,7 @@ def mistaken_about_states(human: Human) -> bool:
     return isinstance(human.h, Misconception) and human.h.noise == "state"
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _sweep(
     value: Floats, stamp: NDArray[np.uint8], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
     targets: NDArray[np.int32], prices: Floats, h: Floats, mine: Floats, beta: float, gamma: float, c_suggest: float,

@@ -16,17 +16,17 @@ the end: any that keep the two conditions give a bound. So the bound that the se
 **Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
 
 `trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
-the result on. All compiled functions of the search but that of eq. 5 are in this one file, since numba keeps compiled
-code for as long as the file of the function itself is unchanged.
+the result on.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.compiled import answer
 from ..people.decision import Floats
@@ -168,7 +168,7 @@ def new_path(size: int, robots: int, slots: int) -> Path:
     )
 
 
-@numba.njit(cache=True)
+@njit()
 def new_room(size):
     """Make room for `upper` at beliefs of so many numbers."""
     k = PIVOTS + 1
@@ -179,7 +179,7 @@ def new_room(size):
 
 
 # Sums may be taken in any order: what that does to rounding is covered by the margin of each backup.
-@numba.njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def dot(a, b):
     """Give a . b."""
     total = 0.0
@@ -190,21 +190,21 @@ def dot(a, b):
 
 # The same for whole arrays (a[:] = b, (a <= b).all(), a / b) takes several times as long to compile, since it brings
 # broadcasting and the words of its errors along, once for each function from which it is called.
-@numba.njit(cache=True)
+@njit()
 def _fill(a, value):
     """Set every entry of a."""
     for i in range(len(a)):
         a[i] = value
 
 
-@numba.njit(cache=True)
+@njit()
 def _copy(a, b):
     """Set a to b."""
     for i in range(len(a)):
         a[i] = b[i]
 
 
-@numba.njit(cache=True)
+@njit()
 def _nowhere_above(a, b):
     """Tell whether a <= b."""
     for i in range(len(a)):  # noqa: SIM110  numba has no generators
@@ -213,7 +213,7 @@ def _nowhere_above(a, b):
     return True
 
 
-@numba.njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _share(belief, inverse, enough):
     """Give the largest weight of a belief within another, or something below `enough` once it cannot reach that."""
     size, at, share = len(belief), 0, HUGE
@@ -227,7 +227,7 @@ def _share(belief, inverse, enough):
     return share
 
 
-@numba.njit(cache=True)
+@njit()
 def upper(x, belief, hull, room):
     """Give the upper bound of a state at an unnormalised belief."""
     drop, inverse, after, candidate, worths = hull.drop, hull.inverse, hull.after, room.candidate, room.worth
@@ -247,7 +247,7 @@ def upper(x, belief, hull, room):
     return base + min(best, _pivot(belief, first, best, count, hull, room))
 
 
-@numba.njit(cache=True)
+@njit()
 def _pivot(belief, first, best, count, hull, room):
     """Improve on the weight of one belief by the simplex method; return what the weights found are worth.
 
@@ -328,14 +328,14 @@ def _pivot(belief, first, best, count, hull, room):
     return worth * scale
 
 
-@numba.njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _subtract(a, factor, b):
     """Take factor * b from a."""
     for i in range(len(a)):
         a[i] -= factor * b[i]
 
 
-@numba.njit(cache=True)
+@njit()
 def _price(belief, best, count, k, hull, room):
     """Give the candidate, or else the position in `row` of the slack, that promises most; `NONE` for neither."""
     drop, points, candidate, worth, dual, row = (
@@ -358,7 +358,7 @@ def _price(belief, best, count, k, hull, room):
     return enter, slack
 
 
-@numba.njit(cache=True)
+@njit()
 def _eliminate(a, y, k):
     """Solve a z = y in place by Gaussian elimination; return whether a is regular."""
     for c in range(k):
@@ -384,7 +384,7 @@ def _eliminate(a, y, k):
     return True
 
 
-@numba.njit(cache=True)
+@njit()
 def add_point(x, belief, value, hull):
     """Add the bound at a belief of mass 1, and remove beliefs that it makes superfluous."""
     after, head, space, drops, inverse, state = hull.after, hull.head, hull.space, hull.drop, hull.inverse, hull.state
@@ -417,7 +417,7 @@ def add_point(x, belief, value, hull):
     after[new], head[x] = head[x], new
 
 
-@numba.njit(cache=True)
+@njit()
 def lower(x, belief, plans):
     """Give the lower bound at an unnormalised belief, and the vector that it comes from."""
     best, at = -np.inf, NONE
@@ -430,7 +430,7 @@ def lower(x, belief, plans):
     return best, at
 
 
-@numba.njit(cache=True)
+@njit()
 def add_plan(x, robot, vector, belief, plans):
     """Add an alpha vector to a state, made for a belief, and remove those that are nowhere above it."""
     after, head, space, live = plans.after, plans.head, plans.space, plans.live
@@ -463,7 +463,7 @@ def add_plan(x, robot, vector, belief, plans):
         plans.limit[x] = max(FEW, 2 * live[x])
 
 
-@numba.njit(cache=True)
+@njit()
 def _retire(x, plans):
     """Keep in a state's list only the vectors that are best at some belief for which one of them was made."""
     after, head = plans.after, plans.head
@@ -493,14 +493,14 @@ def _retire(x, plans):
     plans.live[x] = kept
 
 
-@numba.njit(cache=True)
+@njit()
 def add_plans(value, robot, belief, plans):
     """Add a vector to every state."""
     for x in range(len(value)):
         add_plan(x, robot[x], value[x], belief, plans)
 
 
-@numba.njit(cache=True)
+@njit()
 def _split(x, r, belief, told, other, lapsed, m):
     """Split a belief by what the person will do.
 
@@ -537,7 +537,7 @@ def _split(x, r, belief, told, other, lapsed, m):
     return place, slot
 
 
-@numba.njit(cache=True, fastmath=FAST)
+@njit(fastmath=FAST)
 def _child(place, a, slot, told, other, lapsed, child, m):
     """Fill in the unnormalised belief after slot `a`; return its mass."""
     thetas = len(m.theta)
@@ -551,7 +551,7 @@ def _child(place, a, slot, told, other, lapsed, child, m):
     return mass
 
 
-@numba.njit(cache=True)
+@njit()
 def _follow(d, r, work, path, m):
     """Fill in the beliefs after a robot action and each slot; return the state in which the person acts."""
     x = path.state[d]
@@ -562,7 +562,7 @@ def _follow(d, r, work, path, m):
     return place
 
 
-@numba.njit(cache=True)
+@njit()
 def _look_up(d, r, work, room, path, hull, m):
     """Bound the return of a robot action from above by its children's bounds."""
     x = path.state[d]
@@ -576,7 +576,7 @@ def _look_up(d, r, work, room, path, hull, m):
     path.known[d, r] = True
 
 
-@numba.njit(cache=True)
+@njit()
 def _promising(d, work, room, path, hull, m):
     """Give the robot action with the largest upper bound, and look up no more of them than that needs."""
     robots = m.robot_actions[path.state[d]]
@@ -590,7 +590,7 @@ def _promising(d, work, room, path, hull, m):
         _look_up(d, r, work, room, path, hull, m)
 
 
-@numba.njit(cache=True)
+@njit()
 def _look_down(d, r, work, path, picked, plans, m):
     """Bound the return of a robot action from below, and fill in the vector picked after each slot."""
     x = path.state[d]
@@ -603,7 +603,7 @@ def _look_down(d, r, work, path, picked, plans, m):
     return value
 
 
-@numba.njit(cache=True)
+@njit()
 def _plan(x, r, picked, vector, plans, m):
     """Fill in the alpha vector of a robot action that is followed by the picked vectors."""
     thetas = len(m.theta)
@@ -639,13 +639,13 @@ def _plan(x, r, picked, vector, plans, m):
             vector[b * thetas + t] = v - ROUNDING * abs(v)
 
 
-@numba.njit(cache=True)
+@njit()
 def new_plan(size, slots):
     """Make room for a plan: the vectors picked after each slot, those of the best robot action, and its own vector."""
     return np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
 
 
-@numba.njit(cache=True)
+@njit()
 def _raise(d, step, work, path, plan, plans, m):
     """Back the lower bound up at a depth of the path; return whether it gained more than `step`."""
     x, belief = path.state[d], path.belief[d]
@@ -664,7 +664,7 @@ def _raise(d, step, work, path, plan, plans, m):
     return True
 
 
-@numba.njit(cache=True)
+@njit()
 def _begin(d, belief, mass, q, path, m):
     """Put belief / mass on the path, with what is known of each robot action before its children are looked at."""
     x, own = path.state[d], path.belief[d]
@@ -674,7 +674,7 @@ def _begin(d, belief, mass, q, path, m):
         path.q[d, r], path.known[d, r] = dot(q[x, r], own), False
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def trials(x0, prior, enough, backups, fineness, rng, path, plans, hull, q, m):
     """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
 
@@ -750,7 +750,7 @@ def trials(x0, prior, enough, backups, fineness, rng, path, plans, hull, q, m):
     return done
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def renew(start, order, step, backups, path, plans, hull, q, m):
     """Back up every belief of the hull and every vector in use again, from `order[start]` on.
 
@@ -789,7 +789,7 @@ def renew(start, order, step, backups, path, plans, hull, q, m):
     return len(order), done
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def lower_at(start, states, beliefs, step, path, hull, q, m):
     """Back the upper bound up at beliefs, shape (N, H), of some states, from one on; gains up to `step` are none.
 

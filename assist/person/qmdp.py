@@ -23,13 +23,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
 from planner.arrays import outline
+from planner.compiled import njit
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -376,7 +376,7 @@ class Arrays(NamedTuple):
         )
 
 
-@numba.njit(cache=True)
+@njit()
 def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: Arrays) -> None:
     """Fill in, shape (T,), the person's mean return without a suggestion, and that of a uniform choice."""
     expected[:] = 0.0
@@ -389,7 +389,7 @@ def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: Arr
             mean[t] += u / m.counts[x]
 
 
-@numba.njit(cache=True)
+@njit()
 def _row(
     q: Floats, expected: Floats, mean: Floats, other: Floats, value: Floats, x: int, b: int, only: int, m: Arrays
 ) -> None:
@@ -441,7 +441,7 @@ def _row(
                 q[r, t] = (1.0 - m.lapse) * expected[t] + m.lapse * mean[t] - m.robot_costs[x, r]
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: Arrays) -> float:
     """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
     thetas = len(m.theta)
@@ -460,7 +460,7 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
     return residual
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: Arrays) -> None:
     """Fill in the best values of states, for one beta, given those of what follows."""
     thetas = len(m.theta)
@@ -474,7 +474,7 @@ def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m:
                 found[x, b, t] = max(found[x, b, t], q[r, t])
 
 
-@numba.njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@njit(nogil=True, fastmath={"reassoc", "contract"})
 def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, robots: NDArray[np.int64]) -> None:
     """Fill `q`, shape (N, R), with the expected entries of a table of shape (n, R, B * T)."""
     for i in range(len(x)):
@@ -487,7 +487,7 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
             q[i, r] = total
 
 
-@numba.njit(cache=True)
+@njit()
 def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: Arrays) -> None:
     """Fill `q`, shape (n, R, B, T), with the return of every robot action; minus infinity in padding."""
     robots, thetas = q.shape[1], len(m.theta)

@@ -15,9 +15,10 @@ does to the table, the weights are checked in the end: any that keep the two con
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.decision import Floats
 from .qmdp import ROUNDING
@@ -32,7 +33,7 @@ ABSENT = 1e-100  # share of the mass that is added to each entry of b, so that n
 
 
 # Sums may be taken in any order: what that does to rounding is covered by the margin of each bound.
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def uppers(
     value: Floats,
     x: NDArray[np.int64],
@@ -60,7 +61,7 @@ def uppers(
         value[n] += ROUNDING * abs(value[n])
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def weigh(
     weight: Floats,
     used: NDArray[np.int64],
@@ -117,7 +118,7 @@ def weigh(
     return found
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def _minimise(
     table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int
 ) -> None:

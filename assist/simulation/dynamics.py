@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from planner.compiled import njit
 
 from ..people.compiled import heed, moved
 from ..people.decision import NOTHING, Floats
@@ -95,7 +96,7 @@ class Minds(NamedTuple):
     on_grid: bool
 
 
-@numba.njit(cache=True, nogil=True)
+@njit(nogil=True)
 def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> None:
     """Let the people of some rows, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
@@ -131,7 +132,7 @@ def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> Non
         people.x[i] = y
 
 
-@numba.njit(cache=True)
+@njit()
 def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
     """Give the first slot whose cumulated probability exceeds `luck`."""
     total = 0.0
@@ -150,7 +151,7 @@ def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
 
 
 # Sums may be reordered, so that they are computed several terms at a time.
-@numba.njit(cache=True, fastmath={"reassoc", "contract", "arcp"})
+@njit(fastmath={"reassoc", "contract", "arcp"})
 def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
     """Update one belief, shape (B, T), in place: Bayes' rule for what a person did, then the move of theta.
 

@@ -1,0 +1,91 @@
+"""Compiled code is kept for later processes, and made again when a file changes that it depends on."""
+
+from __future__ import annotations
+
+import ast
+import linecache
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+from planner.compiled import stamp
+
+SHARED = """
+from typing import NamedTuple
+from planner.compiled import njit
+
+LIMIT = 100
+
+class Pair(NamedTuple):
+    a: float
+    b: float
+
+@njit()
+def inner(x):
+    return x + 1
+"""
+CONSTANTS = "WEIGHT = 10_000\nOTHER = 1\n"
+BETWEEN = """
+from planner.compiled import njit
+from .shared import inner
+
+@njit()
+def middle(x):
+    return inner(x)
+"""
+CALLER = """
+from planner.compiled import njit
+from . import constants
+from .between import middle
+from .shared import LIMIT, Pair
+
+@njit()
+def outer(x):
+    return middle(x) + LIMIT + constants.WEIGHT + Pair(0, 1_000_000).b
+"""
+FILES = {"__init__": "", "shared": SHARED, "constants": CONSTANTS, "between": BETWEEN, "caller": CALLER, "unused": ""}
+
+
+def called() -> tuple[int, bool]:
+    """Call `outer(1)` as a new process would; return its value and whether its code came from the cache."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "made"]:
+        del sys.modules[name]
+    stamp.cache_clear()
+    linecache.clearcache()
+    outer = import_module("made.caller").outer
+    return int(outer(1)), sum(outer.stats.cache_hits.values()) > 0
+
+
+def test_an_edit_of_any_file_that_code_was_compiled_from_is_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # Python compares times of files, and these are too close
+    (tmp_path / "made").mkdir()
+    for name, text in FILES.items():
+        (tmp_path / "made" / f"{name}.py").write_text(text)
+    assert called() == (1_010_102, False)
+    assert called() == (1_010_102, True)
+    edits = [
+        ("shared", "x + 1", "x + 2", 1_010_103),  # a function two calls away
+        ("shared", "LIMIT = 100", "LIMIT = 300", 1_010_303),
+        ("constants", "WEIGHT = 10_000", "WEIGHT = 20_000", 1_020_303),  # of a module
+        ("shared", "    a: float\n    b: float", "    b: float\n    a: float", 20_303),
+    ]
+    for name, old, new, expected in edits:
+        file = tmp_path / "made" / f"{name}.py"
+        file.write_text(file.read_text().replace(old, new))
+        assert called() == (expected, False), new
+    (tmp_path / "made" / "unused.py").write_text("WEIGHT = 1\n")
+    assert called() == (20_303, True)
+
+
+@pytest.mark.parametrize("package", ["planner", "assist"])
+def test_all_compiled_code_is_cached_in_this_way(package: str) -> None:
+    for file in (ROOT / package).rglob("*.py"):
+        if file != ROOT / "planner" / "compiled.py":
+            uses = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Attribute)]
+            assert not [node for node in uses if node.attr in ("njit", "jit", "vectorize", "guvectorize")], file

@@ -1,0 +1,67 @@
+"""Compile what tests need, so that it is in numba's cache before they run: `python tests/warm.py planner|people`.
+
+Each half is one case of some tests, which call many compiled functions on small tasks. What is compiled while tests run
+is listed at their end (`conftest.py`); the test that needed it first is then added here.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from conftest import kit
+
+from assist.people.choices import Choices
+from planner import cost_to_go, load, sweep
+
+
+def case(test: Callable[..., object]) -> Callable[..., Any]:
+    """Return the function that hypothesis calls with each example."""
+    return test.hypothesis.inner_test  # type: ignore[attr-defined]
+
+
+def planner() -> None:
+    import test_dense
+    import test_sweep
+
+    for name in ("delivery/round-trip", "gripper/balls-01", "kitting/paper"):
+        task = load(name)
+        sweep(task).optimal_plan()
+        cost_to_go(task, max_states=10)
+    test_sweep.test_costs_beyond_32_bits()
+    for hashed, few in ((False, False), (True, False), (False, True)):
+        for costs in (range(1, 2), range(3, 90_000, 11)):
+            case(test_dense.test_tables_equal_plain_search)(1, costs, hashed, few)
+    case(test_dense.test_all_that_is_said_of_reachable_states_is_true)(0)
+
+
+def people() -> None:
+    import test_alpha_vectors
+    import test_bounded
+    import test_equations
+    import test_fit
+    import test_joint
+    import test_refusals
+    import test_solver
+    import test_upper_bound
+
+    from assist.team.settings import Setting
+
+    case(test_solver.test_bounds_are_ordered_everywhere)("tiny", 0)
+    case(test_upper_bound.test_upper_bound_holds_wherever_the_pivots_end)(0)
+    test_alpha_vectors.test_action_values_equal_those_of_a_plain_look_ahead(Choices.of(kit("tiny")), "optimal")
+    case(test_fit.test_the_curvature_may_be_a_band)(0)
+    test_fit.test_the_online_belief_is_the_offline_likelihood(kit("tiny"), Choices.of(kit("tiny")))
+    test_fit.test_the_online_belief_with_suggestions(kit("tiny"), Choices.of(kit("tiny")))
+    person = {"eta": 0.2, "lapse": 0.0, "utility_scale": 1.0}
+    case(test_equations.test_the_likelihood_of_a_walk_is_that_of_the_equations)(
+        [(0, 1, 1), (1, 2, 1), (0, 2, 3)], person, 0.5, float(test_equations.BETA[0]), 0
+    )
+    test_refusals.learned(kit("tiny"), test_refusals.ACTIONS, terms=True)
+    test_bounded.test_nobody_gets_more("sealed", 4, Setting(c_suggest=0.2), test_bounded.somebody())
+    test_joint.test_one_person_alone_is_the_problem_of_visits(test_joint.COSTS[0], False)
+
+
+if __name__ == "__main__":
+    {"planner": planner, "people": people}[sys.argv[1]]()
