@@ -49,7 +49,8 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(cache=True, **options)(function)
-        dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
+        if not numba.config.DISABLE_JIT:
+            dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
         return dispatcher
 
     return compiled

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import linecache
+import os
+import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -81,6 +83,13 @@ def test_an_edit_of_any_file_that_code_was_compiled_from_is_seen(
         assert called() == (expected, False), new
     (tmp_path / "made" / "unused.py").write_text("WEIGHT = 1\n")
     assert called() == (20_303, True)
+
+
+def test_numba_can_be_switched_off() -> None:
+    code = "from assist.people.compiled import moved; print(moved(0.5, 0.0, 1.0))"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("0.5\n", "")
 
 
 @pytest.mark.parametrize("package", ["planner", "assist"])
