@@ -148,7 +148,10 @@ slow = pytest.mark.slow
         pytest.param(["fit", str(TINY), "LOG", "--max-states", "1"], "bin/downward", id="fit", marks=slow),
     ],
 )
-def test_no_process_goes_on_after_its_command_was_killed(command: list[str], other: str, tmp_path: Path) -> None:
+def test_no_process_goes_on_after_its_command_was_killed(
+    command: list[str], other: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # with answers of an earlier run nothing would be searched
     cases = {
         "PROTOCOL": study(tmp_path / "study.toml").arguments(tmp_path / "out", False)[2],
         "OUT": str(tmp_path / "out"),
