@@ -125,8 +125,9 @@ def clusters(
     linked = _links(mutexes, projections)
     gains: dict[tuple[int, int], tuple[float, Cluster | None]] = {}
     while True:
-        for a in found:
-            for b in found:
+        varying = [n for n, cluster in found.items() if len(cluster) > 1]  # merging with a constant gains nothing
+        for a in varying:
+            for b in varying:
                 if a < b and (a, b) not in gains:
                     check()
                     worthwhile = projections.work < MOST_WORK

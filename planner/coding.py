@@ -127,6 +127,8 @@ class Coding:
         if size >= 1 << 62:
             return None
         own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True))
+        if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << 64 // FIELDS:
+            return None  # sums that tell the variables that are left out would not fit their fields
         packing = Packing.of(task)
         field = {
             number: (packing.words + place // FIELDS, 64 // FIELDS * (place % FIELDS))
@@ -177,17 +179,26 @@ class Coding:
         """What one more in one of a cluster's variables adds to its digit, where it has all values."""
         return math.prod(int(self.sizes[v]) for v in cluster.variables[place + 1 :])
 
-    def _keys(self, number: int, values: Ints) -> Ints:
-        """Values of a cluster's variables, shape (n, variables), as numbers in the same order."""
-        cluster = self.clusters[number]
-        factors = [self._step(cluster, place) for place in range(len(cluster.variables))]
-        return values @ np.array(factors, dtype=np.int64)
-
     def _places(self, number: int, values: Ints) -> Ints:
-        """Give the digits of a cluster with values, shape (n, variables); -1 where it cannot take them."""
-        own, wanted = self._keys(number, self.clusters[number].values), self._keys(number, values)
+        """Return the digits of a cluster with values, shape (n, variables); -1 where it cannot take them.
+
+        Rows are compared as numbers in mixed radix. Where these would not fit 62 bits, the leading columns are replaced
+        by their rank among those of the cluster: a cluster of many variables that determine each other has few rows.
+        """
+        cluster = self.clusters[number]
+        own, wanted = np.zeros(len(cluster), dtype=np.int64), np.zeros(len(values), dtype=np.int64)
+        known, span = np.ones(len(values), dtype=bool), 1
+        for place, v in enumerate(cluster.variables):
+            size = int(self.sizes[v])
+            if span * size >= 1 << 62:
+                leading = np.unique(own)
+                at = np.minimum(np.searchsorted(leading, wanted), len(leading) - 1)
+                known &= leading[at] == wanted
+                own, wanted, span = np.searchsorted(leading, own), at, len(leading)
+            own, wanted = own * size + cluster.values[:, place], wanted * size + values[:, place]
+            span *= size
         at = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
-        return np.where(own[at] == wanted, at, -1)
+        return np.where(known & (own[at] == wanted), at, -1)
 
     def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
         """List the indices with some facts about their digits; None if there are more than `most`."""
@@ -360,10 +371,12 @@ def _dense_decoder(
     words = packing.words + -(-len(field) // FIELDS)
     places = [_field(words, place) for place in range(len(left_out))]
     words += -(-len(left_out) // FIELDS)
-    assert (len(clusters) + 1) * PRIME < 1 << 64 // FIELDS
     constant = np.zeros(words, dtype=np.uint64)
-    for (word, shift), own in zip(places, left_out, strict=True):
-        constant[word] += np.uint64(own.total << shift)
+    for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
+        # Clusters with a single row are constant; they take nothing of the field's room.
+        single = [c for number, c in enumerate(clusters) if len(c) == 1 and number - len(digits) != step]
+        fixed = sum(int(own.weights[first[list(c.variables)] + c.values[0]].sum()) for c in single)
+        constant[word] += np.uint64((own.total - fixed) % PRIME << shift)
     parts = []
     for number, cluster in enumerate(clusters):
         part = np.zeros((len(cluster), words), dtype=np.uint64)
@@ -374,7 +387,7 @@ def _dense_decoder(
             part[:, word] += np.arange(len(cluster), dtype=np.uint64) << np.uint64(shift)
         for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
             # What is determined before a sum is used is part of it; what comes after has equal weights in it.
-            if number in digits or number - len(digits) != step:
+            if len(cluster) > 1 and number - len(digits) != step:
                 weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
                 part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
         parts.append(part)

@@ -197,6 +197,46 @@ def test_a_counted_task_has_a_dense_index() -> None:
     assert table.space.numbering.searches.coding.size < 64 * len(table)
 
 
+def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
+    """A task in which variables turn together, others are switched one by one, and some never change."""
+    sizes = [size] * count + [2] * (toggles + dead)
+    moves = [(dict.fromkeys(range(count), a), dict.fromkeys(range(count), (a + 1) % size)) for a in range(size)]
+    moves += [({count + t: a}, {count + t: 1 - a}) for t in range(toggles) for a in range(2)]
+    moves += [({count + toggles + d: 1}, {count + toggles + d: 0}) for d in range(dead)]
+    operators = [
+        Operator(number, tuple(needs.items()), tuple(Effect((), v, value) for v, value in gains.items()))
+        for number, (needs, gains) in enumerate(moves)
+    ]
+    return Task(
+        instance=instance("tied.pddl"),
+        sas="",
+        variables=tuple(
+            Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(own)), -1) for v, own in enumerate(sizes)
+        ),
+        actions=tuple(f"(a{number:04})" for number in range(len(operators))),
+        costs=(1,) * len(operators),
+        operators=tuple(operators),
+        axioms=(),
+        initial=(0,) * len(sizes),
+        goal=((0, size - 1),),
+    )
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "toggles", "dead"),
+    [(39, 3, 4, 0), (40, 3, 4, 0), (70, 2, 4, 0), (2, 2, 6, 256)],
+)
+def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: int, toggles: int, dead: int) -> None:
+    """Their values together are more than 64 bits, and more variables are constant than a field counts."""
+    with pytest.MonkeyPatch.context() as patch:  # only the dense coding is left
+        patch.setattr(Coding, "of", classmethod(lambda *_: None))
+        patch.setattr(module, "FEW", -1)
+        patch.setattr(module, "HUGE", math.inf)
+        table = check(tied(count, size, toggles, dead))
+    assert len(table) == size * 2**toggles
+    assert table.h[table.initial] == size - 1
+
+
 def test_an_index_is_not_looked_for_all_the_time() -> None:
     task = composed(0, costs=range(1, 2))
     plain = module.sweep(task)
