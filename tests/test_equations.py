@@ -189,7 +189,7 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     excess, options, chosen, suggested, gains = (np.array(column) for column in zip(*steps, strict=True))
     begins = np.arange(len(steps)) == 0
     found = on_grid(
-        Data(excess, options, chosen, suggested, gains, begins, model.lapse),
+        Data(excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0))),
         np.array([beta]), np.array([first]), np.array([model.eta]),
     )  # fmt: skip
     np.testing.assert_allclose(found.item(), total, rtol=1e-9, atol=1e-9)

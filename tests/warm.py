@@ -10,10 +10,11 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from conftest import kit
 
 from assist.people.choices import Choices
-from planner import cost_to_go, load, sweep
+from planner import Limits, cost_to_go, load, sweep
 
 
 def case(test: Callable[..., object]) -> Callable[..., Any]:
@@ -29,6 +30,8 @@ def planner() -> None:
         task = load(name)
         sweep(task).optimal_plan()
         cost_to_go(task, max_states=10)
+    large = load("kitting/ladder-4x9")  # without an answer in a millisecond, all states are tried, and then orbits
+    cost_to_go(large, states=np.array([large.initial]), max_states=100_000, limits=Limits(seconds=0.001))
     test_sweep.test_costs_beyond_32_bits()
     for hashed, few in ((False, False), (True, False), (False, True)):
         for costs in (range(1, 2), range(3, 90_000, 11)):
