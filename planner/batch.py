@@ -16,7 +16,7 @@ from typing import Any
 from .budget import available_memory
 from .pddl import Instance
 from .reports import Progress
-from .results import Results
+from .results import Results, key
 from .solving import Record, SolveOptions, solve_instance, unsolved
 from .workers import WorkerDiedError, outcomes
 
@@ -72,11 +72,11 @@ def solve_batch(
     options = options or SolveOptions()
     results = None if out is None else Results(out, instances, options, resume=resume)
     records = {} if results is None else dict(results.records)
-    todo = [instance for instance in instances if str(instance.problem) not in records]
+    todo = [instance for instance in instances if key(instance) not in records]
     if progress is not None:
         for instance in instances:
-            if str(instance.problem) in records:
-                progress(records[str(instance.problem)])
+            if key(instance) in records:
+                progress(records[key(instance)])
     jobs = min(jobs, len(todo))
     work = [(instance, None if results is None else results.place(instance)) for instance in todo]
     timeout = None if options.time_limit is None else options.time_limit + GRACE
@@ -91,7 +91,7 @@ def solve_batch(
         with closing(outcomes(_solve, work, (shared,), **ways)) as coming:
             for (instance, _), outcome in coming:
                 record = _unsolved(instance, outcome, options) if isinstance(outcome, Exception) else outcome
-                records[str(instance.problem)] = record
+                records[key(instance)] = record
                 if results is not None:
                     results.add(record)
                 if progress is not None:
@@ -101,7 +101,7 @@ def solve_batch(
             results.remove_unfinished()  # by workers that were stopped
     if results is not None:
         results.finish(instances)
-    return [records[str(instance.problem)] for instance in instances]
+    return [records[key(instance)] for instance in instances]
 
 
 def _shared(options: SolveOptions, jobs: int) -> SolveOptions:

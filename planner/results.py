@@ -22,6 +22,9 @@ from .solving import Record, SolveOptions, begun_sweep, saved_files
 from .storage import append_record, read_records, remove_unfinished, write_records
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
+Key = tuple[str, str]
+"""What tells instances apart: the paths of the problem and of the domain. One problem may have several domains."""
+
 DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 
 
@@ -30,8 +33,8 @@ class Results:
 
     Attributes
     ----------
-    records : dict of str to Record
-        What is known by now, by instance.
+    records : dict of Key to Record
+        What is known by now, by instance (`key`).
     """
 
     def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
@@ -57,22 +60,25 @@ class Results:
         results, prints = folder / RESULTS, folder / FINGERPRINTS
         if results.exists() and not resume:
             raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
-        before = {record["instance"]: record for record in _records(results) if record["status"] in DONE}
-        lines = {line["instance"]: line for line in read_records(prints) if {"instance", "place"} <= line.keys()}
-        current = {str(instance.problem): fingerprint(instance, options) for instance in instances}
-        self.records: dict[str, Record] = {
+        before = {_key_of(record): record for record in _records(results) if record["status"] in DONE}
+        named = {"instance", "domain", "place"}
+        lines = {_key_of(line): line for line in read_records(prints) if named <= line.keys()}
+        current = {key(instance): fingerprint(instance, options) for instance in instances}
+        self.records: dict[Key, Record] = {
             name: record
             for name, record in before.items()
             if name not in current or (name in lines and self._holds(record, lines[name], current[name]))
         }
-        self._lines: dict[str, dict[str, Any]] = {name: lines[name] for name in self.records if name in lines}
+        self._lines: dict[Key, dict[str, Any]] = {name: lines[name] for name in self.records if name in lines}
         taken = {line["place"] for line in self._lines.values()}
         for instance in instances:
-            name = str(instance.problem)
+            name = key(instance)
             if name not in self._lines:
                 place = _free_place(instance, taken)
                 taken.add(place)
-                self._lines[name] = {"instance": name, "fingerprint": current[name], "place": place}
+                self._lines[name] = {
+                    "instance": name[0], "domain": name[1], "fingerprint": current[name], "place": place,
+                }  # fmt: skip
                 if resume:  # what an earlier run made from other files
                     for file in saved_files(folder / place):
                         file.unlink(missing_ok=True)
@@ -82,19 +88,19 @@ class Results:
 
     def place(self, instance: Instance) -> Path:
         """Where the table and the plan of an instance belong, without their endings."""
-        return self._folder / self._lines[str(instance.problem)]["place"]
+        return self._folder / self._lines[key(instance)]["place"]
 
     def add(self, record: Record) -> None:
         """Add a record whose table and plan have been saved."""
-        line = self._lines[record["instance"]]
+        line = self._lines[_key_of(record)]
         line |= {"files": self._sizes(line), "record": _digest(record)}
         append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept
         append_record(self._folder / RESULTS, record)
-        self.records[record["instance"]] = record
+        self.records[_key_of(record)] = record
 
     def finish(self, instances: Sequence[Instance]) -> None:
         """Put the records into the order of the instances; those of other instances come last."""
-        ordered = {str(instance.problem): self.records[str(instance.problem)] for instance in instances}
+        ordered = {key(instance): self.records[key(instance)] for instance in instances}
         write_records(self._folder / RESULTS, {**ordered, **self.records}.values())
         known = [self._lines[name] for name in {**ordered, **self.records} if name in self._lines]
         write_records(self._folder / FINGERPRINTS, known)
@@ -112,6 +118,15 @@ class Results:
     def _sizes(self, line: dict[str, Any]) -> dict[str, int]:
         files = saved_files(self._folder / line["place"])
         return {file.name: file.stat().st_size for file in files if file.is_file()}
+
+
+def key(instance: Instance) -> Key:
+    """Return what tells an instance from others."""
+    return str(instance.problem), str(instance.domain)
+
+
+def _key_of(record: Mapping[str, Any]) -> Key:
+    return record["instance"], record["domain"]
 
 
 def fingerprint(instance: Instance, options: SolveOptions) -> str | None:

@@ -33,7 +33,8 @@ def solved(folder: Path, *instances: Instance) -> Results:
 
 
 def kept(folder: Path, *instances: Instance, options: SolveOptions = OPTIONS) -> set[str]:
-    return set(Results(folder, instances, options, resume=True).records)
+    records = Results(folder, instances, options, resume=True).records
+    return {str(instance.problem) for instance in instances if results.key(instance) in records}
 
 
 @pytest.fixture
@@ -119,7 +120,7 @@ def test_results_of_other_instances_stay(tmp_path: Path, instance: Instance) -> 
     solved(tmp_path / "out", instance, other)
     results = Results(tmp_path / "out", [other], OPTIONS, resume=True)
     results.finish([other])
-    assert list(results.records) == [str(instance.problem), str(other.problem)]
+    assert [problem for problem, _ in results.records] == [str(instance.problem), str(other.problem)]
     lines = (tmp_path / "out" / "results.jsonl").read_text().splitlines()
     assert [json.loads(line)["instance"] for line in lines] == [str(other.problem), str(instance.problem)]
     assert kept(tmp_path / "out", instance, other) == {str(instance.problem), str(other.problem)}
@@ -175,3 +176,24 @@ def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, m
         ("invalid", "internal error: RuntimeError('a fault')"),
     ]
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == len(ends)
+
+
+def test_one_problem_with_two_domains_is_two_instances(tmp_path: Path) -> None:
+    """Each has a record, a table and a plan of its own, and both are kept by a run that resumes."""
+    dear = tmp_path / "in" / "dear.pddl"
+    dear.parent.mkdir()
+    dear.write_text(
+        DOMAIN.replace(":effect (and", ":effect (and (increase (total-cost) 3)").replace(
+            "(:predicates", "(:functions (total-cost) - number)\n(:predicates", 1
+        )
+    )
+    priced = tmp_path / "in" / "priced.pddl"
+    priced.write_text(TINY.rstrip().removesuffix(")") + "(:metric minimize (total-cost)))")
+    pair = [Instance(priced, dear), Instance(priced, tmp_path / "in" / "free.pddl")]
+    pair[1].domain.write_text(dear.read_text().replace("(total-cost) 3)", "(total-cost) 1)"))
+    out = tmp_path / "out"
+    first = solve_batch(pair, OPTIONS, out=out)
+    assert [(record["domain"], record["cost"]) for record in first] == [(str(dear), 18), (str(pair[1].domain), 6)]
+    assert sorted(file.suffix for file in out.rglob("priced*")) == [".npz", ".npz", ".plan", ".plan"]
+    assert solve_batch(pair, OPTIONS, out=out, resume=True) == first
+    assert len((out / "results.jsonl").read_text().splitlines()) == 2
