@@ -31,7 +31,7 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
 from .costtogo import astar
-from .fast_downward import LimitError, Limits, MemoryLimitError
+from .fast_downward import FastDownwardError, LimitError, Limits, MemoryLimitError
 from .pddl import PDDLError
 from .task import load
 
@@ -59,6 +59,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     What its results say, `SOLVED_OPTIMALLY` or `UNSOLVABLE_PROVEN`, is proven; with `TIMEOUT` and `MEMOUT` nothing is
     known, and `UNSUPPORTED_PROBLEM` says that the problem cannot be written in PDDL, or read by Fast Downward.
+    `INTERNAL_ERROR` says that Fast Downward failed; the log message has its words.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -123,6 +124,8 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             return self._without(Status.TIMEOUT, error)
         except PDDLError as error:
             return self._without(Status.UNSUPPORTED_PROBLEM, error)
+        except FastDownwardError as error:
+            return self._without(Status.INTERNAL_ERROR, error)
         if plan is None:
             return PlanGenerationResult(Status.UNSOLVABLE_PROVEN, None, self.name)
         return PlanGenerationResult(Status.SOLVED_OPTIMALLY, read_plan(problem, plan), self.name)

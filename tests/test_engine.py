@@ -119,6 +119,14 @@ def test_a_time_that_is_too_short_is_said() -> None:
     assert "out of time" in result.log_messages[0].message
 
 
+def test_a_failure_of_fast_downward_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planner.fast_downward.ASTAR", "astar(of_no_kind())")
+    with OneshotPlanner(name="kitassist") as planner:
+        result = planner.solve(ways())
+    assert (result.status, result.plan) == (PlanGenerationResultStatus.INTERNAL_ERROR, None)
+    assert "of_no_kind" in result.log_messages[0].message
+
+
 def test_it_can_be_registered_in_a_file(tmp_path: Any) -> None:
     file = tmp_path / "up.ini"
     file.write_text("[engine kitassist]\nmodule_name: planner.engine\nclass_name: Engine\n")
