@@ -1,6 +1,6 @@
+from .astar import astar as astar
 from .costtogo import CostToGo as CostToGo
 from .costtogo import Table as Table
-from .costtogo import astar as astar
 from .costtogo import optimal_choices as optimal_choices
 from .costtogo import verify as verify
 from .errors import MismatchError as MismatchError

@@ -20,7 +20,8 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import fast_downward, replay
+from . import replay
+from .astar import astar
 from .errors import MismatchError
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .statespace import StateSpace
@@ -311,41 +312,6 @@ def backward(
     return distance
 
 
-def astar(
-    task: Task, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
-) -> tuple[float, list[str] | None]:
-    """Ask Fast Downward's A* for h* of one state and an optimal plan from it.
-
-    Parameters
-    ----------
-    task : Task
-    state : sequence of int, shape (variables,), optional
-        A reachable state; the initial one unless given.
-    search : str, optional
-        A search configuration of Fast Downward that is optimal; one that is, and fits the task, unless given.
-    limits : Limits
-        Of the search.
-
-    Returns
-    -------
-    h : float
-        Infinite where Fast Downward proves that there is no plan.
-    plan : list of str or None
-
-    Raises
-    ------
-    LimitError
-        Out of time or memory: nothing is known about the state.
-    """
-    if state is not None:  # Fast Downward wants derived variables at their defaults, and derives them itself
-        state = tuple(
-            value if variable.axiom_layer < 0 else default
-            for value, default, variable in zip(state, task.initial, task.variables, strict=True)
-        )
-    plan = fast_downward.optimal_plan(task.sas, state, search=search, limits=limits)
-    return (float("inf"), None) if plan is None else (float(task.plan_cost(plan)), plan)
-
-
 def verify(
     table: Table,
     count: int,
@@ -366,7 +332,7 @@ def verify(
         States to compare (all, where there are fewer).
     rng : numpy.random.Generator
     seconds : float, optional
-        Stop after this time; the states in hand are finished.
+        Stop after this time, or a second later: each search is limited to what is left of it.
     limits : Limits
         Of each single search; where one reaches them, no further state is compared.
     jobs : int
@@ -390,11 +356,14 @@ def verify(
     start, over = time.monotonic(), threading.Event()
 
     def asked(state: int) -> float | None:
-        late = seconds is not None and time.monotonic() - start > seconds
-        if over.is_set() or (late and state != space.initial):
+        left = None if seconds is None else seconds - (time.monotonic() - start)
+        if over.is_set() or (left is not None and left < 0 and state != space.initial):
             return None
+        own = limits
+        if left is not None and (limits.seconds is None or left < limits.seconds):
+            own = replace(limits, seconds=max(1.0, left))  # a search that has begun may take a second
         try:
-            return _first(space.task, space.values([state])[0].tolist(), searches, limits)
+            return _first(space.task, space.values([state])[0].tolist(), searches, own)
         except LimitError:
             return None
 

@@ -30,8 +30,8 @@ from unified_planning.io import PDDLWriter
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
-from .costtogo import astar
-from .fast_downward import FastDownwardError, LimitError, Limits, MemoryLimitError
+from .astar import astar
+from .fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
 from .pddl import PDDLError
 from .task import load
 
@@ -59,7 +59,6 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     What its results say, `SOLVED_OPTIMALLY` or `UNSOLVABLE_PROVEN`, is proven; with `TIMEOUT` and `MEMOUT` nothing is
     known, and `UNSUPPORTED_PROBLEM` says that the problem cannot be written in PDDL, or read by Fast Downward.
-    `INTERNAL_ERROR` says that Fast Downward failed; the log message has its words.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -120,10 +119,10 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             _, plan = astar(task, limits=left())
         except MemoryLimitError as error:
             return self._without(Status.MEMOUT, error)
+        except (CostLimitError, PDDLError) as error:
+            return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except LimitError as error:
             return self._without(Status.TIMEOUT, error)
-        except PDDLError as error:
-            return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except FastDownwardError as error:
             return self._without(Status.INTERNAL_ERROR, error)
         if plan is None:

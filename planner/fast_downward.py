@@ -52,6 +52,10 @@ class LimitError(RuntimeError):
     """A limit of time, memory or states was reached before the answer was known."""
 
 
+class CostLimitError(LimitError):
+    """Costs are so large that Fast Downward's sums, of 32 bits, may overflow."""
+
+
 class MemoryLimitError(LimitError):
     """More memory would be needed than is allowed."""
 

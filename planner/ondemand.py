@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import fast_downward
-from .costtogo import UNREACHED, astar, optimal_choices
+from .astar import LARGE, astar, with_small_costs
+from .costtogo import UNREACHED, optimal_choices
 from .fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
 from .listing import Numbered, expanded, rulebook
 from .orbits import Orbits
@@ -366,13 +367,14 @@ def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits
     LimitError
         None of them solved the initial state within the limits.
     """
-    if fast_downward.has_axioms(task.sas):
+    sas, dearest = with_small_costs(task)
+    if fast_downward.has_axioms(sas) or dearest >= LARGE:
         return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
     best, shortest = None, limits.seconds
     for search in candidates:
         start = time.monotonic()
         try:
-            plan = fast_downward.optimal_plan(task.sas, search=search, limits=replace(limits, seconds=shortest))
+            plan = fast_downward.optimal_plan(sas, search=search, limits=replace(limits, seconds=shortest))
         except (LimitError, FastDownwardError):
             continue
         seconds = time.monotonic() - start

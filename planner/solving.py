@@ -230,7 +230,7 @@ def _solve(
     phases: _Phases,
     use: Callable[[Table], None] | None,
 ) -> Record:
-    from .costtogo import astar
+    from .astar import astar
     from .methods import cost_to_go
     from .ondemand import OnDemand
 

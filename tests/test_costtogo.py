@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import graph_task
+from conftest import graph_task, kit, write_instance
 
 from planner import (
     Instance,
     LimitError,
     Limits,
     MismatchError,
+    OnDemand,
     Table,
     Task,
     astar,
     costtogo,
     fast_downward,
+    load,
     sweep,
     verify,
 )
@@ -311,3 +313,50 @@ begin_operator/go 1/0/1/0 0 1 2/1/end_operator
     assert astar(task)[0] == 2
     assert astar(task, [1, 0])[0] == 1
     assert astar(task, [2, 1])[0] == 0
+
+
+LARGE = """(define (domain ways) (:requirements :strips :action-costs) (:predicates (at-a) (at-b) (at-c) (there))
+(:functions (total-cost) - number)
+(:action long-1 :parameters () :precondition (at-a) :effect (and (not (at-a)) (at-b) (increase (total-cost) {0})))
+(:action long-2 :parameters () :precondition (at-b) :effect (and (not (at-b)) (at-c) (increase (total-cost) {1})))
+(:action long-3 :parameters () :precondition (at-c) :effect (and (there) (increase (total-cost) {1})))
+(:action short :parameters () :precondition (at-a) :effect (and (there) (increase (total-cost) {2}))))"""
+WAYS = "(define (problem p) (:domain ways) (:init (at-a)) (:goal (there)) (:metric minimize (total-cost)))"
+
+
+@pytest.mark.parametrize(
+    ("costs", "right"),
+    [
+        ((10**9, 10**9, 2 * 10**9 + 10**8), True),  # the sum of the long way is beyond 2^31
+        ((3, 2, 6), True), ((10**8, 1, 10**8 + 1), True), ((5 * 10**8, 7, 10**9), False),
+        ((2 * 10**9 + 1, 2 * 10**9, 10**9 + 7), False), ((10**10 + 1, 3, 5), False),
+    ],
+)  # fmt: skip
+def test_large_costs_are_right_or_refused(tmp_path: Path, costs: tuple[int, int, int], right: bool) -> None:
+    """Fast Downward's sums overflow beyond 2^31: no answer is given that may be wrong. The sweep's is right."""
+    task = load(write_instance(tmp_path, LARGE.format(*costs), WAYS).problem)
+    least = min(costs[0] + 2 * costs[1], costs[2])
+    table = sweep(task)
+    assert table[table.initial] == least
+    if right:
+        assert astar(task)[0] == least
+        assert OnDemand(task).lookup([0])[0] == least
+    else:
+        with pytest.raises(LimitError, match="Fast Downward"):
+            astar(task)
+
+
+def test_a_comparison_without_end_is_given_up() -> None:
+    """One state's search may take no longer than what is left of the time for all, or a second."""
+    table = kit("tiny")
+    given: list[float | None] = []
+
+    def asked(*_: object, limits: Limits, **__: object) -> None:
+        given.append(limits.seconds)
+        raise LimitError("as if it did not end")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("planner.costtogo.astar", asked)
+        assert verify(table, 5, np.random.default_rng(0), seconds=3.0) == 0
+    assert given[0] is not None
+    assert 1.0 <= given[0] <= 3.0
