@@ -321,7 +321,20 @@ def test_sample_paths_on_the_command_line() -> None:
 
 def test_too_few_sample_paths_give_no_bound() -> None:
     """Their mean is reported, and what is proven is the bound."""
-    base = ("bound", "kitting/tiny", "--humans", "2", "--c-suggest", "0.1", "--episodes", "100", "--paths", "5")
+    base = (
+        "bound",
+        "kitting/tiny",
+        "--humans",
+        "2",
+        "--c-suggest",
+        "0.1",
+        "--episodes",
+        "100",
+        "--paths",
+        "5",
+        "--gap",
+        "0.1",
+    )
     document = json.loads(invoke(*base, "--json").stdout)
     assert document["sampled"]["paths"] == 5
     assert (document["upper"], document["confidence"]) == (document["upper_proven"], 1.0)

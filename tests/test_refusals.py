@@ -156,7 +156,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     **{
         f"{name} {value}": (
             lambda _, name=name, value=value: Setting(**{name: value}),
-            ValueError, f"{name} {value!r}: expected",
+            ValueError, f"{name} {value:g}: expected",
         )
         for name, value in (
             ("gamma", 1.5), ("gamma", 1.0), ("gamma", 0.0), ("c_suggest", -1), ("c_execute", -0.1), ("lapse", 7),

@@ -163,7 +163,7 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
         (("simulate", "--episodes", 99_999_999_999), 1, "99,999,999,999 episodes of 2 people take 15,400,000 MB"),
         (("simulate", "--memory-limit", 0.5), 1, "tiny.pddl: policies for 12 people on a task of 21 states take about"),
         (("bound", "--memory-limit", 1), 1, "2 problems of people, each of up to"),
-        (("simulate", "--policy", "Attention"), 2, "'Attention'; expected one of none, reactive"),
+        (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),
         (("simulate", "--policy", "nowhere.py:f"), 2, "nowhere.py: no such file"),
         (("simulate", "--out", "same.jsonl", "--trace", "same.jsonl"), 2, "this is the file of --out"),
     ],

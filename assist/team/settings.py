@@ -64,14 +64,14 @@ class Setting:
 
     def __post_init__(self) -> None:
         if not 0 < self.gamma < 1:
-            raise ValueError(f"gamma {self.gamma!r}: expected more than 0 and less than 1")
+            raise ValueError(f"gamma {self.gamma:g}: expected 0 < gamma < 1")
         if not 0 <= self.lapse < 1:
-            raise ValueError(f"lapse {self.lapse!r}: expected 0 or more and less than 1")
+            raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
         if not 0 < self.utility_scale < math.inf:
-            raise ValueError(f"utility_scale {self.utility_scale!r}: expected a number above 0")
+            raise ValueError(f"utility_scale {self.utility_scale:g}: expected a number above 0")
         for cost in ("c_suggest", "c_execute", "eta"):
             if not 0 <= getattr(self, cost) < math.inf:
-                raise ValueError(f"{cost} {getattr(self, cost)!r}: expected a number of 0 or more")
+                raise ValueError(f"{cost} {getattr(self, cost):g}: expected a number of 0 or more")
         for name, expected in (("knowledge", get_args(Knowledge)), ("suggestions", get_args(Suggestions))):
             if getattr(self, name) not in expected:
                 raise ValueError(f"{name} {getattr(self, name)!r}: expected {' or '.join(map(repr, expected))}")
