@@ -20,6 +20,7 @@ from assist.certify.confidence import Sampled
 from assist.certify.conflicts import DYING, FADING, LATE, OutOfTimeError, Scale, lost
 from assist.certify.lattice import END, LEFT, Graph, Lattice, at, divide, worth
 from assist.certify.prices import kinds_of
+from assist.cli.bounds import show_samples
 from assist.person.solver import solve
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
@@ -319,26 +320,13 @@ def test_sample_paths_on_the_command_line() -> None:
     assert document["upper"] < document["upper_proven"]
 
 
-def test_too_few_sample_paths_give_no_bound() -> None:
+def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) -> None:
     """Their mean is reported, and what is proven is the bound."""
-    base = (
-        "bound",
-        "kitting/tiny",
-        "--humans",
-        "2",
-        "--c-suggest",
-        "0.1",
-        "--episodes",
-        "100",
-        "--paths",
-        "5",
-        "--gap",
-        "0.1",
-    )
-    document = json.loads(invoke(*base, "--json").stdout)
-    assert document["sampled"]["paths"] == 5
-    assert (document["upper"], document["confidence"]) == (document["upper_proven"], 1.0)
-    assert "5 sample paths are too few for a bound; 30 are needed" in invoke(*base).stdout
+    bound = upper_bound(pool_of(*COSTS[0]), window=4, gap=0.05, paths=5, jobs=1)
+    assert bound.sampled is not None
+    assert (bound.sampled.paths, bound.upper) == (5, bound.proven)
+    show_samples(bound)
+    assert "5 sample paths are too few for a bound; 30 are needed" in capsys.readouterr().out
 
 
 def test_few_paths_say_less() -> None:
