@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import codecs
 import re
+import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -147,6 +148,7 @@ def text(file: Path, kind: str) -> str:
     except UnicodeDecodeError:
         content = raw.decode("latin-1")  # as old files have it, in comments
         encoding = "unknown encoding"
+    content = content.replace("\r\n", "\n").replace("\r", "\n")
     for number, line in enumerate(content.split("\n"), start=1):
         if "\0" in line:
             raise PDDLError(file, number, "not a text file (it has NUL bytes)")
@@ -154,11 +156,13 @@ def text(file: Path, kind: str) -> str:
         if not words.isascii():
             if encoding != "UTF-8":
                 raise PDDLError(file, number, "not a text file in UTF-8")
-            strange = next(letter for letter in words if not letter.isascii())
-            raise PDDLError(file, number, f"'{strange}' is not ASCII; only comments may have such characters")
+            column, strange = next((place, letter) for place, letter in enumerate(words, 1) if not letter.isascii())
+            shown = f"'{strange}'" if strange.isprintable() else unicodedata.name(strange, "a character").lower()
+            where = f"(U+{ord(strange):04X}, column {column})"
+            raise PDDLError(file, number, f"{shown} is not ASCII {where}; only comments may have such characters")
     if not re.sub(r";[^\n]*", "", content).strip():
         raise PDDLError(file, None, f"the file is empty; expected (define ({kind} ...) ...)")
-    return content.replace("\r\n", "\n").lower()
+    return content.lower()
 
 
 def parse(file: Path, content: str) -> Expression:

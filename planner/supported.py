@@ -8,6 +8,7 @@ silence. `docs/planning.md` lists what is supported.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn
@@ -48,6 +49,8 @@ OUTSIDE = {
     ":hierarchy": "hierarchical tasks",
     ":method-preconditions": "hierarchical tasks",
     ":multi-agent": "several agents",
+    ":observe": "sensing actions",
+    ":sensing": "sensing actions",
 }
 """What else there is in PDDL's family: sections and requirements that are not supported."""
 
@@ -71,6 +74,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
         (instance.domain, domain, DOMAIN_SECTIONS),
         (instance.problem, problem, PROBLEM_SECTIONS),
     ):
+        _check_hyphens(file, whole)
         _check_sections(file, whole, sections)
         _check_requirements(file, whole)
         for preference in whole.lists("preference"):
@@ -81,6 +85,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     _check_typed(instance.problem, problem, supertypes)
     _check_actions(instance.domain, domain)
     _check_init(instance.problem, problem)
+    _check_types_of_arguments(instance, domain, problem, supertypes)
     metric = problem.section(":metric")
     if metric is not None and str(metric) != "(:metric minimize (total-cost))":
         _refuse(instance.problem, metric.line, "of metrics only (:metric minimize (total-cost)) is supported")
@@ -122,6 +127,16 @@ def _check_names(instance: Instance, domain: Expression, problem: Expression) ->
         )
 
 
+def _check_hyphens(file: Path, whole: Expression) -> None:
+    """Refuse a hyphen that touches a name: for some readers of PDDL it begins a type, for others it is in the name."""
+    for each in whole.walk():
+        word = each.word
+        if len(word) > 1 and (word.endswith("-") or (word.startswith("-") and not re.fullmatch(r"-[\d.]+", word))):
+            _refuse(
+                file, each.line, f"'{word}': expected a blank before and after the hyphen that stands before a type"
+            )
+
+
 def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) -> None:
     seen: dict[str, int] = {}
     for part in whole.parts[2:]:
@@ -133,6 +148,9 @@ def _check_sections(file: Path, whole: Expression, sections: tuple[str, ...]) ->
         if part.head in seen and part.head not in (":action", ":derived"):
             _refuse(file, part.line, f"a second ({part.head}; the first is on line {seen[part.head]}")
         seen[part.head] = part.line
+    heads = [part.head for part in whole.parts[2:]]
+    if ":goal" in heads and ":init" in heads[heads.index(":goal") :]:
+        _refuse(file, seen[":goal"], "(:goal ...) stands before (:init ...); expected the initial state first")
     if ":domain" in sections and ":goal" not in seen:
         _refuse(file, None, "the problem has no (:goal ...)")
 
@@ -169,6 +187,9 @@ def _check_types(file: Path, domain: Expression) -> dict[str, str]:
     lines = {part.word: part.line for part in section.parts[1:]}
     for names, supertype in _typed(section.parts[1:]):
         supertypes.update((name.word, supertype.word) for name in names if name.word != "object")
+    for name, above_it in supertypes.items():
+        if name == above_it:  # a root type, as some domains write it
+            supertypes[name] = ""
     for name in supertypes:
         above = [name]
         while supertypes.get(above[-1]):
@@ -200,6 +221,8 @@ def _check_actions(file: Path, domain: Expression) -> None:
         if name.word in seen:
             _refuse(file, name.line, f"'{name}' is defined twice, on line {seen[name.word]} as well")
         seen[name.word] = name.line
+        if ":observe" in action.words:
+            _refuse(file, action.line, f"action '{name}' observes (:observe): sensing actions are not supported")
         if ":effect" not in action.words:
             _refuse(file, action.line, f"action '{name}' has no :effect")
         for conditional in action.lists("when"):
@@ -215,6 +238,95 @@ def _check_actions(file: Path, domain: Expression) -> None:
                         f"numeric fluents are not supported: action '{name}' changes '{changed}' ({head}, on line "
                         f"{effect.line}); only (increase (total-cost) ...) may be used",
                     )
+        costs = list(action.lists("increase"))
+        if len(costs) > 1:
+            _refuse(
+                file, costs[1].line, f"action '{name}' has two costs, on line {costs[0].line} as well; expected one"
+            )
+        for cost in costs:
+            _check_cost(file, name, cost, functions)
+
+
+def _check_cost(file: Path, action: Expression, cost: Expression, functions: Expression | None) -> None:
+    """Check what an action costs: a whole number, or a declared function of as many arguments as it takes."""
+    declared = {} if functions is None else {each.head: each for each in functions.parts[1:] if each.parts}
+    amount = cost.parts[2] if len(cost.parts) == 3 else None
+    if amount is None:
+        _refuse(file, cost.line, f"action '{action}': expected (increase (total-cost) COST)")
+    if re.fullmatch(r"-[\d.]+", amount.word):
+        _refuse(file, cost.line, f"action '{action}' costs '{amount}'; costs may not be negative")
+    if amount.word and not re.fullmatch(r"\d+(\.0*)?", amount.word):
+        _refuse(
+            file,
+            amount.line,
+            f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)",
+        )
+    if amount.parts and amount.head in ("+", "-", "*", "/"):
+        _refuse(file, amount.line, f"action '{action}' costs a sum or product, which is not supported: {amount}")
+    if amount.parts and amount.head not in declared:
+        offered = meant(amount.head, declared)
+        _refuse(file, amount.line, f"action '{action}' costs '{amount}': no such function in (:functions ...){offered}")
+    if amount.parts:
+        wanted = sum(part.word.startswith("?") for part in declared[amount.head].parts)
+        if len(amount.parts) - 1 != wanted:
+            _refuse(file, amount.line, f"'{amount.head}' takes {wanted} arguments, not {len(amount.parts) - 1}")
+
+
+def _typed_names(parts: tuple[Expression, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Yield each name of a typed list with the types that it may have; ("object",) where none is given."""
+    waiting: list[str] = []
+    place = 0
+    while place < len(parts):
+        if parts[place].word == "-" and place + 1 < len(parts):
+            kind = parts[place + 1]
+            kinds = tuple(part.word for part in kind.parts[1:]) if kind.head == "either" else (kind.word,)
+            yield from ((name, kinds) for name in waiting)
+            waiting, place = [], place + 2
+            continue
+        waiting.append(parts[place].word)
+        place += 1
+    yield from ((name, ("object",)) for name in waiting)
+
+
+def _check_types_of_arguments(
+    instance: Instance, domain: Expression, problem: Expression, supertypes: dict[str, str]
+) -> None:
+    """Compare the types of objects in the initial state and the goal with those that predicates declare.
+
+    The translator takes an atom of a wrong type for one that never holds. Names that are not declared, and other
+    numbers of arguments, are left to the readers, which name them.
+    """
+    objects: dict[str, tuple[str, ...]] = {}
+    for whole, head in ((domain, ":constants"), (problem, ":objects")):
+        section = whole.section(head)
+        objects.update(_typed_names(section.parts[1:]) if section is not None else ())
+    predicates = domain.section(":predicates")
+    declared: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
+    for each in predicates.parts[1:] if predicates is not None else ():
+        declared[each.head] = list(_typed_names(each.parts[1:]))
+
+    def above(kind: str) -> Iterator[str]:
+        seen: set[str] = set()
+        while kind and kind not in seen:
+            seen.add(kind)
+            yield kind
+            kind = supertypes.get(kind, "")
+        yield "object"
+
+    for head in (":init", ":goal"):
+        section = problem.section(head)
+        for atom in section.walk() if section is not None else ():
+            wanted = declared.get(atom.head)
+            if wanted is None or len(wanted) != len(atom.parts) - 1:
+                continue
+            for argument, (_, kinds) in zip(atom.parts[1:], wanted, strict=True):
+                own = objects.get(argument.word)
+                if own is not None and not any({*kinds} & {*above(kind)} for kind in own):
+                    _refuse(
+                        instance.problem, atom.line,
+                        f"{atom.head} has an argument of the wrong type: '{argument}' is of type {' or '.join(own)}, "
+                        f"and {' or '.join(kinds)} is expected",
+                    )  # fmt: skip
 
 
 def _check_init(file: Path, problem: Expression) -> None:

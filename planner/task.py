@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from . import built, fast_downward, pddl, shipped
 from .arrays import outline
-from .checker import Checker
+from .checker import PATIENCE, Checker
 from .checking import Refusal
 from .fast_downward import NO_LIMITS, Limits
 from .source import Source
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 
 Fact = tuple[int, int]
 """A variable and one of its values."""
+
+
+FOR_WORDS = 10.0
+"""Seconds to wait for unified-planning's words of a fault that the translator has named already."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +235,9 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
         sas = fast_downward.translate(source, limits)
     except pddl.PDDLError as error:
         fault = error
-    refusal = checker.refusal()
+    # Where the translator has named a fault, a better name for it is not worth waiting long.
+    patience = PATIENCE if limits.seconds is None else limits.seconds
+    refusal = checker.refusal(patience if fault is None else min(patience, FOR_WORDS))
     if refusal is not None and (refusal.certain or (fault is not None and _says_more(refusal, fault, source))):
         raise refusal.error(source.instance)
     if fault is not None:

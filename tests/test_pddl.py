@@ -270,7 +270,7 @@ BROKEN = [
         PROBLEM,
         "domain",
         "(increase",
-        ["Negative numbers", "-2"],
+        ["may not be negative", "-2"],
     ),
     (
         "maximising",
