@@ -23,7 +23,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
     arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
     minds = Minds(
-        np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.h, model.eta / model.utility_scale,
+        np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.optimal, model.eta / model.utility_scale,
         model.lapse, True,
     )  # fmt: skip
     size = episodes * humans
