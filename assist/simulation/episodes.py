@@ -37,7 +37,7 @@ class Episode:
     helped : tuple of int
         Suggestions made to each (and actions executed for them).
     interventions, moves, steps : int
-        Suggestions made, changes of place, and steps until all had finished.
+        Suggestions made and actions executed, changes of place, and steps until all had finished.
     discounted_return : float
         Sum over steps of gamma^t times the reward.
     """
