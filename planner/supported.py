@@ -85,7 +85,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     _check_typed(instance.problem, problem, supertypes)
     _check_actions(instance.domain, domain)
     _check_init(instance.problem, problem)
-    _check_types_of_arguments(instance, domain, problem, supertypes)
+    _check_types_of_arguments(instance, domain, problem)
     metric = problem.section(":metric")
     if metric is not None and str(metric) != "(:metric minimize (total-cost))":
         _refuse(instance.problem, metric.line, "of metrics only (:metric minimize (total-cost)) is supported")
@@ -288,14 +288,16 @@ def _typed_names(parts: tuple[Expression, ...]) -> Iterator[tuple[str, tuple[str
     yield from ((name, ("object",)) for name in waiting)
 
 
-def _check_types_of_arguments(
-    instance: Instance, domain: Expression, problem: Expression, supertypes: dict[str, str]
-) -> None:
+def _check_types_of_arguments(instance: Instance, domain: Expression, problem: Expression) -> None:
     """Compare the types of objects in the initial state and the goal with those that predicates declare.
 
     The translator takes an atom of a wrong type for one that never holds. Names that are not declared, and other
-    numbers of arguments, are left to the readers, which name them.
+    numbers of arguments, are left to the readers, which name them; so are predicates that are declared twice.
     """
+    types = domain.section(":types")
+    parents: dict[str, set[str]] = {}
+    for name, kinds in _typed_names(types.parts[1:]) if types is not None else ():
+        parents.setdefault(name, set()).update(kinds)
     objects: dict[str, tuple[str, ...]] = {}
     for whole, head in ((domain, ":constants"), (problem, ":objects")):
         section = whole.section(head)
@@ -303,25 +305,26 @@ def _check_types_of_arguments(
     predicates = domain.section(":predicates")
     declared: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
     for each in predicates.parts[1:] if predicates is not None else ():
-        declared[each.head] = list(_typed_names(each.parts[1:]))
+        twice = each.head in declared
+        declared[each.head] = [] if twice else list(_typed_names(each.parts[1:]))
 
-    def above(kind: str) -> Iterator[str]:
-        seen: set[str] = set()
-        while kind and kind not in seen:
-            seen.add(kind)
-            yield kind
-            kind = supertypes.get(kind, "")
-        yield "object"
+    def above(kinds: Iterable[str]) -> set[str]:
+        found, waiting = {"object"}, [*kinds]
+        while waiting:
+            if (kind := waiting.pop()) not in found:
+                found.add(kind)
+                waiting += parents.get(kind, ())
+        return found
 
-    for head in (":init", ":goal"):
-        section = problem.section(head)
-        for atom in section.walk() if section is not None else ():
+    init, goal = problem.section(":init"), problem.section(":goal")
+    for atoms in (init.parts[1:] if init is not None else (), goal.walk() if goal is not None else ()):
+        for atom in atoms:
             wanted = declared.get(atom.head)
             if wanted is None or len(wanted) != len(atom.parts) - 1:
                 continue
             for argument, (_, kinds) in zip(atom.parts[1:], wanted, strict=True):
                 own = objects.get(argument.word)
-                if own is not None and not any({*kinds} & {*above(kind)} for kind in own):
+                if own is not None and not {*kinds} & above(own):
                     _refuse(
                         instance.problem, atom.line,
                         f"{atom.head} has an argument of the wrong type: '{argument}' is of type {' or '.join(own)}, "
