@@ -350,7 +350,7 @@ def test_a_skewed_mean_has_the_bound_at_which_halls_cubic_is_students_t(skewness
     assert above > from_table
 
 
-def test_bounds_from_skewed_samples_hold_as_often_as_they_say() -> None:
+def test_the_correction_for_skewness_misses_less_often_than_students_t() -> None:
     """Means of a distribution with a long tail above, known by its formula; Student's t alone misses too often."""
     rng, seeds, mean = np.random.default_rng(0), 2000, math.exp(0.5)
     found = [Sampled.of(rng.lognormal(size=30).tolist(), 30, 0.0) for _ in range(seeds)]
