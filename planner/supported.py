@@ -274,18 +274,12 @@ def _check_cost(file: Path, action: Expression, cost: Expression, functions: Exp
 
 def _typed_names(parts: tuple[Expression, ...]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield each name of a typed list with the types that it may have; ("object",) where none is given."""
-    waiting: list[str] = []
     place = 0
-    while place < len(parts):
-        if parts[place].word == "-" and place + 1 < len(parts):
-            kind = parts[place + 1]
-            kinds = tuple(part.word for part in kind.parts[1:]) if kind.head == "either" else (kind.word,)
-            yield from ((name, kinds) for name in waiting)
-            waiting, place = [], place + 2
-            continue
-        waiting.append(parts[place].word)
-        place += 1
-    yield from ((name, ("object",)) for name in waiting)
+    for names, kind in _typed(parts):
+        kinds = tuple(part.word for part in kind.parts[1:]) if kind.head == "either" else (kind.word,)
+        yield from ((name.word, kinds) for name in names)
+        place += len(names) + 2
+    yield from ((part.word, ("object",)) for part in parts[place:])
 
 
 def _check_types_of_arguments(instance: Instance, domain: Expression, problem: Expression) -> None:

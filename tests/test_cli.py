@@ -12,7 +12,6 @@ from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, write_instance
 
 from planner import Packing, Table, load
 from planner.checking import read, validate
-from planner.fast_downward import Limits
 from planner.solving import SolveOptions, solve_instance
 
 FIELDS = [
@@ -188,23 +187,6 @@ def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     assert record["status"] == "invalid"
     assert "Fast Downward's A* says 6" in record["error"]["message"]
     assert record["cost"] is record["plan"] is None
-
-
-@pytest.mark.parametrize(("time_limit", "longest"), [(None, 2.5), (1000.0, 2.5), (2.0, 2.0)])
-def test_no_comparison_takes_longer_than_all_of_them_may(
-    monkeypatch: pytest.MonkeyPatch, time_limit: float | None, longest: float
-) -> None:
-    allowed = list[float]()
-
-    def verify(*_: object, limits: Limits, **__: object) -> int:
-        assert limits.seconds is not None
-        allowed.append(limits.seconds)
-        return 0
-
-    monkeypatch.setattr("planner.costtogo.verify", verify)
-    record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions(time_limit=time_limit, verify=5))
-    assert (record["status"], record["cost"], record["verified"]) == ("solved", 6, 0)
-    assert 0 < allowed[0] <= longest
 
 
 TEAM = ("simulate", KITTING / "tiny.pddl", "--humans", 3, "--episodes", 30, "--pool", 4, "--seed", 5)

@@ -11,8 +11,8 @@ cubic
 is nearly normal with standard deviation 1 / sqrt(n), and has the inverse W = 3 ((1 + g (Q - g / (6 n)))^(1/3) - 1) / g.
 A skewness below 0 would lower the bound; it counts as 0, which leaves Student's t. Of fewer than `FEWEST` samples the
 skewness is not known well enough, so that no bound is taken from them. `bench/confidence.py` measures how often the
-bound is below the truth, at one alpha. At alphas of 0.7 and 0.8, with a skewness of about 3, more than one bound in ten
-from 30 paths was below its mean: there the confidence is less than is stated.
+bound is below the truth, at one alpha. With a skewness of about 3, seen at alphas from 0.6 on, one bound in ten from 30
+paths was below its mean, so that the confidence is nominal.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
-"""Probability with which a sampled bound is meant to hold (one-sided); at large alphas it holds less often."""
+"""Nominal probability with which a sampled bound holds (one-sided); at alphas above 0.45 it can be less."""
 
 FEWEST = 30
 """Samples from which a bound is taken at least."""
@@ -69,7 +69,7 @@ class Sampled:
 
     @property
     def upper(self) -> float:
-        """Upper bound on any policy's value, in cost units, that holds with a probability of `CONFIDENCE`."""
+        """Upper bound on any policy's value, in cost units, at a nominal confidence of `CONFIDENCE`."""
         return self.mean + errors(self.paths, self.skewness) * self.stderr
 
 
