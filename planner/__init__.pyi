@@ -7,14 +7,14 @@ from .errors import MismatchError as MismatchError
 from .fast_downward import FastDownwardError as FastDownwardError
 from .fast_downward import LimitError as LimitError
 from .fast_downward import Limits as Limits
+from .finding import InstanceError as InstanceError
+from .finding import find_instances as find_instances
+from .finding import instance as instance
 from .methods import cost_to_go as cost_to_go
 from .ondemand import Cache as Cache
 from .ondemand import OnDemand as OnDemand
 from .pddl import Instance as Instance
-from .pddl import InstanceError as InstanceError
 from .pddl import PDDLError as PDDLError
-from .pddl import find_instances as find_instances
-from .pddl import instance as instance
 from .saved import SavedTable as SavedTable
 from .saved import open_table as open_table
 from .saved import save_table as save_table

@@ -1,4 +1,4 @@
-"""The PDDL files of instances: found, and read as text.
+"""The PDDL files of instances, read as text.
 
 A fault of a file is a `PDDLError`: one line that says what is wrong, in which file and on which line.
 """
@@ -8,13 +8,11 @@ from __future__ import annotations
 import codecs
 import re
 import unicodedata
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import expressions, shipped
+from . import expressions
 from .expressions import Expression, UnbalancedError
-from .shipped import DOMAIN_FILE
 
 
 class PDDLError(ValueError):
@@ -41,10 +39,6 @@ class PDDLError(ValueError):
         return type(self), (self.file, self.line, self.message)
 
 
-class InstanceError(ValueError):
-    """A name on the command line that stands for no instance."""
-
-
 @dataclass(frozen=True, order=True)
 class Instance:
     """The two files of a planning instance.
@@ -59,71 +53,6 @@ class Instance:
 
     def __str__(self) -> str:
         return str(self.problem)
-
-
-def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
-    """Name an instance by its problem file; the domain is `domain.pddl` beside it unless given.
-
-    Parameters
-    ----------
-    problem : path
-        Or the name of a task that comes with the package, such as `kitting/paper`; a file of that name comes first.
-    domain : path, optional
-        `domain.pddl` beside the problem unless given.
-    """
-    problem = Path(problem)
-    if not problem.exists():
-        problem = shipped.find(problem) or problem
-    return Instance(problem, Path(domain) if domain is not None else problem.parent / DOMAIN_FILE)
-
-
-def find_instances(names: Iterable[str | Path], domain: str | Path | None = None) -> list[Instance]:
-    """Find the instances that problem files, folders, globs and names of shipped tasks stand for.
-
-    A folder stands for every `*.pddl` file in it and below that is no domain, in sorted order. No
-    instance is listed twice.
-
-    Parameters
-    ----------
-    names : iterable of path
-        Problem files, folders and globs. Where there is no file or folder of a name: a task that comes with the
-        package, such as `kitting/paper`, or all tasks of a folder of the package, such as `kitting`.
-    domain : path, optional
-        Of all of them; `domain.pddl` beside each unless given.
-
-    Raises
-    ------
-    InstanceError
-        A file that is not there, a folder or a glob without problems.
-    """
-    if domain is not None and not Path(domain).is_file():
-        raise InstanceError(f"{domain}: no such domain file")
-    found: dict[Instance, None] = {}
-    for name in names:
-        path = Path(name)
-        if path.is_file():
-            files = [path]
-        elif path.is_dir():
-            files = sorted(f for f in path.rglob("*.pddl") if not _is_domain(f, domain))
-            if not files:
-                raise InstanceError(f"{name}: no problem file (*.pddl other than {DOMAIN_FILE}) in this folder")
-        else:
-            parts = path.parts
-            start = Path(path.anchor) if path.anchor else Path()
-            pattern = str(Path(*parts[1:])) if path.anchor else str(path)
-            files = []
-            if any(mark in pattern for mark in "*?["):
-                files = sorted(f for f in start.glob(pattern) if f.is_file() and not _is_domain(f, domain))
-                if not files:
-                    raise InstanceError(f"{name}: no problem file matches")
-            elif not (files := shipped.files(path)):
-                raise InstanceError(f"{name}: no such file or folder{shipped.near(path)}")
-        found.update((instance(file, domain), None) for file in files)
-    return list(found)
-
-
-def _is_domain(file: Path, domain: str | Path | None) -> bool:
-    return file.name == DOMAIN_FILE or (domain is not None and file.resolve() == Path(domain).resolve())
 
 
 def text(file: Path, kind: str) -> str:

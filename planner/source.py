@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from . import pddl, supported
+from . import finding, pddl, supported
 from .expressions import Expression
 from .pddl import Instance
 
@@ -36,6 +36,8 @@ class Source:
         PDDLError
             They are no PDDL, do not belong together, or use what lies outside classical planning with action costs.
         """
+        if (fault := finding.missing(instance)) is not None:
+            raise fault
         domain, problem = pddl.text(instance.domain, "domain"), pddl.text(instance.problem, "problem")
         source = cls(
             instance, domain, problem, pddl.parse(instance.domain, domain), pddl.parse(instance.problem, problem)

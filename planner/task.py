@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import built, fast_downward, pddl, shipped
+from . import built, fast_downward, finding, pddl, shipped
 from .arrays import outline
 from .checker import PATIENCE, Checker
 from .checking import Refusal
@@ -166,7 +166,7 @@ def load(
         The problem file, the name of a task that comes with the package (`kitting/paper`), or a problem that was built
         in Python. The latter's names stand in the task as they are.
     domain : path, optional
-        The domain file; `domain.pddl` beside the problem unless given.
+        The domain file; found beside the problem unless given, as `instance` does.
     limits : Limits
         Time and memory of the grounding.
     cache : Path, optional
@@ -181,7 +181,7 @@ def load(
         Grounding ran out of time or memory.
     """
     if isinstance(problem, str | Path):
-        problem = pddl.instance(problem, domain)
+        problem = finding.instance(problem, domain)
         if not problem.problem.exists():
             raise pddl.PDDLError(problem.problem, None, f"no such problem file{shipped.near(problem.problem)}")
     if not isinstance(problem, pddl.Instance):

@@ -15,8 +15,8 @@ from assist.cli import main
 from assist.cli.commands import COMMANDS
 
 ROOMS = {
-    "planner": """lazy errors arrays storage processes threads reports workers expressions shipped pddl supported
-        source fast_downward checking checker built task replay budget successors statespace astar costtogo
+    "planner": """lazy errors arrays storage processes threads reports workers expressions shipped pddl finding
+        supported source fast_downward checking checker built task replay budget successors statespace astar costtogo
         moves compiled atomics checkpoint reached kernels relaxing packed mutexes invariants clusters coding
         candidates trie searches listing symmetry canonical orbits sweep saved ondemand methods solving
         results batch engine""",

@@ -162,6 +162,6 @@ scale_option = click.option(
 )
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
-    "--domain", type=click.Path(), help="Domain file; domain.pddl beside the problem unless given."
+    "--domain", type=click.Path(), help="Domain file; found beside the problem by its domain's name unless given."
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")
