@@ -209,14 +209,87 @@ def test_a_prior_of_a_mixture_is_the_mixture_of_priors() -> None:
 
 
 def test_where_a_distribution_lies() -> None:
-    values = np.array([1.0, 2.0, 4.0, 8.0])
-    assert Spread.of(values, np.array([0.25, 0.25, 0.25, 0.25])) == Spread(3.75, 1.0, 8.0)
-    assert Spread.of(values, np.array([0.04, 0.02, 0.9, 0.04])) == Spread(0.04 + 0.04 + 3.6 + 0.32, 2.0, 4.0)
-    assert Spread.of(values, np.array([0.05, 0.45, 0.45, 0.05])) == Spread(0.05 + 0.9 + 1.8 + 0.4, 1.0, 4.0)
-    # 0.95 in six portions, which add up to a little less
-    assert Spread.of(np.arange(7.0), np.array([0.3, 0.2, 0.15, 0.1, 0.1, 0.1, 0.05])).high == 5
+    """The cells of 1, 2, 4 and 5 end at 0.5, 1.5, 3, 4.5 and 5.5."""
+    values = np.array([1.0, 2.0, 4.0, 5.0])
+    assert Spread.of(values, np.full(4, 0.25)) == Spread(3.0, pytest.approx(0.7), pytest.approx(5.3))
+    assert Spread.of(values, np.array([0.0, 0.5, 0.5, 0.0])) == Spread(3.0, pytest.approx(1.65), pytest.approx(4.35))
+    assert Spread.of(values, np.array([0.05, 0.45, 0.45, 0.05])) == Spread(3.0, pytest.approx(1.5), pytest.approx(4.5))
+    assert Spread.of(values, np.full(4, 0.25), level=0) == Spread(3.0, pytest.approx(3.0), pytest.approx(3.0))
+    assert Spread.of(values, np.full(4, 0.25), level=1) == Spread(3.0, 0.5, 5.5)
+    # Nearly all at one value, and the little rest so far away that the mean is beyond nine tenths of the chance.
+    far = Spread.of(np.array([1.0, 2.0, 3.0, 1000.0]), np.array([0.0, 0.97, 0.0, 0.03]))
+    assert far == Spread(pytest.approx(31.94), pytest.approx(1.5 + 0.05 / 0.97), pytest.approx(31.94))
     nobody = Spread.of(values, np.array([0.5, np.nan, 0.25, 0.25]))
     assert np.isnan([nobody.mean, nobody.low, nobody.high]).all()
+    assert Spread.of(np.array([0.7]), np.array([1.0])) == Spread(0.7, 0.7, 0.7)
+    with pytest.raises(ValueError, match="from 0 to 1"):
+        Spread.of(values, np.full(4, 0.25), level=1.5)
+
+
+def test_cells_of_a_geometric_sequence_are_even_in_the_logarithm() -> None:
+    found = Spread.of(np.geomspace(0.1, 10, 5), np.array([0.0, 0.0, 1.0, 0.0, 0.0]))
+    assert (found.low, found.high) == pytest.approx((10**-0.225, 10**0.225))
+    assert Spread.of(np.geomspace(0.1, 10, 5), np.full(5, 0.2), level=1).low == pytest.approx(10**-1.25)
+
+
+@pytest.mark.parametrize("theta", [(0.5, 0.95), (0.0, 1.0), (0.2, 0.4)])
+def test_a_uniform_prior_lies_between_a_twentieth_and_nineteen(theta: tuple[float, float]) -> None:
+    population = Population(theta=theta)
+    grid = Grid.regular(population, thetas=41)
+    beta, found = grid.spreads(grid.prior(population))
+    assert (beta.mean, beta.low, beta.high) == pytest.approx((1.55, 0.1 + 0.05 * 2.9, 3 - 0.05 * 2.9))
+    ends = theta[0] + 0.05 * (theta[1] - theta[0]), theta[1] - 0.05 * (theta[1] - theta[0])
+    assert (found.low, found.high) == pytest.approx(ends, abs=0.01)
+    assert found.mean == pytest.approx(sum(theta) / 2)
+
+
+@st.composite
+def distributions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """Values, chances and limits, as beliefs have them: grids of beta, geometric ones, and grids of theta."""
+    steps = draw(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=9))
+    values, limits = np.cumsum([draw(st.sampled_from([0.0, 0.1, 1.0])), *steps]), (0.0, np.inf)
+    kind = draw(st.sampled_from(["beta", "geometric", "theta"]))
+    if kind == "geometric":
+        values = np.geomspace(0.01, 10 ** draw(st.floats(-1, 2)), len(values))
+    elif kind == "theta":
+        values, limits = (values - values[0]) / (values[-1] - values[0]), (0.0, 1.0)
+    some = st.one_of(st.floats(0, 1), st.sampled_from([0.0, 0.0, 1.0, 30.0]))
+    chances = np.array(draw(st.lists(some, min_size=len(values), max_size=len(values)).filter(lambda c: sum(c) > 1e-6)))
+    return values, chances / chances.sum(), limits
+
+
+@given(distributions(), st.floats(0, 1), st.floats(0, 1))
+def test_an_interval_has_the_mean_and_grows_with_its_level(
+    distribution: tuple[np.ndarray, np.ndarray, tuple[float, float]], one: float, other: float
+) -> None:
+    values, chances, limits = distribution
+    middle = Spread.of(values, chances, level=0, limits=limits)
+    inner, outer = (Spread.of(values, chances, level=level, limits=limits) for level in sorted([one, other]))
+    assert limits[0] <= outer.low <= inner.low + 1e-12
+    assert inner.high - 1e-12 <= outer.high <= limits[1]
+    assert inner.low <= inner.mean <= inner.high
+    # At level 0 it is what lies between mean and median.
+    assert inner.low - 1e-12 <= middle.low <= middle.high <= inner.high + 1e-12
+
+
+@given(distributions(), st.floats(0, 1))
+def test_an_interval_shrinks_with_information(
+    distribution: tuple[np.ndarray, np.ndarray, tuple[float, float]], share: float
+) -> None:
+    """On an even grid, when a share of the belief goes over to the value that is already in the middle.
+
+    The mean may be at a limit, which is the end of a cell. The interval is extended to it, by a twentieth of a cell.
+    """
+    _, chances, limits = distribution
+    even = np.linspace(0, 1, len(chances)) if limits[1] == 1 else 0.1 + np.arange(len(chances))
+    sure = np.eye(len(even))[np.searchsorted(chances.cumsum(), 0.5)]
+    widths = []
+    for belief in (chances, (1 - share) * chances + share * sure, sure):
+        found = Spread.of(even, belief, limits=limits)
+        widths.append(found.high - found.low)
+    slack = 1e-9 + 0.05 * (even[1] - even[0])
+    assert widths[2] - slack <= widths[1] <= widths[0] + slack
+    assert widths[2] <= 0.95 * (even[1] - even[0]) + 1e-9
 
 
 def test_updates_by_hand() -> None:

@@ -28,7 +28,7 @@ class Reason:
     beta, theta : float
         What is believed of their expertise, and of the robot's influence on them: means.
     beta_interval, theta_interval : pair of float
-        Between these lie nine tenths of the belief.
+        Between these lie nine tenths of the belief, and its mean.
     """
 
     saving: float
@@ -142,9 +142,9 @@ class PersonState:
     @property
     def beta(self) -> Spread:
         """Their expertise, as far as it is known."""
-        return Spread.of(self.grid.beta, self.belief.sum(axis=1))
+        return self.grid.spreads(self.belief)[0]
 
     @property
     def theta(self) -> Spread:
         """The robot's influence on them, as far as it is known."""
-        return Spread.of(self.grid.theta, self.belief.sum(axis=0))
+        return self.grid.spreads(self.belief)[1]

@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo
 
-from ..people.belief import Spread
 from ..people.decision import Floats
 from ..people.human import Mixture, Population
 from ..person.pomdp import Policy
@@ -355,8 +354,7 @@ class Assistant:
         policy, belief = self._team.parts[self._team.model[k]].policy, self._team.belief[k]
         q = policy.q_values(self._team.x[k : k + 1], belief[None])[0]
         saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
-        grid = policy.pomdp.grid
-        beta, theta = Spread.of(grid.beta, belief.sum(axis=1)), Spread.of(grid.theta, belief.sum(axis=0))
+        beta, theta = policy.pomdp.grid.spreads(belief)
         return Reason(
             saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high)
         )

@@ -58,6 +58,11 @@ class Grid:
         """The shape (B, T) of a belief."""
         return len(self.beta), len(self.theta)
 
+    def spreads(self, belief: Floats) -> tuple[Spread, Spread]:
+        """Describe where beta and theta lie under a belief, shape (B, T)."""
+        theta = Spread.of(self.theta, belief.sum(axis=0), limits=(0.0, 1.0))
+        return Spread.of(self.beta, belief.sum(axis=1)), theta
+
     def shares(self, theta: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
         """Share values of theta between neighbouring grid points.
 
@@ -103,13 +108,13 @@ class Grid:
         return beta[:, None] * theta[None, :]
 
 
-ENDS = (0.05, 0.95)
-"""The quantiles between which nine tenths of a belief lie."""
+ROUNDING = 1e-9
+"""Differences up to this come from rounding."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Where a distribution over ascending values lies: its mean, and the ends of its middle nine tenths.
+    """Where a distribution over ascending values lies: its mean, and the ends of its middle part.
 
     Attributes
     ----------
@@ -121,13 +126,48 @@ class Spread:
     high: float
 
     @classmethod
-    def of(cls, values: Floats, chances: Floats) -> Spread:
-        """Describe chances, shape (n,), of values, shape (n,); NaN where the chances are."""
+    def of(
+        cls, values: Floats, chances: Floats, *, level: float = 0.9, limits: tuple[float, float] = (0.0, np.inf)
+    ) -> Spread:
+        """Describe a distribution; NaN where the chances are.
+
+        Each value stands for a cell, and its chance is spread evenly over this cell; evenly in the logarithm, where
+        the values are a geometric sequence. As much chance lies below the interval as above it. Where the mean of a
+        skewed distribution would lie outside, the interval is extended to it.
+
+        Parameters
+        ----------
+        values, chances : float arrays, shape (n,)
+        level : float
+            The chance of what lies within the interval, from 0 to 1.
+        limits : pair of float
+            Between which values are possible; cells end there.
+        """
+        if not 0 <= level <= 1:
+            raise ValueError(f"level {level:g}: expected a number from 0 to 1")
         if np.isnan(chances).any():
             return cls(np.nan, np.nan, np.nan)
-        # A cumulated chance of 0.95 may have been rounded down.
-        low, high = values[np.searchsorted(chances.cumsum(), np.array(ENDS) - 1e-9)].tolist()
-        return cls(float(values @ chances), low, high)
+        mean = float(values @ chances)
+        if len(values) == 1:
+            return cls(mean, mean, mean)
+        geometric = len(values) > 2 and values[0] > 0 and np.ptp(np.diff(np.log(values))) < ROUNDING
+        scale, back = (np.log, np.exp) if geometric else (np.positive, np.positive)
+        points = scale(values)
+        middles = (points[1:] + points[:-1]) / 2
+        edges = np.concatenate([[2 * points[0] - middles[0]], middles, [2 * points[-1] - middles[-1]]])
+        edges = scale(np.clip(back(edges), *limits))
+        low = _quantile(edges, chances, (1 - level) / 2)
+        high = -_quantile(-edges[::-1], chances[::-1], (1 - level) / 2)
+        ends = (*back(np.array([low, high])).tolist(), mean)
+        return cls(mean, min(ends), max(ends))
+
+
+def _quantile(edges: Floats, chances: Floats, below: float) -> float:
+    """Give the largest value below which cells, ascending, have no more than so much chance."""
+    total = np.concatenate([[0.0], chances.cumsum()])
+    cell = min(int(np.searchsorted(total, below + ROUNDING, side="right")), len(chances)) - 1
+    inside = np.clip((below - total[cell]) / max(chances[cell], ROUNDING), 0, 1)
+    return float(edges[cell] + inside * (edges[cell + 1] - edges[cell]))
 
 
 def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:

@@ -68,7 +68,7 @@ def beliefs_of_episode(
     -------
     Episode
     list of dict
-        For each person and step: `place`, `step`; mean and quantiles (`Spread`) of beta and theta, as `beta_mean`,
+        For each person and step: `place`, `step`; mean and interval (`Spread`) of beta and theta, as `beta_mean`,
         `beta_low`, `beta_high` and so on; `beta_true` and `theta_true`, the latter at that time; `suggestion`,
         whether one was made to them then; `robot_here`. What is believed while the robot is under way is not
         known (NaN), since no policy is asked then.
@@ -84,12 +84,13 @@ def beliefs_of_episode(
     for action in trace:
         place, step = action["place"], action["step"]
         belief = watched.beliefs[step][place] if step in watched.beliefs else np.full(grids[place].shape, np.nan)
+        beta, theta = grids[place].spreads(belief)
         rows.append(
             {
                 "place": place,
                 "step": step,
-                **_described("beta", grids[place].beta, belief.sum(axis=1)),
-                **_described("theta", grids[place].theta, belief.sum(axis=0)),
+                **_described("beta", beta),
+                **_described("theta", theta),
                 "beta_true": found.beta[place],
                 "theta_true": action["theta"],
                 "suggestion": action["suggestion"] is not None,
@@ -99,7 +100,5 @@ def beliefs_of_episode(
     return found, rows
 
 
-def _described(name: str, values: Floats, chances: Floats) -> dict[str, float]:
-    """Give the mean and the quantiles of a distribution over ascending values."""
-    spread = Spread.of(values, chances)
+def _described(name: str, spread: Spread) -> dict[str, float]:
     return {f"{name}_mean": spread.mean, f"{name}_low": spread.low, f"{name}_high": spread.high}
