@@ -108,6 +108,40 @@ def test_things_are_drawn_where_they_are() -> None:
     assert "ka-done" not in re.search(r'<g class="([^"]*)" data-object="pliers"', after)[1]  # type: ignore[index]
 
 
+BOXES = """(define (domain boxes) (:predicates (box ?b) (part ?p) (in ?p ?b) (sealed ?b) (lies ?p) (open ?b))
+  (:action put :parameters (?p ?b) :precondition (and (part ?p) (box ?b) (lies ?p) (open ?b))
+   :effect (and (in ?p ?b) (not (lies ?p))))
+  (:action seal :parameters (?b) :precondition (and (box ?b) (open ?b)) :effect (and (sealed ?b) (not (open ?b))))
+  (:action unseal :parameters (?b) :precondition (sealed ?b) :effect (and (open ?b) (not (sealed ?b)))))"""
+ONE_BOX = """(define (problem one-box) (:domain boxes) (:objects bin nut cap)
+  (:init (box bin) (part nut) (part cap) (lies nut) (lies cap) (open bin))
+  (:goal (and (sealed bin) GOAL)))"""
+
+
+@pytest.mark.parametrize("goal", ["(in nut bin) (in cap bin)", "(forall (?p) (imply (part ?p) (in ?p bin)))"])
+@pytest.mark.parametrize("guessed", [True, False])
+def test_a_frame_is_green_when_all_parts_of_the_goal_that_name_the_object_hold(
+    tmp_path: Path, goal: str, guessed: bool
+) -> None:
+    (tmp_path / "domain.pddl").write_text(BOXES)
+    (tmp_path / "one-box.pddl").write_text(ONE_BOX.replace("GOAL", goal))
+    if not guessed:
+        (tmp_path / "drawing.toml").write_text('[places]\nin = "?1 in ?2"\n[marks]\nsealed = "?1 sealed"\n')
+    drawn = Artist(load(tmp_path / "one-box.pddl"))
+
+    def green(*plan: str) -> set[str]:
+        content = drawn.draw(drawn.subject.follow(plan)[-1]).svg
+        found = re.findall(r'<g class="([^"]*)" data-object="([^"]*)"', content)
+        return {name for classes, name in found if "ka-done" in classes}
+
+    parts = {"nut", "cap"} if goal.startswith("(in") else set()  # the other goal does not say of which parts it speaks
+    assert green() == set()
+    assert green("(seal bin)") == set()  # it is empty
+    assert green("(put nut bin)", "(seal bin)") == parts & {"nut"}
+    assert green("(put nut bin)", "(put cap bin)") == parts
+    assert green("(put nut bin)", "(put cap bin)", "(seal bin)") == parts | {"bin"}
+
+
 def test_towers_stand_on_each_other() -> None:
     drawn = artist("blocks/blocks-5")
     tops = {

@@ -26,7 +26,7 @@ class Node:
         What it is connected with.
     inside, on : list of Node
     done : bool or None
-        Whether all that the goal says of it holds; None where it says nothing.
+        Whether every part of the goal that names it holds; None where the goal says neither where nor how it is to be.
     colour : int or None
     """
 
@@ -96,6 +96,9 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
     goal = [(say_wanted(profile, wanted), subject.holds(wanted, facts, values)) for wanted in subject.goal]
     for wanted, (_, done) in zip(subject.goal, goal, strict=True):
         _want(profile, wanted, done, nodes)
+    for node in nodes.values():
+        if node.done:
+            node.done = all(so for wanted, (_, so) in zip(subject.goal, goal, strict=True) if wanted.names(node.key))
     _connect(subject, profile, facts, nodes)
     shown = {*profile.places, *profile.marks, *profile.links, *profile.colours, *profile.hidden}
     also = sorted(" ".join(fact) for fact in facts & subject.changing if fact[0] not in shown)
@@ -185,7 +188,7 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
         return
     what, where = rule.of(wanted.atom)
     if what in nodes:
-        nodes[what].done = done and nodes[what].done is not False
+        nodes[what].done = done and nodes[what].done is not False  # as far as the goal says where or how it is to be
     text = nodes[what].title if what in nodes else what
     if rule.how in ("in", "at") and where in nodes:
         nodes[where].wants.append((f"{'no ' * wanted.negated}{text}", done))

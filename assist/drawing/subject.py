@@ -46,6 +46,11 @@ class Wanted:
     variable: int = -1
     value: int = -1
 
+    def names(self, name: str) -> bool:
+        """Tell whether it names an object."""
+        words = self.text.replace("(", " ").replace(")", " ").split() if self.atom is None else self.atom[1:]
+        return name in words
+
 
 @dataclass(frozen=True)
 class Subject:
