@@ -28,7 +28,7 @@ def test_a_camera_reports_and_a_robot_asks_where_to_go() -> None:
     assert robot.returncode == 0
     seen = camera.stdout.splitlines()
     assert [f"person-1 {row['action']}" for row in log] == [line.partition(",")[0] for line in seen]
-    assert seen[-1].endswith("still 0 to go")
+    assert seen[-1].endswith("remaining cost 0")
     assert "going to person-1" in said
     assert any(line.startswith("to person-1: (") for line in said.splitlines())
 

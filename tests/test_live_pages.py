@@ -219,7 +219,7 @@ def follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
     told = page.inner_text("#suggestion")
     assert LAST.match(told)
     page.click("summary:text('Why?')")
-    assert "It should save you about" in page.inner_text("#why")
+    assert "It should lower the cost of your task by about" in page.inner_text("#why")
     before = clicked.steps()
     page.click("#accept")
     clicked.waits_for(before + 1)

@@ -31,7 +31,7 @@ def main(link: str, person: str) -> None:
         except RefusedError as error:  # it has seen something that cannot have been
             print(f"{error.status}: {error}", file=sys.stderr)
             continue
-        print(f"{person} {action}, still {seen['cost_to_go']:g} to go", flush=True)
+        print(f"{person} {action}, remaining cost {seen['cost_to_go']:g}", flush=True)
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ let team = null;
 let links = {};
 
 const one = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
+const spread = (mean, ends) => `${mean.toFixed(2)} (${ends.map((end) => end.toFixed(2)).join(" to ")})`;
 const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 const plain = (action) => (action ? action.slice(1, -1) : "");
 
@@ -47,13 +48,17 @@ function lastTime() {
   return Math.max(0, ...(team.log ?? []).map((event) => event.time), ...team.people.map((person) => person.history?.at(-1)?.[0] ?? 0));
 }
 
-/** Cost-to-go over time, as steps; a gap where there is no way to the goal. */
+/** What the rest of somebody's task costs at least. */
+function remaining(person) {
+  return person.cost_to_go === null ? "no way to the goal" : `remaining cost ${one(person.cost_to_go)}`;
+}
+
+/** Cost-to-go over time, drawn as stairs; a gap where there is no way to the goal. */
 function progressOf(person) {
   const points = (person.history ?? []).filter(([, value]) => value !== null);
   const highest = Math.max(1, ...points.map(([, value]) => value));
   const last = Math.max(1, lastTime());
-  const now = person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`;
-  const drawn = plot(`Cost to go over ${clock(last)} minutes: from ${points.length ? one(points[0][1]) : "?"}, now ${now}`, WIDTH, HEIGHT);
+  const drawn = plot(`Remaining cost over ${clock(last)} minutes: ${points.length ? one(points[0][1]) : "?"} at first, now ${remaining(person)}`, WIDTH, HEIGHT);
   const x = (time) => LEFT + ((WIDTH - LEFT - 5) * time) / last;
   const y = (value) => HEIGHT - 14 - ((HEIGHT - 24) * value) / highest;
   drawn.append(shape("line", { class: "axis", x1: LEFT, x2: WIDTH, y1: y(0), y2: y(0) }));
@@ -105,9 +110,9 @@ function card(person) {
     element("h3", {}, person.person,
       here ? element("span", { class: "badge here" }, "robot here") : null,
       element("span", { class: `badge${person.finished ? " ended" : ""}` }, state)),
-    element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${person.cost_to_go === null ? "no way to the goal" : `${one(person.cost_to_go)} to go`}`),
+    element("p", {}, `${team.tasks.length > 1 ? `${person.task}: ` : ""}${person.steps} ${person.steps === 1 ? "step" : "steps"}, ${remaining(person)}`),
     person.suggestion ? element("p", {}, `Suggested: ${plain(person.suggestion)}`) : null,
-    figureOf(progressOf(person), "Cost to go over time"),
+    figureOf(progressOf(person), "Remaining cost over time"),
     element("div", { class: "pair" },
       figureOf(betas, `Expertise β: ${betaMean.toFixed(2)}`),
       figureOf(thetas, `Influence θ: ${thetaMean.toFixed(2)}`)),
@@ -133,9 +138,9 @@ function show() {
   else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
   else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
   at("why").textContent = !robot.reason || team.paused ? "" :
-    `Expected to save ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way: ${one(robot.reason.score)}. ` +
-    `Expertise ${one(robot.reason.beta)} (${robot.reason.beta_interval.map(one).join(" to ")}), ` +
-    `influence ${robot.reason.theta.toFixed(2)} (${robot.reason.theta_interval.map((value) => value.toFixed(2)).join(" to ")}).`;
+    `Expected to save a cost of ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way: ${one(robot.reason.score)}. ` +
+    `Expertise ${spread(robot.reason.beta, robot.reason.beta_interval)}, ` +
+    `influence ${spread(robot.reason.theta, robot.reason.theta_interval)}.`;
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));
   at("log").replaceChildren(...[...(team.log ?? [])].reverse().map((event) =>
     element("tr", {},

@@ -36,9 +36,9 @@ function reasons(reason) {
   const level = beta < 0.6 ? "finds good steps hard to tell" : beta < 1.8 ? "mostly sees which steps are good" : "sees well which steps are good";
   const trust = theta < 0.45 ? "would rather not follow suggestions" : theta < 0.65 ? "takes suggestions as one opinion" : "often follows suggestions";
   return [
-    `It should save you about ${number(saving)} ${Math.abs(saving) < 1.05 && Math.abs(saving) > 0.95 ? "step" : "steps"} of work on average.`,
-    moving > 0.05 ? `Coming here cost the robot ${number(moving)}.` : "The robot is with you already.",
-    `From your steps so far, it takes you for somebody who ${level} (expertise ${number(beta)}, likely ${number(b[0])} to ${number(b[1])}).`,
+    `It should lower the cost of your task by about ${number(saving)} on average.`,
+    moving > 0.05 ? `Coming here added ${number(moving)} to the cost.` : "The robot is with you already.",
+    `From your steps so far, it takes you for somebody who ${level} (expertise ${beta.toFixed(2)}, likely ${b[0].toFixed(2)} to ${b[1].toFixed(2)}).`,
     `It takes you for somebody who ${trust} (influence ${theta.toFixed(2)}, likely ${t[0].toFixed(2)} to ${t[1].toFixed(2)}).`,
   ];
 }
