@@ -258,8 +258,8 @@ def test_what_was_believed_is_what_the_episode_had(pool: Pool) -> None:
         first = own[0]
         assert first["beta_mean"] == pytest.approx(grid.beta @ prior.sum(axis=1))
         assert first["theta_mean"] == pytest.approx(grid.theta @ prior.sum(axis=0))
-        # People's beta is uniform from 0.1 to 3.
-        assert (first["beta_low"], first["beta_high"]) == pytest.approx((0.1 + 0.05 * 2.9, 3 - 0.05 * 2.9))
+        # People's beta is uniform from 0.1 to 1.5.
+        assert (first["beta_low"], first["beta_high"]) == pytest.approx((0.1 + 0.05 * 1.4, 1.5 - 0.05 * 1.4))
         assert all(row["beta_low"] <= row["beta_mean"] <= row["beta_high"] for row in own)
         for one, other in pairwise(own):
             # Who is told something and always follows shows nothing of beta; others do, however little.
@@ -276,7 +276,7 @@ def test_beliefs_are_those_of_a_filter(pool: Pool) -> None:
     for row, action in zip(rows, trace, strict=True):
         beta = belief[0].sum(axis=1)
         assert row["beta_mean"] == pytest.approx(float(pomdp.grid.beta @ beta))
-        edges = np.linspace(0.1, 3, len(beta) + 1)
+        edges = np.linspace(0.1, 1.5, len(beta) + 1)
         ends = np.interp([0.05, 0.95], [0, *beta.cumsum()], edges)
         assert (row["beta_low"], row["beta_high"]) == pytest.approx(tuple(ends))
         slots = np.flatnonzero(choices.applicable[x])
