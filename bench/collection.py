@@ -33,6 +33,7 @@ import click
 from tables import Columns, cell, record_option, write_record
 
 from planner.budget import MAX_STATES
+from planner.machine import processors
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may take to end by itself
@@ -108,7 +109,7 @@ def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
         found = states
 
     try:
-        listing.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), os.cpu_count() or 1, told)
+        listing.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), processors(), told)
     except LimitError as error:
         why = str(error)
     return {"at_least": found, "counted": why is None, "count_said": why}
@@ -146,7 +147,7 @@ def done(what: str, domain: str, problem: str, limits: Limited) -> dict[str, Any
     """Do a piece of work in this process."""
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
     seconds = limits.most[what] if what != "solve" else limits.seconds + limits.compare + GRACE
-    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * (os.cpu_count() or 1)), most))
+    resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * processors()), most))
     if what == "read":
         return read(domain, problem)
     if what == "count":

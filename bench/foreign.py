@@ -181,7 +181,7 @@ def write(name: str, folder: Path) -> Path:
 def measure(file: Path, sparse: bool) -> dict[str, Any]:
     """Sweep one instance in this process."""
     from planner import load
-    from planner.solving import _peak_memory_mb, _reset_peak_memory, _status_mb
+    from planner.machine import peak_memory_mb, reset_peak_memory, used_mb
 
     module = importlib.import_module("planner.sweep")
     if sparse:
@@ -191,8 +191,8 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())
     task = load(file, domain)
-    _reset_peak_memory()
-    before, start, cpu = _status_mb("VmRSS") or 0.0, time.monotonic(), time.process_time()
+    reset_peak_memory()
+    before, start, cpu = used_mb() or 0.0, time.monotonic(), time.process_time()
     table = module.sweep(task, max_states=100_000_000)
     row = {"states": len(table), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
     coding = getattr(getattr(table.space.numbering, "searches", None), "coding", None)
@@ -200,7 +200,7 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
         **row,
         "transitions": table.space.transition_count,
         "indices": None if coding is None else coding.size,
-        "bytes": 1e6 * (_peak_memory_mb() - before) / len(table),
+        "bytes": 1e6 * (peak_memory_mb() - before) / len(table),
         "h": table[table.initial],
     }
 

@@ -85,7 +85,7 @@ def _measured(table: Any, policy: str, count: int, steps: int, before: int) -> d
         "observe": np.median(times[:, 0]), "recommend": np.median(times[:, 1]), "processor": np.median(times[:, 2]),
         "median": np.median(both), "high": np.quantile(both, 0.95), "joined": joined, "saved": saved,
     }  # fmt: skip
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     return {
         **{name: 1e3 * float(value) for name, value in milliseconds.items()},
         "set up": set_up, "restored": restored, "team": team, "most": most,

@@ -48,7 +48,7 @@ def measured(name: str, compare: int, seconds: float) -> dict[str, Any]:
     start = time.process_time()
     found = orbits(task, max_orbits=50_000_000, threads=1)
     spent = time.process_time() - start
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     known, rng = OnDemand(task, orbits=found), np.random.default_rng(0)
     state, begun, equal = known.initial, time.monotonic(), 0
     while equal < compare and time.monotonic() - begun < seconds:

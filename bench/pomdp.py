@@ -80,7 +80,7 @@ class Memory(threading.Thread):
                 return
             if found is None:  # it has ended
                 return
-            self.peak = int(found[1]) / 1024
+            self.peak = int(found[1]) * 1024 / 1e6
             if self.peak > self.limit:
                 self.process.kill()
                 return

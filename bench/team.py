@@ -15,8 +15,6 @@ Each prints a table and writes it as JSON, and all but `prices`, `settings` and 
 from __future__ import annotations
 
 import json
-import os
-import resource
 import statistics
 import time
 from dataclasses import replace
@@ -47,6 +45,7 @@ from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
+from planner.machine import peak_memory_mb, processors
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
 SIZES = (1, 3, 10, 30, 100, 300, 1000)
@@ -195,7 +194,7 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | N
                     start = time.perf_counter()
                     policy(seen[0])
                     times.append(time.perf_counter() - start)
-                peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+                peak = peak_memory_mb()
                 rows.append(
                     {"instance": name, "policy": label, "humans": humans, "ms": 1e3 * statistics.median(times),
                      "us per person": 1e6 * statistics.median(times) / humans, "peak MB so far": round(peak)}
@@ -218,7 +217,7 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | N
 @main.command()
 @instance_option
 @click.option("--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="The median counts.")
-@click.option("--jobs", type=click.IntRange(min=1), default=os.cpu_count(), show_default=True, help="Threads.")
+@click.option("--jobs", type=click.IntRange(min=1), default=processors(), show_default=True, help="Threads.")
 @click.option("--people", type=click.IntRange(min=1), default=80_000, show_default=True, help="In all episodes.")
 @out_option
 @record_option

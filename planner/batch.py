@@ -6,14 +6,13 @@ soon as it is there. The records do not depend on where they were made.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .budget import available_memory
+from .machine import available_memory, processors
 from .pddl import Instance
 from .reports import Progress
 from .results import Results, key
@@ -110,7 +109,7 @@ def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
         return options
     memory = available_memory() / 1e6 / jobs
     limit = memory if options.memory_limit is None else min(memory, options.memory_limit)
-    threads = max(1, (os.cpu_count() or 1) // jobs)
+    threads = max(1, processors() // jobs)
     return replace(options, memory_limit=limit, threads=options.threads or threads)
 
 

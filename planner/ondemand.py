@@ -34,6 +34,7 @@ from .astar import LARGE, astar, with_small_costs
 from .costtogo import UNREACHED, optimal_choices
 from .fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
 from .listing import Numbered, expanded, rulebook
+from .machine import processors
 from .orbits import Orbits
 from .packed import Rulebook
 from .successors import Ints, Packing, Successors, Transitions, Words, holds
@@ -153,7 +154,7 @@ class OnDemand:
         self._goal = self.packing.condition(task.goal)
         self._cache = cache
         self._known = cache.read() if cache else {}
-        self._jobs = jobs or os.cpu_count() or 1
+        self._jobs = jobs or processors()
         self._limits = limits
         self._search: str | None = None
         self._met = Numbered(self.packing.words)

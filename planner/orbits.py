@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from . import packed
 from .arrays import outline
-from .budget import Budget, processors
+from .budget import Budget
 from .canonical import Forms, canonical
 from .costtogo import UNREACHED, Table, compact
 from .fast_downward import LimitError
 from .listing import Found, enumerated, expanded, settled
+from .machine import processors
 from .reports import Progress
 from .statespace import StateSpace
 from .successors import Ints, Packing, Transitions, Words

@@ -10,7 +10,6 @@ from __future__ import annotations
 import errno
 import os
 import platform
-import resource
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +24,7 @@ from .checker import Checker
 from .checking import InvalidPlanError
 from .errors import MismatchError
 from .fast_downward import FastDownwardError, LimitError, Limits
+from .machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
 from .pddl import Instance, PDDLError
 from .replay import replay
 from .reports import Progress
@@ -167,14 +167,14 @@ def solve_instance(
     """
     options = options or SolveOptions()
     phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None))
-    _reset_peak_memory()
+    reset_peak_memory()
     try:
         with phases.phase("read"):
             source = Source.of(instance)
         with Checker(source, phases.limits()) as checker, ExitStack() as until_solved:
             task = _grounded(source, checker, phases, until_solved)
             # Only now: loading libraries maps far more memory than is ever used.
-            with _memory_limit(options.memory_limit):
+            with memory_limit(options.memory_limit):
                 record = _solve(task, checker, options, place, phases, use)
     except PDDLError as error:
         record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
@@ -197,7 +197,7 @@ def solve_instance(
             record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
     record["seconds"] = {name: round(seconds, 6) for name, seconds in phases.seconds.items()}
     record["seconds"]["total"] = round(time.monotonic() - phases.start, 6)
-    record["peak_memory_mb"] = round(_peak_memory_mb(), 1)
+    record["peak_memory_mb"] = round(peak_memory_mb(), 1)
     return record
 
 
@@ -240,7 +240,7 @@ def _solve(
     table: Table | None = None
     orbits: Orbits | None = None
     if not task.decided_by_translator:
-        memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (_status_mb("VmRSS") or 0.0))
+        memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (used_mb() or 0.0))
         with phases.phase("search"):
             try:
                 answers = cost_to_go(
@@ -330,7 +330,7 @@ def _verify(table: Table, options: SolveOptions, phases: _Phases, record: Record
         record["verified"] = verify(
             table, count, np.random.default_rng(0), seconds=count * options.verify_seconds, limits=phases.limits(),
             # Each search may take the memory that is allowed.
-            jobs=1 if options.memory_limit is not None else options.threads or os.cpu_count() or 1,
+            jobs=1 if options.memory_limit is not None else options.threads or processors(),
             progress=lambda done: phases.progress(what, done, count),
         )  # fmt: skip
     with phases.phase("verify"):
@@ -367,41 +367,3 @@ def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
     )
     with atomic(file) as path:
         path.write_text(text, encoding="utf-8")
-
-
-def _status_mb(field: str) -> float | None:
-    """A field of this process's memory status, in MB; None where the system does not tell."""
-    try:
-        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    except OSError:
-        return None
-    return next((int(line.split()[1]) / 1024 for line in lines if line.startswith(field + ":")), None)
-
-
-def _reset_peak_memory() -> None:
-    """Start the process's peak memory anew, for a worker that solves one instance after the other."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    except OSError:
-        return  # then the peak is that of the process's whole life
-
-
-def _peak_memory_mb() -> float:
-    peak = _status_mb("VmHWM")
-    return peak if peak is not None else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-@contextmanager
-def _memory_limit(limit_mb: float | None) -> Iterator[None]:
-    """Let the process grow to `limit_mb` of memory at most; beyond, allocations fail."""
-    used, mapped = _status_mb("VmRSS"), _status_mb("VmSize")
-    if limit_mb is None or used is None or mapped is None:
-        yield
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    # The limit can only be set on what is mapped, of which libraries take much that they never use.
-    resource.setrlimit(resource.RLIMIT_AS, (int((mapped + max(0.0, limit_mb - used)) * 2**20), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))

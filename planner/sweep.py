@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels, reached
-from .budget import Budget, MemoryLimitError, processors
+from .budget import Budget, MemoryLimitError
 from .checkpoint import Checkpoint
 from .coding import MANY, denser, plain
 from .costtogo import Table
 from .fast_downward import LimitError
 from .listing import Listing, enumerated, settled
+from .machine import processors
 from .moves import split_operators
 from .reached import States
 from .reports import Progress

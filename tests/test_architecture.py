@@ -15,7 +15,7 @@ from assist.cli import main
 from assist.cli.commands import COMMANDS
 
 ROOMS = {
-    "planner": """lazy errors arrays storage processes threads reports workers expressions shipped pddl finding
+    "planner": """lazy errors arrays storage machine processes threads reports workers expressions shipped pddl finding
         supported source fast_downward checking checker built task replay budget successors statespace astar costtogo
         moves compiled atomics checkpoint reached kernels relaxing packed mutexes invariants clusters coding
         candidates trie searches listing symmetry canonical orbits sweep saved ondemand methods solving
@@ -62,7 +62,8 @@ MAY_READ_PDDL = (
     "assist.userstudy.plan",
     "assist.cli",
 )
-ARRAYS = {"planner", *(f"planner.{file}" for file in ["compiled", "lazy", "errors", "arrays", "storage", "workers"])}
+WITH_ARRAYS = ["compiled", "lazy", "errors", "arrays", "storage", "machine", "workers"]
+ARRAYS = {"planner", *(f"planner.{file}" for file in WITH_ARRAYS)}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 
 

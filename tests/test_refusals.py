@@ -51,7 +51,7 @@ from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
 from assist.userstudy.questionnaires import FORMS, Item
-from planner import OnDemand, PDDLError, Table, budget, load
+from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
 from planner.storage import writable
 from planner.task import from_sas
@@ -330,21 +330,6 @@ def test_words_of_a_command_that_do_not_go_together(words: str, message: str, tm
         (tmp_path / name).touch()
     result = invoke(*(str(tmp_path / word) if (tmp_path / word).is_file() else word for word in words.split()))
     assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
-
-
-def test_the_memory_that_a_container_may_take_is_all_that_there_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    files = {"/proc/meminfo": tmp_path / "meminfo", "/sys/fs/cgroup": tmp_path}
-    monkeypatch.setattr(budget, "Path", files.__getitem__)
-    assert budget.available_memory() > 1e6  # what the system says where there is no such file
-    (tmp_path / "meminfo").write_text("MemTotal: 9000 kB\nMemAvailable:    8000 kB\n")
-    assert budget.available_memory() == pytest.approx(0.9 * 8000 * 1024)
-    (tmp_path / "memory.max").write_text("max\n")
-    assert budget.available_memory() == pytest.approx(0.9 * 8000 * 1024)
-    (tmp_path / "memory.max").write_text("5000000\n")
-    (tmp_path / "memory.current").write_text("1000000\n")
-    assert budget.available_memory() == pytest.approx(0.9 * 4e6)
 
 
 def test_a_service_forgets_who_has_not_called_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:

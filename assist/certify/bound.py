@@ -22,7 +22,6 @@ simulated as well.
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,6 +34,7 @@ from numpy.typing import NDArray
 
 from planner import LimitError
 from planner.arrays import outline
+from planner.machine import processors
 
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
@@ -242,7 +242,7 @@ def upper_bound(
     if len(travel) != len(members):
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
     paths = whole("paths", paths, 0)
-    workers = whole("jobs", jobs or os.cpu_count() or 1, 1)
+    workers = whole("jobs", jobs or processors(), 1)
     luck, tell = entropy(seed), progress or (lambda *_: None)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
 

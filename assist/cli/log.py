@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
+from planner.machine import processors
 
 from .console import EXIT_FAILED, fail
 from .options import (
@@ -156,7 +156,7 @@ def replayed(
         click.echo(line, err=True)
     if strict and faults:
         fail(f"{file}: nothing is fitted, because of --strict", EXIT_FAILED)
-    jobs = jobs or os.cpu_count() or 1
+    jobs = jobs or processors()
     try:
         require_actions(log, recording, walked)
     except LogError as error:

@@ -14,7 +14,6 @@ matter which states are swept, or how often.
 from __future__ import annotations
 
 import math
-import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from planner import Table
 from planner.compiled import njit
+from planner.machine import processors
 
 from ..people.decision import Floats
 from ..people.human import Human
@@ -132,7 +132,7 @@ def at_most(
                 break
         return value[: len(states)] * (1 - ROUNDING / (1 - gamma))  # values are negative
 
-    with ThreadPoolExecutor(os.cpu_count()) as threads:
+    with ThreadPoolExecutor(processors()) as threads:
         return Complying(states, np.stack(list(threads.map(one, betas.tolist())), axis=1))
 
 

@@ -15,7 +15,6 @@ below 1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 
 from planner.arrays import outline
 from planner.compiled import njit
+from planner.machine import processors
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -217,7 +217,7 @@ def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
     Those of final states stay as they are.
     """
     arrays, order, found = Arrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         for _ in pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])):
             pass
     return found
@@ -327,7 +327,7 @@ def _converge(
         value[:, b] = own[:, 0]
         return bool(errors[b] <= tolerance)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(processors()) as pool:
         try:
             return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none
         except BaseException:  # after Ctrl-C no further sweep begins

@@ -1,0 +1,140 @@
+"""Memory and processors: what this machine, and the control groups of this process, let it have.
+
+A container is a control group (cgroup), often within others; each of these may have limits, of which the smallest
+holds. Linux has two versions of them, which are used side by side on some machines. Elsewhere there are none.
+
+A megabyte (MB) is a million bytes, here and in all options and records.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import resource
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path, PurePosixPath
+
+ROOT = Path("/")
+"""The folder from which the system's files are read."""
+
+KEPT = 0.1
+"""Share of the memory that is left to others."""
+
+CACHES = ("active_file", "inactive_file", "slab_reclaimable", "total_active_file", "total_inactive_file")
+"""What `memory.stat` calls memory that the system takes back when it is wanted: of a group, or of all groups in it."""
+
+
+def available_memory(root: Path = ROOT) -> float:
+    """Return how many bytes this process can still take without being killed.
+
+    Files that the system keeps in memory do not count as used. A tenth is left to others.
+
+    Parameters
+    ----------
+    root : Path, optional
+        A folder with the system's `proc` and `sys`.
+    """
+    free = math.inf
+    with suppress(OSError):
+        if found := re.search(r"MemAvailable:\s+(\d+) kB", (root / "proc/meminfo").read_text()):
+            free = int(found[1]) * 1024.0
+    if free == math.inf and "SC_PHYS_PAGES" in os.sysconf_names:
+        free = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2
+    for group in _groups("memory", root):
+        names = ("memory.max", "memory.high", "memory.limit_in_bytes")
+        limits = [int(limit) for name in names if (limit := _read(group / name)).isdecimal()]
+        used = _read(group / "memory.current") or _read(group / "memory.usage_in_bytes")
+        if limits and used:
+            counts = dict(line.split()[:2] for line in _read(group / "memory.stat").splitlines() if " " in line)
+            # The first version has the counts of the group alone, too, which are part of the totals.
+            known = [name for name in CACHES if name in counts]
+            totals = [name for name in known if name.startswith("total_")] or known
+            free = min(free, min(limits) - max(0, int(used) - sum(int(counts[name]) for name in totals)))
+    return (1 - KEPT) * max(0.0, free)
+
+
+def processors(root: Path = ROOT) -> int:
+    """Count the processors that this process may use: those that it may run on, or the time that it may take on them.
+
+    Parameters
+    ----------
+    root : Path, optional
+        As of `available_memory`.
+    """
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for group in _groups("cpu", root):
+        quota, _, period = _read(group / "cpu.max").partition(" ")
+        if not quota:
+            quota, period = _read(group / "cpu.cfs_quota_us"), _read(group / "cpu.cfs_period_us")
+        if quota.isdecimal() and period.isdecimal() and int(period) > 0:
+            count = min(count, math.ceil(int(quota) / int(period)))
+    return max(1, count)
+
+
+def _groups(controller: str, root: Path) -> Iterator[Path]:
+    """List the folders of the control groups that this process is in, for memory or processors, from inside out."""
+    paths: dict[str, str] = {}  # of the group in each hierarchy; "" is the second version, which has only one
+    for line in _read(root / "proc/self/cgroup").splitlines():
+        _, controllers, path = line.split(":", 2)
+        paths |= dict.fromkeys(controllers.split(","), path)
+    for line in _read(root / "proc/self/mountinfo").splitlines():
+        mount, _, system = line.partition(" - ")
+        kind, _, options = (system.split() + [""] * 3)[:3]
+        name = "" if kind == "cgroup2" else controller
+        if name not in paths or (kind != "cgroup2" and not (kind == "cgroup" and controller in options.split(","))):
+            continue
+        inside, at = (re.sub(r"\\(\d{3})", lambda code: chr(int(code[1], 8)), path) for path in mount.split()[3:5])
+        top = root / at.lstrip("/")
+        own = PurePosixPath(paths[name])
+        # In a container without a namespace of its own, only its own part of the hierarchy is to be seen.
+        below = own.relative_to(inside) if own.is_relative_to(inside) else PurePosixPath()
+        for steps in range(len(below.parts), -1, -1):
+            yield top.joinpath(*below.parts[:steps])
+
+
+def _read(file: Path) -> str:
+    """Return what is in a file of the system; nothing if there is none."""
+    try:
+        return file.read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
+
+
+def used_mb(field: str = "VmRSS") -> float | None:
+    """Return a field of this process's memory status, in MB; None where the system does not tell."""
+    found = re.search(rf"^{field}:\s+(\d+) kB", _read(Path("/proc/self/status")), re.M)
+    return None if found is None else int(found[1]) * 1024 / 1e6
+
+
+def reset_peak_memory() -> None:
+    """Start the process's peak memory anew, for a worker that solves one instance after the other."""
+    with suppress(OSError):  # then the peak is that of the process's whole life
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+
+
+def peak_memory_mb() -> float:
+    """Return the most memory that this process has had, in MB."""
+    peak = used_mb("VmHWM")
+    if peak is not None:
+        return peak
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes, or kilobytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+@contextmanager
+def memory_limit(limit_mb: float | None) -> Iterator[None]:
+    """Let the process grow to `limit_mb` of memory at most; beyond, allocations fail."""
+    used, mapped = used_mb(), used_mb("VmSize")
+    if limit_mb is None or used is None or mapped is None:
+        yield
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    # The limit can only be set on what is mapped, of which libraries take much that they never use.
+    resource.setrlimit(resource.RLIMIT_AS, (int((mapped + max(0.0, limit_mb - used)) * 1e6), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
