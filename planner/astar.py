@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
 from . import fast_downward
 from .fast_downward import NO_LIMITS, CostLimitError, Limits
+from .successors import can_hold
 from .task import Task
 
 OVERFLOW = 1 << 31
@@ -55,6 +54,10 @@ def astar(
     dearest action's cost c. A plan of cost P with P + 2 c below `OVERFLOW` is optimal therefore, since C is at most P.
     Any other answer is refused.
     """
+    if not task.goal:  # Fast Downward wants one, and each variable in it once
+        return 0.0, []
+    if not can_hold(task.goal):
+        return float("inf"), None
     sas, dearest = with_small_costs(task)
     if dearest >= LARGE:
         search = fast_downward.ASTAR_WITH_AXIOMS
@@ -70,20 +73,11 @@ def astar(
     if plan is None:
         return float("inf"), None
     cost = task.plan_cost(plan)
-    if cost // _divisor(task) + 2 * dearest >= OVERFLOW:
+    if task.reduced.plan_cost(plan) + 2 * dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: Fast Downward's sums of costs may overflow, its plan costs {cost}")
     return float(cost), plan
 
 
-def _divisor(task: Task) -> int:
-    """Return the greatest common divisor of the costs; 1 if all are free."""
-    return math.gcd(*task.costs) or 1
-
-
 def with_small_costs(task: Task) -> tuple[str, int]:
     """Return a task's SAS text with costs divided by their greatest common divisor, and the largest cost in it."""
-    divisor = _divisor(task)
-    dearest = max(task.costs, default=1) // divisor
-    if divisor == 1:
-        return task.sas, dearest
-    return re.sub(r"(\d+)\nend_operator", lambda cost: f"{int(cost[1]) // divisor}\nend_operator", task.sas), dearest
+    return task.reduced.sas, max(task.reduced.costs, default=1)

@@ -8,7 +8,6 @@ exactly one of them holds in every reachable state.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -110,9 +109,7 @@ def exactly_one(task: Task, moves: list[Move]) -> tuple[list[frozenset[Fact]], l
     moves : list of Move
         Those that the groups do not rule out.
     """
-    texts = re.findall(r"^begin_mutex_group\n\d+\n(.*?)\nend_mutex_group$", task.sas, re.S | re.M)
-    numbers = [[int(word) for word in text.split()] for text in texts]
-    groups = list(dict.fromkeys(frozenset(zip(n[::2], n[1::2], strict=True)) for n in numbers))
+    groups = list(dict.fromkeys(map(frozenset, task.mutexes)))
     initial = set(enumerate(task.initial))
     groups = [group for group in groups if len(group & initial) == 1]
     while True:

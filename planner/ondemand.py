@@ -15,7 +15,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-import re
 import sqlite3
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -37,7 +36,7 @@ from .listing import Numbered, expanded, rulebook
 from .machine import processors
 from .orbits import Orbits
 from .packed import Rulebook
-from .successors import Ints, Packing, Successors, Transitions, Words, holds
+from .successors import Ints, Packing, Successors, Transitions, Words, can_hold, holds
 from .task import Task
 
 CANDIDATES = (
@@ -70,8 +69,7 @@ def priced(task: Task) -> tuple[Task, int]:
     """
     if min(task.costs, default=1) > 0:
         return task, 1
-    sas = re.sub(r"(\d+)\nend_operator", lambda match: f"{int(match[1]) * UNIT + 1}\nend_operator", task.sas)
-    return replace(task, sas=sas, costs=tuple(cost * UNIT + 1 for cost in task.costs)), UNIT
+    return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs)), UNIT
 
 
 class Cache:
@@ -368,6 +366,8 @@ def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits
     LimitError
         None of them solved the initial state within the limits.
     """
+    if not task.goal or not can_hold(task.goal):
+        return Chosen(fast_downward.ASTAR, True, None if task.goal else [])
     sas, dearest = with_small_costs(task)
     if fast_downward.has_axioms(sas) or dearest >= LARGE:
         return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)

@@ -217,7 +217,7 @@ def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: E
 
         # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
         switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
-        sweep(Task(source.instance, "", switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
+        sweep(Task(source.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
         return grounding.result()
 
 

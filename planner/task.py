@@ -3,15 +3,17 @@
 `load` takes the PDDL files to a frozen `Task`: variables with finitely many values, ground actions with
 their costs, operators as preconditions and (conditional) effects, axioms, the initial state and the
 goal, all numbers. It is what Fast Downward's translator writes (SAS+, Bäckström and Nebel 1995; Helmert,
-"Concise finite-domain representations for PDDL planning tasks", 2009), read once and never changed.
+"Concise finite-domain representations for PDDL planning tasks", 2009), read once and never changed. The text that Fast
+Downward's search reads is made from these fields, so that a task in which some are replaced is the same to everything.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,7 +39,9 @@ FOR_WORDS = 10.0
 
 @dataclass(frozen=True)
 class Variable:
-    """A finite-domain variable; `facts[v]` says in PDDL what its value `v` means.
+    """A finite-domain variable; `facts[v]` says what its value `v` means, as the translator writes it.
+
+    That is `Atom on(a, b)`, `NegatedAtom on(a, b)`, or `<none of those>`.
 
     A derived variable has an axiom layer of 0 or more, a primary one -1.
 
@@ -93,8 +97,6 @@ class Task:
     ----------
     instance : Instance
         The files that it was read from; of a problem that was built in Python, names of files that do not exist.
-    sas : str
-        The text of Fast Downward's translator that everything else here was read from.
     variables : tuple of Variable
     actions : tuple of str
         Ground actions as `(name arg ...)`, each once, sorted.
@@ -105,12 +107,14 @@ class Task:
     initial : tuple of int
         Value of each variable; a derived variable has the value that it takes when no axiom applies.
     goal : tuple of Fact
+    mutexes : tuple of tuple of Fact
+        Groups of facts of which the operators let at most one hold, if not more hold before. Only searches use them,
+        to be faster.
     note : str or None
         What a user has to know of how it was read: that unified-planning has not checked the files, and why.
     """
 
     instance: pddl.Instance
-    sas: str
     variables: tuple[Variable, ...]
     actions: tuple[str, ...]
     costs: tuple[int, ...]
@@ -118,6 +122,7 @@ class Task:
     axioms: tuple[Effect, ...]
     initial: tuple[int, ...]
     goal: tuple[Fact, ...]
+    mutexes: tuple[tuple[Fact, ...], ...] = ()
     note: str | None = None
 
     __repr__ = outline
@@ -135,6 +140,17 @@ class Task:
         facts that always hold. What remains is a dummy task of one state; `astar` says which case it is.
         """
         return not self.operators and any("dummy(" in fact for v in self.variables for fact in v.facts)
+
+    @cached_property
+    def sas(self) -> str:
+        """The task as SAS text (file format version 3), which Fast Downward's search reads and `from_sas` too."""
+        return _rendered(self)
+
+    @cached_property
+    def reduced(self) -> Task:
+        """The same task with costs divided by their greatest common divisor."""
+        divisor = math.gcd(*self.costs)
+        return self if divisor <= 1 else replace(self, costs=tuple(cost // divisor for cost in self.costs))
 
     @cached_property
     def action_index(self) -> dict[str, int]:
@@ -298,9 +314,10 @@ def from_sas(sas: str, instance: pddl.Instance, note: str | None = None) -> Task
         variables.append(Variable(name, tuple(next(lines) for _ in range(number())), layer))
         expect("end_variable")
 
-    for _ in range(number()):  # mutex groups: what they say is in the variables already
+    mutexes = []
+    for _ in range(number()):
         expect("begin_mutex_group")
-        facts()
+        mutexes.append(facts())
         expect("end_mutex_group")
 
     expect("begin_state")
@@ -324,7 +341,8 @@ def from_sas(sas: str, instance: pddl.Instance, note: str | None = None) -> Task
             effects.append(Effect(conditions, variable, after))
         cost = number()
         expect("end_operator")
-        grounded.append((action, cost if has_costs else 1, tuple(preconditions), tuple(effects)))
+        conditions = tuple(dict.fromkeys(preconditions))  # each effect repeats that of its variable
+        grounded.append((action, cost if has_costs else 1, conditions, tuple(effects)))
 
     axioms = []
     for _ in range(number()):
@@ -339,7 +357,6 @@ def from_sas(sas: str, instance: pddl.Instance, note: str | None = None) -> Task
     index = {action: number for number, action in enumerate(actions)}
     return Task(
         instance=instance,
-        sas=sas,
         variables=tuple(variables),
         actions=actions,
         costs=tuple(costs[action] for action in actions),
@@ -347,5 +364,51 @@ def from_sas(sas: str, instance: pddl.Instance, note: str | None = None) -> Task
         axioms=tuple(axioms),
         initial=initial,
         goal=goal,
+        mutexes=tuple(mutexes),
         note=note,
     )
+
+
+def _rendered(task: Task) -> str:
+    """Write a task as the SAS text that `from_sas` reads."""
+
+    def listed(facts: Sequence[Fact]) -> list[str]:
+        return [str(len(facts)), *(f"{variable} {value}" for variable, value in facts)]
+
+    has_costs = any(cost != 1 for cost in task.costs)
+    lines = ["begin_version", "3", "end_version", "begin_metric", str(int(has_costs)), "end_metric"]
+    lines.append(str(len(task.variables)))
+    for variable in task.variables:
+        lines += ["begin_variable", variable.name, str(variable.axiom_layer), str(len(variable.facts))]
+        lines += [*variable.facts, "end_variable"]
+    # What a group says is true only where it is true of the initial state.
+    initial = set(enumerate(task.initial))
+    groups = [group for group in task.mutexes if len(initial.intersection(group)) <= 1]
+    lines.append(str(len(groups)))
+    for group in groups:
+        lines += ["begin_mutex_group", *listed(group), "end_mutex_group"]
+    lines += ["begin_state", *map(str, task.initial), "end_state", "begin_goal"]
+    lines += [*listed(tuple(dict.fromkeys(task.goal))), "end_goal"]
+    lines.append(str(len(task.operators)))
+    for operator in task.operators:
+        # The value before of a variable that changes stands beside its effects, the other conditions by themselves.
+        changed, before = {effect.variable for effect in operator.effects}, dict(operator.preconditions)
+        lines += ["begin_operator", _name_in_sas(task.actions[operator.action])]
+        lines += listed([(v, x) for v, x in operator.preconditions if v not in changed or x != before[v]])
+        lines.append(str(len(operator.effects)))
+        for effect in operator.effects:
+            conditions = "".join(f" {variable} {value}" for variable, value in effect.conditions)
+            change = f"{effect.variable} {before.get(effect.variable, -1)} {effect.value}"
+            lines.append(f"{len(effect.conditions)}{conditions} {change}")
+        lines += [str(task.costs[operator.action]), "end_operator"]
+    lines.append(str(len(task.axioms)))
+    for axiom in task.axioms:
+        lines += ["begin_rule", *listed(axiom.conditions)]
+        lines += [f"{axiom.variable} {task.initial[axiom.variable]} {axiom.value}", "end_rule"]
+    return "\n".join([*lines, ""])
+
+
+def _name_in_sas(action: str) -> str:
+    """Write an action as the translator does: a space comes after the name, also where no argument does."""
+    name = action[1:-1]
+    return name if " " in name else f"{name} "

@@ -110,7 +110,6 @@ def composed(seed: int, *, costs: range) -> Task:
         operators_of.append(Operator(len(operators_of), tuple(facts(3).items()), tuple(effects)))
     return Task(
         instance=instance("composed.pddl"),
-        sas="",
         variables=tuple(
             Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(sizes)
         ),
@@ -209,7 +208,6 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
     ]
     return Task(
         instance=instance("tied.pddl"),
-        sas="",
         variables=tuple(
             Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(own)), -1) for v, own in enumerate(sizes)
         ),

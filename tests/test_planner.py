@@ -280,7 +280,7 @@ def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=40))
 def test_packing_is_invertible_and_its_keys_distinguish_states(domains: list[int]) -> None:
     variables = tuple(Variable(f"v{i}", tuple(map(str, range(size))), -1) for i, size in enumerate(domains))
-    task = Task(Instance(Path("p"), Path("d")), "", variables, (), (), (), (), (0,) * len(domains), ())
+    task = Task(Instance(Path("p"), Path("d")), variables, (), (), (), (), (0,) * len(domains), ())
     packing = Packing.of(task)
     rng = np.random.default_rng(len(domains))
     values = np.stack([rng.integers(0, size, 50) for size in domains], axis=-1)

@@ -114,13 +114,8 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
     rules = []
     for v in range(primary, len(sizes)):
         rules += [Effect(facts(v, 2), v, 0) for _ in range(rng.randint(1, 2))]
-    texts = [
-        f"begin_mutex_group\n{len(group)}\n" + "\n".join(f"{v} {a}" for v, a in group) + "\nend_mutex_group"
-        for group in groups
-    ]
     return Task(
         instance=instance("random.pddl"),
-        sas="\n".join(texts),
         variables=tuple(
             Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1 if v < primary else v - primary)
             for v, size in enumerate(sizes)
@@ -131,6 +126,7 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
         axioms=tuple(rules),
         initial=tuple(initial),
         goal=facts(len(sizes), 2),
+        mutexes=tuple(map(tuple, groups)),
     )
 
 
@@ -286,7 +282,6 @@ def counter(bits: int, *, costs: tuple[int, ...] = ()) -> Task:
     )
     return Task(
         instance=instance("counter.pddl"),
-        sas="",
         variables=variables,
         actions=tuple(f"(a{v:02})" for v in range(bits)),
         costs=costs or (1,) * bits,
@@ -321,7 +316,6 @@ def wide(bits: int) -> Task:
     operators = tuple(Operator(v, ((v, 0), *((u, 1) for u in range(v))), (Effect((), v, 1),)) for v in range(bits))
     return Task(
         instance=instance("wide.pddl"),
-        sas="",
         variables=variables,
         actions=tuple(f"(a{v:03})" for v in range(bits)),
         costs=(1,) * bits,
@@ -346,9 +340,6 @@ def test_two_words_with_implied_variables():
     )
     groups = [[(0, p), (1 + p, 0)] for p in range(places)]
     groups += [[(1 + p, 1), (1 + places + p, 1)] for p in range(places)]
-    sas = "\n".join(
-        f"begin_mutex_group\n{len(g)}\n" + "\n".join(f"{v} {a}" for v, a in g) + "\nend_mutex_group" for g in groups
-    )
     operators = []
     for p in range(places):
         q = (p + 7) % places
@@ -358,8 +349,8 @@ def test_two_words_with_implied_variables():
     initial = [0] + [0] * places + [1] * places
     initial[1], initial[1 + places] = 1, 0
     task = Task(
-        instance("token.pddl"), sas, variables, tuple(f"(a{p:02})" for p in range(places)), (1,) * places,
-        tuple(operators), (), tuple(initial), ((0, 3),),
+        instance("token.pddl"), variables, tuple(f"(a{p:02})" for p in range(places)), (1,) * places,
+        tuple(operators), (), tuple(initial), ((0, 3),), tuple(map(tuple, groups)),
     )  # fmt: skip
     table = check(task)
     assert len(table) == places
@@ -369,10 +360,10 @@ def test_two_words_with_implied_variables():
 
 def test_a_task_without_operators():
     task = counter(3)
-    still = Task(task.instance, "", task.variables, (), (), (), (), task.initial, ())
+    still = Task(task.instance, task.variables, (), (), (), (), task.initial, ())
     assert len(check(still)) == 1
     assert check(still).distance.tolist() == [0]
-    assert check(Task(task.instance, "", task.variables, (), (), (), (), task.initial, task.goal)).dead_end.all()
+    assert check(Task(task.instance, task.variables, (), (), (), (), task.initial, task.goal)).dead_end.all()
 
 
 def test_limits(kitting):

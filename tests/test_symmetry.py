@@ -50,7 +50,6 @@ def switches(costs: list[int], goal: list[int], initial: list[int] | None = None
     operators = [Operator(2 * v + on, ((v, 1 - on),), (Effect((), v, on),)) for v in names for on in (0, 1)]
     return Task(
         instance=instance("switches.pddl"),
-        sas="",
         variables=tuple(Variable(f"var{v}", (f"Atom off({v})", f"Atom on({v})"), -1) for v in names),
         actions=tuple(f"({word} {v})" for v in names for word in ("turn-off", "turn-on")),
         costs=tuple(cost + more for cost in costs for more in (10, 0)),
@@ -90,7 +89,6 @@ def copies(rng: random.Random, count: int, costs: range) -> Task:
     wanted = [fact(1) for _ in range(2)]
     return Task(
         instance=instance("copies.pddl"),
-        sas="",
         variables=tuple(
             Variable(f"var{v}", tuple(f"Atom v{v}({a})" for a in range(size)), -1) for v, size in enumerate(whole)
         ),

@@ -1,0 +1,111 @@
+"""A task's fields are the one source of what it is: its SAS text is made from them, and read back to the same."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import KITTING, SMALL, named, solvable
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_sweep import counter, random_task
+
+from planner import Effect, Instance, OnDemand, Operator, Task, astar, fast_downward, load, sweep
+from planner.source import Source
+from planner.task import from_sas
+
+
+def plain(task: Task) -> Task:
+    """The same task with the conditions of its operators in order."""
+    ordered = [replace(one, preconditions=tuple(sorted(one.preconditions))) for one in task.operators]
+    return replace(task, operators=tuple(ordered), note=None)
+
+
+def check(task: Task) -> float:
+    """Compare Fast Downward's answer with that of the sweep."""
+    table = sweep(task)
+    cost, _ = astar(task)
+    assert cost == table[table.initial]
+    assert OnDemand(task).lookup([0])[0] == cost
+    return cost
+
+
+@given(st.integers(0, 2**32), st.booleans(), st.sampled_from([range(1, 2), range(3), range(0, 30, 3)]))
+def test_what_is_written_is_read_back(seed: int, axioms: bool, costs: range) -> None:
+    task = random_task(random.Random(seed), axioms=axioms, costs=costs)
+    used = sorted({operator.action for operator in task.operators})  # the text has no actions without operators
+    place = {action: number for number, action in enumerate(used)}
+    groups = [g for g in task.mutexes if sum(task.initial[v] == value for v, value in g) <= 1]
+    task = replace(
+        task,
+        actions=tuple(task.actions[action] for action in used),
+        costs=tuple(task.costs[action] for action in used),
+        operators=tuple(replace(operator, action=place[operator.action]) for operator in task.operators),
+        mutexes=tuple(groups),
+    )
+    assert plain(from_sas(task.sas, task.instance)) == plain(task)
+    assert from_sas(task.sas, task.instance).sas == task.sas
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.integers(0, 2**32), st.booleans())
+def test_fast_downward_accepts_what_is_written(seed: int, axioms: bool) -> None:
+    task = random_task(random.Random(seed), axioms=axioms, costs=range(3))
+    check(replace(task, mutexes=()))
+
+
+@pytest.mark.parametrize("instance", solvable(SMALL), ids=named)
+def test_shipped_tasks_are_written_as_the_translator_writes_them(instance: Instance) -> None:
+    text = fast_downward.translate(Source.of(instance))
+    task = from_sas(text, instance)
+    assert task.sas == text
+    assert from_sas(task.sas, instance) == task
+
+
+def test_what_is_replaced_is_replaced_for_everybody() -> None:
+    task = load(KITTING / "paper-fixed.pddl")
+    table = sweep(task)
+    assert check(task) == 10
+    state = int(np.flatnonzero(table.h == 4)[0])
+    values = tuple(table.values([state])[0].tolist())
+    assert check(replace(task, goal=tuple(enumerate(task.initial)))) == 0
+    assert check(replace(task, initial=values)) == 4
+    assert check(replace(task, costs=tuple(6 for _ in task.costs))) == 60
+    assert check(replace(task, operators=task.operators[1:])) >= 10
+    free = replace(task, costs=tuple(int(not name.startswith("(fetch")) for name in task.actions))
+    assert 0 < check(free) < 10
+    assert check(replace(task, goal=(*task.goal[:-1], (task.goal[-1][0], 1 - task.goal[-1][1])))) != 10
+
+
+def test_a_group_that_the_initial_state_breaks_says_nothing() -> None:
+    """Both facts hold in the beginning, so that searches must not take them for ones that exclude each other."""
+    task = replace(counter(2), mutexes=(((0, 1), (1, 1)),))
+    assert "begin_mutex_group" in task.sas
+    assert "begin_mutex_group" not in replace(task, initial=(1, 1)).sas
+    assert check(replace(task, initial=(1, 1))) == 0
+
+
+@pytest.mark.parametrize("changed", [0, 1])
+def test_conditions_that_contradict_each_other(changed: int) -> None:
+    task = counter(2)
+    never = Operator(0, ((0, 0), (0, 1)), (Effect((), changed, 1),))
+    task = replace(task, operators=(never, *task.operators[1:]))
+    assert check(task) == float("inf")
+    assert set(from_sas(task.sas, task.instance).operators[0].preconditions) == set(never.preconditions)
+
+
+def test_goals_that_fast_downward_does_not_read() -> None:
+    assert check(replace(counter(2), goal=())) == 0
+    assert astar(replace(counter(2), goal=()))[1] == []
+    assert check(replace(counter(2), goal=((0, 1), (0, 1)))) == 1
+    assert check(replace(counter(2), goal=((0, 1), (0, 0)))) == float("inf")
+
+
+def test_costs_are_divided_by_what_divides_all() -> None:
+    task = replace(counter(2), costs=(6, 9))
+    assert task.reduced.costs == (2, 3)
+    assert task.reduced.reduced is task.reduced
+    assert check(task) == 21
+    assert replace(task, costs=(0, 0)).reduced.costs == (0, 0)
