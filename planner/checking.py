@@ -112,16 +112,16 @@ def parsed(domain: str, problem: str) -> Problem:
         try:
             return PDDLReader().parse_problem_string(domain, problem)
         except Exception as fault:  # noqa: BLE001  it raises whatever comes, its own internal errors included
-            _clear_walkers()
+            clear_walkers()
             try:  # which of the two files is it?
                 PDDLReader().parse_problem_string(domain)
             except Exception:  # noqa: BLE001  as above
-                _clear_walkers()
+                clear_walkers()
                 _refuse("domain", domain, domain, fault)
             _refuse("problem", problem, domain + problem, fault)
 
 
-def _clear_walkers() -> None:
+def clear_walkers() -> None:
     """Let the shared environment forget what an error has interrupted; its next user would be told of it."""
     from unified_planning.environment import get_environment
 

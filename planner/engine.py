@@ -31,6 +31,7 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
 from .astar import astar
+from .built import with_plain_costs
 from .fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
 from .pddl import PDDLError
 from .task import load
@@ -83,8 +84,9 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     @staticmethod
     def supports(problem_kind: ProblemKind) -> bool:
-        """Tell whether it supports all features of a problem."""
-        return bool(problem_kind <= Engine.supported_kind())
+        """Tell whether it supports all features of a problem: one metric at most, and whole numbers as costs."""
+        metrics = problem_kind.features & set(KIND["quality_metrics"])
+        return bool(problem_kind <= Engine.supported_kind()) and len(metrics) < 2
 
     @staticmethod
     def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:  # noqa: ARG004  each there is
@@ -123,7 +125,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
             return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except LimitError as error:
             return self._without(Status.TIMEOUT, error)
-        except FastDownwardError as error:
+        except (FastDownwardError, OSError) as error:
             return self._without(Status.INTERNAL_ERROR, error)
         if plan is None:
             return PlanGenerationResult(Status.UNSOLVABLE_PROVEN, None, self.name)
@@ -143,18 +145,18 @@ def read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
     plan : list of str
         In the names of the problem; those that could not be written so are in its PDDL's.
     """
-    writer = PDDLWriter(problem)
-    items: dict[str, Any] = {}
     own = {item.name: item for item in (*problem.actions, *problem.all_objects)}
+    written: dict[str, Any] = {}
 
     def find(word: str) -> Any:
         if word in own:
             return own[word]
-        if not items:
+        if not written:
+            writer = PDDLWriter(with_plain_costs(problem))
             writer.get_domain()
             writer.get_problem()
-            items.update(writer.nto_renamings)
-        return items[word]
+            written.update(writer.nto_renamings)
+        return own[written[word].name]
 
     steps = []
     for action in plan:

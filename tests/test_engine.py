@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,10 +13,22 @@ from unified_planning.engines import OptimalityGuarantee, PlanGenerationResultSt
 from unified_planning.environment import Environment, get_environment
 from unified_planning.exceptions import UPUsageError
 from unified_planning.model import Fluent, InstantaneousAction, Object, Problem
-from unified_planning.model.metrics import MinimizeActionCosts
-from unified_planning.shortcuts import BoolType, OneshotPlanner, PlanValidator, RealType, UserType
+from unified_planning.model.metrics import MinimizeActionCosts, MinimizeSequentialPlanLength
+from unified_planning.shortcuts import (
+    BoolType,
+    Int,
+    IntType,
+    Minus,
+    OneshotPlanner,
+    PlanValidator,
+    Plus,
+    RealType,
+    Times,
+    UserType,
+)
 from unified_planning.test.examples import get_example_problems
 
+from planner import astar, load
 from planner.engine import Engine
 
 EXAMPLES = get_example_problems()
@@ -101,6 +115,117 @@ def test_what_it_does_not_support_it_says() -> None:
         planner.error_on_failed_checks = True
         with pytest.raises(UPUsageError, match="kitassist"):
             planner.solve(problem)
+
+
+@pytest.mark.parametrize(
+    ("cost", "steps"),
+    [
+        (lambda t: Plus(t.there, t.toll), ["far", "near"]),
+        (lambda t: Plus(t.there, t.toll, 1), ["far", "near"]),
+        (lambda t: Times(t.there, 2), ["far", "near"]),
+        (lambda t: Minus(t.there, 3), ["far", "near"]),
+        (lambda t: Plus(t.toll, 100), ["near"]),
+        (lambda t: Times(t.toll, t.toll), ["near"]),
+        (lambda t: Plus(Minus(100, t.back), 20), ["near"]),
+    ],
+)  # fmt: skip
+def test_costs_that_are_sums_and_products(cost: Any, steps: list[str]) -> None:
+    problem, move = trip()
+    problem.add_quality_metric(MinimizeActionCosts({move: cost(terms(problem))}))
+    assert Engine.supports(problem.kind)
+    before = str(problem)
+    with OneshotPlanner(name="kitassist") as planner:
+        result = planner.solve(problem)
+    assert result.status is PlanGenerationResultStatus.SOLVED_OPTIMALLY
+    assert [str(step.actual_parameters[1]) for step in result.plan.actions] == steps
+    assert str(problem) == before
+    with PlanValidator(problem_kind=problem.kind) as validator:
+        assert validator.validate(problem, result.plan)
+        costs = validator.validate(problem, result.plan).metric_evaluations
+    task = load(problem)
+    assert astar(task)[0] == next(iter(costs.values()))
+
+
+def terms(problem: Problem) -> SimpleNamespace:
+    """Give what costs of the trip may consist of."""
+    _, length, toll = problem.fluents
+    move = problem.action("move")
+    return SimpleNamespace(there=length(move.a, move.b), back=length(move.b, move.a), toll=toll())
+
+
+def trip() -> tuple[Problem, InstantaneousAction]:
+    """From home to a place nearby: 30 at once, or 10 and 12 by a place far away."""
+    place = UserType("place")
+    at, length = Fluent("at", BoolType(), p=place), Fluent("length", IntType(), a=place, b=place)
+    problem = Problem("trip")
+    home, near, far = (problem.add_object(name, place) for name in ("home", "near", "far"))
+    problem.add_fluent(at, default_initial_value=False)
+    problem.add_fluent(length, default_initial_value=30)
+    problem.add_fluent(Fluent("toll", IntType()), default_initial_value=2)
+    problem.set_initial_value(length(home, far), 10)
+    problem.set_initial_value(length(far, near), 12)
+    problem.set_initial_value(at(home), True)
+    problem.add_goal(at(near))
+    move = InstantaneousAction("move", a=place, b=place)
+    move.add_precondition(at(move.a))
+    move.add_effect(at(move.a), False)
+    move.add_effect(at(move.b), True)
+    problem.add_action(move)
+    return problem, move
+
+
+@pytest.mark.parametrize(
+    ("cost", "said"),
+    [
+        (lambda t: Minus(t.there, 29), "is -19 for .home, far."),
+        (lambda t: Minus(t.toll, 3), "is -1; expected a whole number of 0 or more"),
+        (lambda _: Int(-1), "may not be negative"),
+        (lambda t: Plus(Times(t.there, 10**9), 1), "more than Fast Downward can read"),
+    ],
+)  # fmt: skip
+def test_costs_that_no_plan_can_have(cost: Any, said: str) -> None:
+    """`supports` cannot see the values of costs; the result says what is wrong."""
+    problem, move = trip()
+    problem.add_quality_metric(MinimizeActionCosts({move: cost(terms(problem))}))
+    with OneshotPlanner(name="kitassist") as planner:
+        result = planner.solve(problem)
+    assert (result.status, result.plan) == (PlanGenerationResultStatus.UNSUPPORTED_PROBLEM, None)
+    assert re.search(said, result.log_messages[0].message)
+
+
+def test_actions_without_a_cost_are_free() -> None:
+    problem = ways()
+    quick, slow, again = problem.actions
+    problem.clear_quality_metrics()
+    problem.add_quality_metric(MinimizeActionCosts({quick: Int(1), slow: Int(0)}))
+    with OneshotPlanner(name="kitassist") as planner:
+        assert [step.action for step in planner.solve(problem).plan.actions] == [slow, again]
+        problem.clear_quality_metrics()
+        problem.add_quality_metric(MinimizeActionCosts({}))
+        assert planner.solve(problem).status is PlanGenerationResultStatus.SOLVED_OPTIMALLY
+
+
+def test_one_metric_is_supported_and_not_two() -> None:
+    problem = ways()
+    problem.add_quality_metric(MinimizeSequentialPlanLength())
+    assert not Engine.supports(problem.kind)
+    with Engine() as engine:
+        engine.skip_checks = True
+        result = engine.solve(problem)
+    assert result.status is PlanGenerationResultStatus.UNSUPPORTED_PROBLEM
+    assert "one metric" in result.log_messages[0].message
+
+
+@pytest.mark.parametrize("name", sorted({*EXAMPLES} - {*OURS}))
+def test_no_example_ends_in_an_exception(name: str) -> None:
+    """Even if checks are left out, as unified-planning allows."""
+    with Engine() as engine:
+        engine.skip_checks = True
+        result = engine.solve(EXAMPLES[name].problem)
+    assert result.status in (
+        PlanGenerationResultStatus.UNSUPPORTED_PROBLEM,
+        PlanGenerationResultStatus.SOLVED_OPTIMALLY,
+    )
 
 
 def test_what_cannot_be_solved_is_proven_so() -> None:
