@@ -23,8 +23,8 @@ ROOMS = {
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",
-    "assist.learning": """actions log_files log recording observations choosing likelihood estimates weighing hierarchy
-        misconception diagnostics population record people comparison summary""",
+    "assist.learning": """actions log_files log recording observations choosing likelihood profiles estimates weighing
+        hierarchy misconception diagnostics population record people comparison summary""",
     "assist.team": "arguments travel state attention subproblem settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts confidence clairvoyant bound",

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from assist.learning.likelihood import Data, on_grid
+from assist.learning.likelihood import Data, heard_steps, on_grid
 from assist.people import compiled
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -189,7 +189,10 @@ def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     excess, options, chosen, suggested, gains = (np.array(column) for column in zip(*steps, strict=True))
     begins = np.arange(len(steps)) == 0
     found = on_grid(
-        Data(excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0))),
+        Data(
+            excess, options, chosen, suggested, gains, begins, model.lapse, np.zeros(0), np.zeros((0, 0, 0)),
+            *heard_steps(suggested, begins),
+        ),
         np.array([beta]), np.array([first]), np.array([model.eta]),
     )  # fmt: skip
     np.testing.assert_allclose(found.item(), total, rtol=1e-9, atol=1e-9)

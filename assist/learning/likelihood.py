@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from planner.compiled import njit
 
 from ..people.compiled import answer, moved
-from ..people.decision import Floats
+from ..people.decision import NOTHING, Floats
 from .observations import Ints, Observations
 
 LARGE = 1e9
@@ -77,7 +77,10 @@ def log_likelihood(
 
 
 class Data(NamedTuple):
-    """Observations in the form that compiled code reads, which takes named tuples and no dataclasses."""
+    """Observations in the form that compiled code reads, which takes named tuples and no dataclasses.
+
+    `heard` are the steps with a suggestion, `anew` says at which of these an episode has begun since the one before.
+    """
 
     excess: Floats
     options: Ints
@@ -88,23 +91,34 @@ class Data(NamedTuple):
     lapse: float
     grid: Floats
     chances: Floats
+    heard: Ints
+    anew: NDArray[np.bool_]
 
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
         """Arrange one person's observations."""
         gain = o.gain / method.utility_scale
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
+        heard, anew = heard_steps(o.suggested, o.begins)
         return cls(
             excess=o.excess, options=o.applicable.sum(axis=1), chosen=o.chosen, suggested=o.suggested, gain=gain,
-            begins=o.begins, lapse=method.lapse, grid=grid, chances=chances,
+            begins=o.begins, lapse=method.lapse, grid=grid, chances=chances, heard=heard, anew=anew,
         )  # fmt: skip
 
 
-@njit(nogil=True)
-def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> None:
-    """Fill in the probability, shape (N,), of what was chosen, of what was suggested, and of the others.
+def heard_steps(suggested: Ints, begins: NDArray[np.bool_]) -> tuple[Ints, NDArray[np.bool_]]:
+    """Give the steps with a suggestion, and at which of them an episode has begun since the one before."""
+    heard = np.flatnonzero(suggested != NOTHING)
+    number = begins.cumsum()[heard]
+    return heard, np.diff(number, prepend=-1) != 0
 
-    It is that without a suggestion. The others are summed: 1 - told would lose its digits where that is almost 1.
+
+@njit(nogil=True)
+def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> float:
+    """Return the log-likelihood of the steps without a suggestion, and fill in chances at the others, shape (heard,).
+
+    These are the chances of what was chosen, of what was suggested, and of all but that, as they are without the
+    suggestion. The last are summed: 1 - told would lose its digits where that is almost 1.
     Chances of a choice model of one's own are interpolated between those at two values of beta.
     """
     own_model = len(data.grid) > 0
@@ -113,6 +127,9 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> N
         place = int(np.searchsorted(data.grid, beta))
         low = min(max(place - 1, 0), len(data.grid) - 2)
         share = min(max((beta - data.grid[low]) / (data.grid[low + 1] - data.grid[low]), 0.0), 1.0)
+    total = 0.0
+    product = 1.0  # of several probabilities: a logarithm costs more than they do
+    k = 0
     for i in range(len(data.chosen)):
         picked = heard = others = 0.0
         for a in range(data.options[i]):
@@ -126,25 +143,32 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> N
                 heard = weight
             else:
                 others += weight
-        own[i] = picked / (heard + others)
-        told[i] = heard / (heard + others)
-        rest[i] = others / (heard + others)
+        if data.suggested[i] >= 0:
+            own[k] = picked / (heard + others)
+            told[k] = heard / (heard + others)
+            rest[k] = others / (heard + others)
+            k += 1
+            continue
+        product *= (1.0 - data.lapse) * picked / others + data.lapse / data.options[i]
+        if product < 1e-100:
+            total += math.log(product)
+            product = 1.0
+    return total + math.log(product)
 
 
 @njit(nogil=True)
 def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
-    """Add up the log-likelihood for what `alone` has filled in."""
+    """Return the log-likelihood of the steps with a suggestion, at the chances that `alone` has filled in."""
     total = 0.0
-    product = 1.0  # of several probabilities: a logarithm costs more than they do
+    product = 1.0
     theta = first
-    for i in range(len(own)):
-        if data.begins[i]:
+    for k in range(len(data.heard)):
+        i = data.heard[k]
+        if data.anew[k]:
             theta = first
-        p = own[i]
-        if data.suggested[i] >= 0:
-            same, other = answer(theta, told[i], rest[i])
-            p *= same if data.chosen[i] == data.suggested[i] else other
-            theta = moved(theta, eta, data.gain[i])
+        same, other = answer(theta, told[k], rest[k])
+        p = own[k] * (same if data.chosen[i] == data.suggested[i] else other)
+        theta = moved(theta, eta, data.gain[i])
         product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
         if product < 1e-100:
             total += math.log(product)
@@ -156,23 +180,14 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
 def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
     """Give the log-likelihood for all combinations, shape (B, T, E)."""
     result = np.empty((len(beta), len(theta), len(eta)))
-    n = len(data.chosen)
+    n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
     for b in range(len(beta)):
-        alone(data, beta[b], own, told, rest)
+        silent = alone(data, beta[b], own, told, rest)
         for t in range(len(theta)):
             for e in range(len(eta)):
-                result[b, t, e] = with_trust(data, own, told, rest, theta[t], eta[e])
+                result[b, t, e] = silent + with_trust(data, own, told, rest, theta[t], eta[e])
     return result
-
-
-@njit(nogil=True)
-def at_point(data: Data, at: Floats, small: float) -> float:
-    """Give the log-likelihood at the coordinates (log1p(beta / small), theta, eta)."""
-    n = len(data.chosen)
-    own, told, rest = np.empty(n), np.empty(n), np.empty(n)
-    alone(data, small * math.expm1(at[0]), own, told, rest)
-    return with_trust(data, own, told, rest, at[1], at[2])
 
 
 @njit(nogil=True)

@@ -23,9 +23,10 @@ from planner.arrays import read_only
 from planner.compiled import njit
 
 from ..people.decision import NOTHING, Floats
-from .estimates import SMALL, largest_beta
+from .estimates import largest_beta
 from .likelihood import Method
 from .observations import Ints, Observations
+from .profiles import SMALL
 
 BETA, THETA = 0, 1
 """The coordinates that everybody has; those of terms follow."""
