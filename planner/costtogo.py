@@ -24,7 +24,7 @@ from . import replay
 from .astar import astar
 from .errors import MismatchError
 from .fast_downward import NO_LIMITS, LimitError, Limits
-from .statespace import StateSpace
+from .statespace import StateSpace, state_numbers
 from .successors import Ints, Transitions
 from .task import Task
 
@@ -165,8 +165,14 @@ class Table:
         return float(self.lookup([state])[0])
 
     def lookup(self, states: ArrayLike | slice) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends."""
-        distance = self.distance[states if isinstance(states, slice) else np.asarray(states, dtype=np.int64)]
+        """Give h* of states, shape (N,), infinite at dead ends.
+
+        Raises
+        ------
+        IndexError
+            One of them is not the number of a state.
+        """
+        distance = self.distance[states if isinstance(states, slice) else state_numbers(states, len(self))]
         return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
 
     def choices(self, states: ArrayLike) -> Transitions:
@@ -192,7 +198,7 @@ class Table:
 
         Only states on cheapest plans are looked at.
         """
-        wanted = np.asarray(states, dtype=np.int64)
+        wanted = state_numbers(states, len(self))
         costs = np.asarray(self.task.costs)
         seen = np.zeros(len(self), dtype=bool)
         layer = np.unique(wanted[np.isfinite(self.lookup(wanted))])

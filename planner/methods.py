@@ -80,7 +80,7 @@ def cost_to_go(
     jobs: int | None = None,
     limits: Limits = NO_LIMITS,
     progress: Progress | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Table | OnDemand:
     """Choose how to come by the exact cost-to-go of a task, and begin.
 

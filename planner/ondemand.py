@@ -36,6 +36,7 @@ from .listing import Numbered, expanded, rulebook
 from .machine import processors
 from .orbits import Orbits
 from .packed import Rulebook
+from .statespace import state_numbers
 from .successors import Ints, Packing, Successors, Transitions, Words, can_hold, holds
 from .task import Task
 
@@ -67,9 +68,12 @@ def priced(task: Task) -> tuple[Task, int]:
     Where actions cost nothing, every action costs one more than `UNIT` times its cost, so that of the cheapest plans
     one with the fewest actions is the best.
     """
-    if min(task.costs, default=1) > 0:
-        return task, 1
-    return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs)), UNIT
+    return (task, 1) if min(task.costs, default=1) > 0 else (counted(task), UNIT)
+
+
+def counted(task: Task) -> Task:
+    """Give a task whose costs count its actions as well, each as the least part of `UNIT`."""
+    return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs))
 
 
 class Cache:
@@ -81,13 +85,13 @@ class Cache:
     Parameters
     ----------
     task : Task
-    folder : Path, optional
+    folder : path, optional
         Where the file is; `cache_folder()` unless given.
     """
 
-    def __init__(self, task: Task, folder: Path | None = None) -> None:
+    def __init__(self, task: Task, folder: str | Path | None = None) -> None:
         digest = hashlib.sha256(f"{fast_downward.version()}\n{priced(task)[0].sas}".encode()).hexdigest()
-        folder = folder or cache_folder()
+        folder = cache_folder() if folder is None else Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.file = folder / f"{digest}.sqlite"
         with closing(self._open()) as connection, connection:
@@ -166,6 +170,13 @@ class OnDemand:
     def _book(self) -> Rulebook:
         return rulebook(self.task, self.packing) if self.orbits is None else self.orbits.found.book
 
+    @cached_property
+    def _counting(self) -> OnDemand:
+        """The same task, asked for the cheapest plans with the fewest actions."""
+        other = OnDemand(self.task, jobs=self._jobs, limits=self._limits)
+        other._priced, other._unit = counted(self.task), UNIT
+        return other
+
     @property
     def searches(self) -> bool:
         """Whether looking a state up may take a search of its own."""
@@ -190,7 +201,7 @@ class OnDemand:
         return self.packing.unpack(self._rows(states))
 
     def _rows(self, states: ArrayLike) -> Words:
-        return self._met.states(np.atleast_1d(np.asarray(states, dtype=np.int64)))
+        return self._met.states(np.atleast_1d(state_numbers(states, len(self))))
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
         """Tell of states, shape (N,), which are goal states."""
@@ -251,20 +262,28 @@ class OnDemand:
     def plan_lengths(self, states: ArrayLike) -> NDArray[np.int64]:
         """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none.
 
+        Where actions differ in costs, and none is free, this takes searches of its own.
+
         Raises
         ------
-        ValueError
-            The task has no actions of cost zero, so that nobody has counted.
         LimitError
             As from `lookup`.
         """
-        if self._unit == 1:
-            raise ValueError("expected a task with actions that cost nothing")
+        rows = self._rows(states)
         if self.orbits is not None:
-            return self.orbits.plan_lengths(self._rows(states))
-        self.lookup(states)
-        prices = np.array([self._known[row.tobytes()] for row in self._rows(states)])
-        return np.where(np.isfinite(prices), prices % self._unit, UNREACHED).astype(np.int64)
+            with suppress(KeyError):
+                return self.orbits.plan_lengths(self.task, rows)
+        if self._unit == 1 and len(set(self.task.costs)) > 1:
+            counting = self._counting.under(self._limits, None)
+            return counting.plan_lengths(counting.numbers(self.values(states)))
+        h = self.lookup(states)
+        finite, found = np.isfinite(h), np.full(len(rows), UNREACHED)
+        if self._unit == 1:
+            found[finite] = h[finite] / max(self.task.costs, default=1)
+        else:
+            prices = np.array([self._known[row.tobytes()] for row in rows], dtype=np.float64)
+            found[finite] = prices[finite] % self._unit
+        return found
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
         """Find an optimal plan from a state (the initial one unless given); None from a dead end."""

@@ -95,7 +95,9 @@ class Orbits:
 
     def numbers(self, values: Ints) -> Ints:
         """Give the orbits of states with values of shape (n, variables), -1 where none has been found."""
-        return self.rows(self.found.packing.pack(values))
+        sizes = np.diff(self.forms.first, append=len(self.forms.at))
+        legal = np.all((values >= 0) & (values < sizes), axis=1)
+        return np.where(legal, self.rows(self.found.packing.pack(np.where(legal[:, None], values, 0))), -1)
 
     def values(self, numbers: Ints) -> Ints:
         """Give the values, shape (n, variables), of the states that stand for orbits of shape (n,)."""
@@ -112,10 +114,18 @@ class Orbits:
         )
         return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, self.rows(after))
 
-    def plan_lengths(self, states: Words) -> NDArray[np.int64]:
-        """Give the actions of the shortest of the cheapest plans from packed states; `UNREACHED` if there are none."""
-        assert self.lengths is not None
-        return np.asarray(self.lengths[self.rows(states)])
+    def plan_lengths(self, task: Task, states: Words) -> NDArray[np.int64]:
+        """Give the actions of the shortest of the cheapest plans from packed states; `UNREACHED` if there are none.
+
+        Raises
+        ------
+        KeyError
+            Nothing has been found of one of them.
+        """
+        rows = self.rows(states)
+        if (rows < 0).any():
+            raise KeyError(int(np.argmax(rows < 0)))
+        return self.table(task).plan_lengths(rows) if self.lengths is None else np.asarray(self.lengths[rows])
 
 
 def orbits(

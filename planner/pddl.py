@@ -51,6 +51,10 @@ class Instance:
     problem: Path
     domain: Path
 
+    def __post_init__(self) -> None:
+        for name in ("problem", "domain"):
+            object.__setattr__(self, name, Path(getattr(self, name)))
+
     def __str__(self) -> str:
         return str(self.problem)
 

@@ -21,8 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import outline
 from .costtogo import Table
 from .errors import DamagedFileError
+from .statespace import state_numbers
 from .storage import atomic
 from .successors import Ints, Packing, Words
+from .task import pddl_fact
 
 BLOCK = 1 << 16
 """States that are unpacked at a time."""
@@ -44,7 +46,8 @@ class SavedTable:
     initial : int
         The initial state's place.
     facts : text array, shape (variables, values)
-        What a value of a variable means, in PDDL.
+        What a value of a variable means: `(on a b)`, `(not (on a b))`, or `<none of those>`; empty where it has no
+        such value.
     """
 
     packing: Packing
@@ -60,15 +63,15 @@ class SavedTable:
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
         """Give h* of states, shape (N,), infinite at dead ends."""
-        distance = self.distance[np.asarray(states, dtype=np.int64)]
+        distance = self.distance[state_numbers(states, len(self))]
         return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
 
     def values(self, states: ArrayLike) -> Ints:
         """Give the values, shape (N, variables), of states of shape (N,)."""
-        return self.packing.unpack(self.states[np.asarray(states, dtype=np.int64)])
+        return self.packing.unpack(self.states[state_numbers(states, len(self))])
 
 
-def save_table(file: Path, table: Table) -> None:
+def save_table(file: str | Path, table: Table) -> None:
     """Save a cost-to-go table as `.npz`, at once or not at all.
 
     Parameters
@@ -85,9 +88,9 @@ def save_table(file: Path, table: Table) -> None:
         "word": packing.word,
         "shift": packing.shift,
         "bits": packing.bits,
-        "facts": np.array([[*v.facts, *[""] * (width - len(v.facts))] for v in task.variables]),
+        "facts": np.array([[*map(pddl_fact, v.facts), *[""] * (width - len(v.facts))] for v in task.variables]),
     }
-    with atomic(file) as path, path.open("wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+    with atomic(Path(file)) as path, path.open("wb") as stream, zipfile.ZipFile(stream, "w") as archive:
         with archive.open("states.npy", "w", force_zip64=True) as target:
             shape = {"descr": npy.dtype_to_descr(np.dtype(np.uint64)), "fortran_order": False}
             npy.write_array_header_1_0(target, {**shape, "shape": (len(table), packing.words)})
@@ -99,7 +102,7 @@ def save_table(file: Path, table: Table) -> None:
                 npy.write_array(target, array, allow_pickle=False)
 
 
-def open_table(file: Path) -> SavedTable:
+def open_table(file: str | Path) -> SavedTable:
     """Open a table that `save_table` has written; what is not looked at is not read.
 
     Parameters
@@ -111,6 +114,7 @@ def open_table(file: Path) -> SavedTable:
     DamagedFileError
         It is no such file, not all of it, or one whose arrays do not belong together.
     """
+    file = Path(file)
     try:
         with zipfile.ZipFile(file) as archive, file.open("rb") as stream:
             members = archive.infolist()

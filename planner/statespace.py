@@ -23,6 +23,22 @@ BLOCK = 1 << 13
 """States whose values are looked at together: those of more would not stay in the processor's cache."""
 
 
+def state_numbers(states: ArrayLike, count: int) -> Ints:
+    """Return numbers of states as an array of their shape, each below the count of all states.
+
+    Raises
+    ------
+    IndexError
+        One of them is not the number of a state.
+    """
+    array = np.asarray(states)
+    if array.size and array.dtype.kind not in "iu":
+        raise IndexError(f"states are numbered by integers, not by {array.dtype}")
+    if array.size and not 0 <= array.min() <= array.max() < count:
+        raise IndexError(f"states are numbered from 0 to {count - 1}")
+    return array.astype(np.int64, copy=False)
+
+
 class Numbering(Protocol):
     """How states are numbered: what a `StateSpace` needs of any way to enumerate them."""
 
@@ -118,10 +134,7 @@ class StateSpace:
         IndexError
             One of them is not the number of a state.
         """
-        array = np.asarray(states, dtype=np.int64).reshape(-1)
-        if len(array) and not 0 <= array.min() <= array.max() < self.size:
-            raise IndexError(f"states are numbered from 0 to {self.size - 1}")
-        return self.numbering.values(array)
+        return self.numbering.values(state_numbers(states, self.size).reshape(-1))
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Give the choices of some states, shape (N,), as compressed rows, without building those of all."""

@@ -101,7 +101,7 @@ def sweep(
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Progress | None = None,
-    checkpoint: Path | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Table:
     """Enumerate the reachable states of a task, and compute the exact cost-to-go of all.
 
@@ -122,7 +122,7 @@ def sweep(
     progress : callable, optional
         Called after each layer of the search with what is under way, "states" or "cost-to-go", how many states have
         been found, or have got theirs, and of how many (dead ends among them); None while nobody knows.
-    checkpoint : Path, optional
+    checkpoint : path, optional
         A file in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task
         continues from there. It is removed when the sweep is done. One that is damaged is ignored, which the table's
         note says.
@@ -164,7 +164,7 @@ def sweep(
         budget,
         threads,
         told,
-        None if checkpoint is None else Checkpoint(checkpoint, task, coding.decoder),
+        None if checkpoint is None else Checkpoint(Path(checkpoint), task, coding.decoder),
     )
     states, transitions, distance = searches.solve(int(coding.encode(task.initial)[0]), task.goal)
     numbering = Indexed(searches, states)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -167,12 +168,21 @@ class Task:
         return sum(self.costs[self.action_index[action]] for action in plan)
 
 
+def pddl_fact(fact: str) -> str:
+    """Return what a value of a variable means in PDDL; `<none of those>` stays as it is."""
+    match = re.fullmatch(r"(Negated)?Atom ([^()]+)\((.*)\)", fact)
+    if match is None:
+        return fact
+    atom = f"({' '.join([match[2], *(match[3].split(', ') if match[3] else [])])})"
+    return f"(not {atom})" if match[1] else atom
+
+
 def load(
     problem: str | Path | pddl.Instance | Problem,
     domain: str | Path | None = None,
     *,
     limits: Limits = NO_LIMITS,
-    cache: Path | None = None,
+    cache: str | Path | None = None,
 ) -> Task:
     """Read, validate and ground a PDDL instance.
 
@@ -185,7 +195,7 @@ def load(
         The domain file; found beside the problem unless given, as `instance` does.
     limits : Limits
         Time and memory of the grounding.
-    cache : Path, optional
+    cache : path, optional
         A folder in which the result is kept, addressed by the files' contents: files that have been read and
         grounded before are neither validated nor grounded again.
 
@@ -204,7 +214,7 @@ def load(
         return _load_built(problem, limits)
     instance, stored = problem, None
     if cache is not None and instance.domain.is_file() and instance.problem.is_file():
-        stored = cache / f"{fast_downward.digest(instance)}.sas"
+        stored = Path(cache) / f"{fast_downward.digest(instance)}.sas"
         if (kept := _kept(stored)) is not None:
             return from_sas(kept[1], instance, kept[0])
     source = Source.of(instance)

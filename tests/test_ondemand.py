@@ -11,9 +11,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, table_of, write_instance
+from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 
-from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load
+from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
 from planner.checking import Refusal
 from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.methods import _Stop
@@ -50,6 +50,24 @@ def test_answers_equal_the_tables(name: str) -> None:
     plan = asked.optimal_plan()
     assert plan is not None
     assert asked.task.plan_cost(plan) == table[table.initial]
+
+
+# Two ways of cost 6, of two actions and of three; a free way that is longer; a circle, and a dead end.
+EDGES = [(1, 2, 3), (2, 0, 3), (1, 3, 2), (3, 4, 2), (4, 0, 2), (1, 5, 1), (4, 1, 1), (5, 5, 1), (3, 2, 1)]
+
+
+@pytest.mark.parametrize("changed", ["as they are", "one is free", "all are free", "all cost 7"])
+def test_plan_lengths_equal_the_tables(changed: str) -> None:
+    costs = {"one is free": lambda cost: cost - 1, "all are free": lambda _: 0, "all cost 7": lambda _: 7}
+    cost_of = costs.get(changed, lambda cost: cost)
+    table = sweep(graph_task([(*edge[:2], cost_of(edge[2])) for edge in EDGES]))
+    asked, states = OnDemand(table.task), np.arange(len(table))
+    lengths = asked.plan_lengths(asked.numbers(table.values(states)))
+    np.testing.assert_array_equal(lengths, table.plan_lengths(states))
+    assert lengths.dtype == np.int64
+    assert lengths[table.initial] == (3 if changed == "one is free" else 2)
+    assert (lengths == np.iinfo(np.int64).max).sum() == 1
+    assert asked.plan_lengths([]).tolist() == []
 
 
 def test_a_plan_labels_the_states_on_it(tiny: Table) -> None:

@@ -290,10 +290,6 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     # Tasks.
     "options of the engine": (lambda _: Engine(speed=3), TypeError, "speed: this engine has no such options"),
-    "counting what costs": (
-        lambda g: OnDemand(g.table.task).plan_lengths([g.table.initial]),
-        ValueError, "expected a task with actions that cost nothing",
-    ),
     "SAS text": (
         lambda g: from_sas("begin_variable\n", g.table.task.instance),
         ValueError, "SAS text: expected 'begin_version', found 'begin_variable'",

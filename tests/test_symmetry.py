@@ -106,10 +106,11 @@ def check(task: Task) -> tuple[Table, Orbits]:
     table, found = sweep(task), orbits(task, max_orbits=10**6)
     values, packing = table.values(np.arange(len(table))), Packing.of(task)
     np.testing.assert_array_equal(found.lookup(packing.pack(values)), table.h)
-    if min(task.costs) == 0:
-        np.testing.assert_array_equal(
-            found.plan_lengths(packing.pack(values)), table.plan_lengths(np.arange(len(table)))
-        )
+    np.testing.assert_array_equal(
+        found.plan_lengths(task, packing.pack(values)), table.plan_lengths(np.arange(len(table)))
+    )
+    asked = OnDemand(task, orbits=found)
+    np.testing.assert_array_equal(asked.plan_lengths(asked.numbers(values)), table.plan_lengths(np.arange(len(table))))
     numbers = found.rows(packing.pack(values))
     assert sorted(set(numbers.tolist())) == list(range(len(found)))
     group = symmetries(task)
@@ -350,7 +351,7 @@ def test_plans_with_actions_that_cost_nothing():
     _, found = check(task)
     packing = Packing.of(task)
     assert found.lookup(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [1, 0]
-    assert found.plan_lengths(packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [3, 1]
+    assert found.plan_lengths(task, packing.pack([[0, 0, 0], [0, 1, 1]])).tolist() == [3, 1]
 
 
 def test_sampled_states_cost_what_fast_downward_says():

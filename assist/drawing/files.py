@@ -18,7 +18,7 @@ FORMATS = (".svg", ".png", ".gif", ".html")
 SECONDS = 1.2  # for each step of a GIF
 
 
-def save(artist: Artist, rows: Sequence[Row], file: Path, *, width: float = WIDTH) -> int:
+def save(artist: Artist, rows: Sequence[Row], file: str | Path, *, width: float = WIDTH) -> int:
     """Write frames in the format that a file's name asks for, at once or not at all; give their number.
 
     One frame is a picture. More are a strip in SVG and PNG, an animation in GIF and HTML; the latter loads nothing from
@@ -28,7 +28,7 @@ def save(artist: Artist, rows: Sequence[Row], file: Path, *, width: float = WIDT
     ----------
     artist : Artist
     rows : list of tuple of Frame
-    file : Path
+    file : path
     width : float
         About how wide it is to be, in pixels.
 
@@ -37,6 +37,7 @@ def save(artist: Artist, rows: Sequence[Row], file: Path, *, width: float = WIDT
     MissingExtraError
         PNG or GIF without the extra `plots`.
     """
+    file = Path(file)
     require(file.suffix)
     pictures = [] if file.suffix in (".svg", ".png") else draw_frames(artist, rows, width=width, theme=_theme(file))
     if pictures:

@@ -18,12 +18,12 @@ class StateError(ValueError):
     """A file from which no state of the task can be read; the message has file and line."""
 
 
-def read_state(file: Path, subject: Subject) -> list[int]:
+def read_state(file: str | Path, subject: Subject) -> list[int]:
     """Return the values of the state in which the facts of a file hold, and no others that can change.
 
     Parameters
     ----------
-    file : Path
+    file : path
         Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`, by themselves, in `(:init ...)` or in a whole
         problem file; or a JSON list of such. Facts that always hold may be left out.
     subject : Subject
@@ -33,6 +33,7 @@ def read_state(file: Path, subject: Subject) -> list[int]:
     StateError
         A fact that the task does not have, two that exclude each other, or too few.
     """
+    file = Path(file)
     try:
         text = file.read_text(encoding="utf-8-sig").lower()
     except UnicodeDecodeError:

@@ -167,7 +167,7 @@ class Session:
     def __init__(
         self,
         tasks: CostToGo | Mapping[str, CostToGo],
-        journal: Path,
+        journal: str | Path,
         *,
         policy: str | TeamPolicy = "attention",
         setting: Setting | None = None,
@@ -182,7 +182,7 @@ class Session:
         self._clock = clock
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
-        self._journal = Journal(journal)
+        self._journal = Journal(Path(journal))
         try:
             self._resume()
             if not len(self._journal):

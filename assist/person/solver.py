@@ -103,12 +103,12 @@ class Solution:
         for array in (self.corner, self.point, self.drop, self.first):
             array.flags.writeable = False
 
-    def save(self, file: Path, **more: Any) -> None:
+    def save(self, file: str | Path, **more: Any) -> None:
         """Save the solution and its problem, with further arrays by name; `docs/policies.md` describes the file."""
-        archive.save(file, self, **more)
+        archive.save(Path(file), self, **more)
 
     @classmethod
-    def load(cls, file: Path) -> Solution:
+    def load(cls, file: str | Path) -> Solution:
         """Load a solution.
 
         Raises
@@ -116,7 +116,7 @@ class Solution:
         ArchiveError
             Another kind of file.
         """
-        return archive.load(file, cls)
+        return archive.load(Path(file), cls)
 
     @property
     def pomdp(self) -> AssistPOMDP:

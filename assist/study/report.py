@@ -82,9 +82,9 @@ class Report:
     pictures: tuple[Picture, ...]
 
     @classmethod
-    def of(cls, study: Study, folder: Path) -> Report:
+    def of(cls, study: Study, folder: str | Path) -> Report:
         """Work out what a study's results say."""
-        found = Found(study, load_study(folder))
+        found = Found(study, load_study(Path(folder)))
         summary = found.summary()
         shown = tuple(pictures(found, summary))
         text = "\n\n".join(_sections(found, summary, {each.name: each.text for each in shown})) + "\n"
@@ -98,7 +98,7 @@ class Report:
         return PAGE.format(title=html.escape(title), body=body)
 
 
-def write_report(study: Study, folder: Path, *, jobs: int = 1) -> Record:
+def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
     """Write `summary.json`, the pictures, `report.md` and `report.html` beside a study's results; give the summary.
 
     With several `jobs` pictures are drawn in as many processes.
@@ -106,10 +106,11 @@ def write_report(study: Study, folder: Path, *, jobs: int = 1) -> Record:
     Parameters
     ----------
     study : Study
-    folder : Path
+    folder : path
         Of its results.
     jobs : int
     """
+    folder = Path(folder)
     report = Report.of(study, folder)
     _draw_all(report.pictures, folder / FIGURES, jobs)
     for name, text in {

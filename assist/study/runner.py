@@ -43,7 +43,7 @@ NUMBERS = ("interventions", "moves", "steps", "discounted_return")
 
 def run_study(
     study: Study,
-    out: Path,
+    out: str | Path,
     *,
     jobs: int = 1,
     scheduler: str | None = None,
@@ -56,7 +56,7 @@ def run_study(
     Parameters
     ----------
     study : Study
-    out : Path
+    out : path
         The folder of results.
     jobs : int
         Worker processes.
@@ -78,6 +78,7 @@ def run_study(
     DamagedFileError
         `study.json` does not say whose results the folder holds.
     """
+    out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
     kept = _begin(study, out, resume, order, warn or (lambda _: None))
     if progress is not None:
@@ -249,15 +250,15 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     return frame
 
 
-def profile(folder: Path) -> dict[str, float]:
+def profile(folder: str | Path) -> dict[str, float]:
     """Give how many seconds of the workers each part of a study took, the longest first.
 
     Parameters
     ----------
-    folder : Path
+    folder : path
     """
     spent: dict[str, float] = {}
-    for record in read_records(folder / PROFILE):
+    for record in read_records(Path(folder) / PROFILE):
         for what, seconds in record["seconds"].items():
             spent[what] = spent.get(what, 0.0) + seconds
     return dict(sorted(spent.items(), key=lambda item: -item[1]))

@@ -91,7 +91,7 @@ class OwnPolicy:
     function: TeamPolicy
 
     @classmethod
-    def load(cls, file: Path, name: str) -> OwnPolicy:
+    def load(cls, file: str | Path, name: str) -> OwnPolicy:
         """Load a function from a Python file.
 
         Raises
@@ -99,6 +99,7 @@ class OwnPolicy:
         PolicyError
             There is no such file or function, or the file cannot be run.
         """
+        file = Path(file)
         try:
             return cls(file, name, own.load(file, name))
         except own.OwnError as error:

@@ -261,12 +261,12 @@ class UserStudy:
         return next(one for one in self.questionnaires if one.name == name)
 
 
-def read(file: Path, *, carried_out: bool = False) -> UserStudy:
+def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
     """Read the file of a user study; files that it names are sought beside it.
 
     Parameters
     ----------
-    file : Path
+    file : path
     carried_out : bool
         Whether this is the copy that a study's folder has, which the files that it names need not lie beside.
 
@@ -275,6 +275,7 @@ def read(file: Path, *, carried_out: bool = False) -> UserStudy:
     StudyError
         What is wrong, in which line and place, and what would be right.
     """
+    file = Path(file)
     with located(file):
         return _study(file, convert(load(file), FileTable, file), carried_out)
 

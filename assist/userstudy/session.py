@@ -48,11 +48,12 @@ class StudySession(Session):
         As `Session`.
     """
 
-    def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path) -> None:
+    def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
         # Worked out once, for all teams.
         self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self._plan = folder, folder / PLAN
         super().__init__(tasks, folder / JOURNAL, setting=study.setting, population=study.population)
