@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import isfinite
 from typing import IO, TYPE_CHECKING, Any
 from warnings import warn
 
@@ -34,7 +35,8 @@ from .astar import astar
 from .built import with_plain_costs
 from .fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
 from .pddl import PDDLError
-from .task import load
+from .sweep import sweep
+from .task import Task, load
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
@@ -118,10 +120,10 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
         try:
             task = load(problem, limits=left())
-            _, plan = astar(task, limits=left())
+            plan = cheapest_plan(task, left)
         except MemoryLimitError as error:
             return self._without(Status.MEMOUT, error)
-        except (CostLimitError, PDDLError) as error:
+        except PDDLError as error:
             return self._without(Status.UNSUPPORTED_PROBLEM, error)
         except LimitError as error:
             return self._without(Status.TIMEOUT, error)
@@ -134,6 +136,25 @@ class Engine(engines.Engine, OneshotPlannerMixin):
     def _without(self, status: Status, error: Exception) -> PlanGenerationResult:
         message = engines.results.LogMessage(engines.results.LogLevel.ERROR, str(error))
         return PlanGenerationResult(status, None, self.name, log_messages=[message])
+
+
+def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
+    """Find an optimal plan; None where there is none.
+
+    A task whose costs are too large for Fast Downward is swept.
+
+    Parameters
+    ----------
+    task : Task
+    left : callable
+        Gives what time is left.
+    """
+    try:
+        return astar(task, limits=left())[1]
+    except CostLimitError:
+        seconds = left().seconds
+        table = sweep(task, deadline=None if seconds is None else time.monotonic() + seconds)
+        return table.optimal_plan() if isfinite(table[table.initial]) else None
 
 
 def read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
