@@ -49,7 +49,8 @@ class Checker:
 
     def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
         self._process = _Process.idle(limits)
-        self._process.ask({"domain": source.domain_text, "problem": source.problem_text})
+        self._source = source
+        self._process.ask({"domain": source.typed_domain.text, "problem": source.problem_text})
         self._refusal: Refusal | None = None
         self._read = False
 
@@ -65,9 +66,9 @@ class Checker:
             self._read = True
             answer = self._process.answer(seconds)
             if answer is not None and "failed" in answer:
-                self._refusal = Refusal("problem", None, answer["failed"], vague=True)
+                self._refusal = Refusal("problem", None, answer["failed"])
             elif answer is not None:
-                self._refusal = Refusal(**answer)
+                self._refusal = Refusal(**answer).placed(self._source)
         return self._refusal
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:

@@ -3,8 +3,8 @@
 unified-planning knows types and the whole language, and validates plans independently of all that is computed here;
 nothing is expanded with it.
 
-Not everything that it refuses is wrong: it wants names to differ that Fast Downward tells apart. A `Refusal` says
-whether the fault is certain; otherwise the translator has the last word.
+Not everything that it refuses is wrong: it wants names to differ that Fast Downward tells apart. The translator has the
+last word.
 """
 
 from __future__ import annotations
@@ -13,14 +13,11 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from . import pddl
 from .expressions import tokens
 from .pddl import Instance, PDDLError
 from .source import Source
-from .supported import meant
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
@@ -39,22 +36,18 @@ class Refusal:
     file : str
         "domain" or "problem".
     line : int or None
+        Of the text that it was given.
     message : str
-    certain : bool
-        Whether it is a fault in any case: the translator would pass over it.
-    vague : bool
-        Whether the message is of the parser's or an internal error; anybody else's is better.
     """
 
     file: str
     line: int | None
     message: str
-    certain: bool = False
-    vague: bool = False
 
-    def error(self, instance: Instance) -> PDDLError:
-        """Give it as an error in the instance's files."""
-        return PDDLError(getattr(instance, self.file), self.line, self.message)
+    def placed(self, source: Source) -> Refusal:
+        """Give it with the line of the instance's own file."""
+        rendered = source.typed_domain if self.file == "domain" else source.rendered_problem
+        return Refusal(self.file, rendered.line(self.line), self.message)
 
 
 class RefusedError(ValueError):
@@ -76,9 +69,10 @@ def read(instance: Instance) -> Problem:
     """
     source = Source.of(instance)
     try:
-        return parsed(source.domain_text, source.problem_text)
+        return parsed(source.typed_domain.text, source.problem_text)
     except RefusedError as error:
-        raise error.refusal.error(instance) from None
+        refusal = error.refusal.placed(source)
+        raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
 
 
 def validate(problem: Problem, plan: Sequence[str]) -> None:
@@ -117,8 +111,8 @@ def parsed(domain: str, problem: str) -> Problem:
                 PDDLReader().parse_problem_string(domain)
             except Exception:  # noqa: BLE001  as above
                 clear_walkers()
-                _refuse("domain", domain, domain, fault)
-            _refuse("problem", problem, domain + problem, fault)
+                _refuse("domain", domain, fault)
+            _refuse("problem", problem, fault)
 
 
 def clear_walkers() -> None:
@@ -130,53 +124,20 @@ def clear_walkers() -> None:
             stack.clear()
 
 
-def _refuse(file: str, text: str, names: str, fault: Exception) -> NoReturn:
-    """Turn a fault of unified-planning or pyparsing into one line with a place."""
+def _refuse(file: str, text: str, fault: Exception) -> NoReturn:
+    """Say in one line what unified-planning or pyparsing does not accept, and where."""
     told = str(fault)
     line: int | None = getattr(fault, "lineno", None)
     if line is None and (place := re.search(r"\bline:? (\d+)", told)):
         line = int(place[1])
-    told = re.sub(
-        r"\s+\(at char .*|[.\n]*\s*(Error )?(in expression )?(from|found at) line:? .*", "", told, flags=re.S | re.I
-    )
-    words = [token for token, _ in tokens(names) if token[0].isalpha()]
-    certain = vague = False
-    if match := re.match(r"Found invalid expression: (\S+)|Undefined name found: (\S+)", told):
-        name = match[1] or f"?{match[2].rstrip('.')}"
-        message = f"unknown name '{name}'{meant(name, words)}"
-    elif match := re.match(r"Not able to handle: \(?([^\s()]+)", told):
-        message = f"unknown predicate '{match[1]}'{meant(match[1], words)}"
-    elif "type: [[" in told:
-        message = "a quantified variable without a type"
-    elif match := re.match(r"Undefined .* type: ([^\s.]+)", told):
-        message = f"unknown type '{match[1]}'{meant(match[1], words)}"
-    elif match := re.match(r"Name (\S+) already defined", told):
-        line = _line_of(match[1], text, occurrence=2)
-        message = f"'{match[1]}' is defined twice"
+    if match := re.match(r"Name (\S+) already defined", told):
+        lines = [place.line for token, place in tokens(text) if token == match[1]]
+        line = line or (lines[1] if len(lines) > 1 else None)
+        message = f"'{match[1]}' may name one thing only"
     elif match := re.search(r"The expression '(.*)' is not well-formed", told):
-        line = line or _line_of_expression(match[1], text)
-        message = f"{match[1]} has an argument of the wrong type; see the predicate's declaration in the domain"
-        certain = True
-    elif match := re.search(r"fluent: (\S+) has arity (\d+) but (\d+) parameters", told):
-        message = f"'{match[1]}' takes {match[2]} arguments, not {match[3]}"
-    elif isinstance(loc := getattr(fault, "loc", None), int) and text[loc:].strip():
-        message, vague = f"'{text[loc:].split()[0]}' is not expected here", True
-    elif isinstance(fault, SyntaxError) and told:
-        message = " ".join(told.split())
+        message = f"it does not accept the types of the arguments of {match[1]}"
+    elif match := re.match(r"Type (\S+) is declared more than once", told):
+        message = f"type '{match[1]}' may be under one type only"
     else:
-        message, vague = f"unified-planning fails at it ({type(fault).__name__})", True
-    raise RefusedError(Refusal(file, line, message, certain, vague)) from None
-
-
-def _line_of(name: str, text: str, occurrence: int = 1) -> int | None:
-    lines = [line for token, line in tokens(text) if token == name]
-    return lines[occurrence - 1] if len(lines) >= occurrence else None
-
-
-def _line_of_expression(shown: str, text: str) -> int | None:
-    """Find `name(arg, ...)`, in which variables have lost their question marks."""
-    wanted = re.findall(r"[^\s(),]+", shown)
-    for expression in pddl.parse(Path(), text).walk():
-        if [part.word.lstrip("?") for part in expression.parts] == wanted:
-            return expression.line
-    return None
+        message = f"it fails at it ({type(fault).__name__})" if line is None else "it does not accept what is written"
+    raise RefusedError(Refusal(file, line, message)) from None

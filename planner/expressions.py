@@ -1,6 +1,6 @@
-"""PDDL text as nested lists of words, each with its line: enough to say where something is.
+"""PDDL text as nested lists of words, each with its line and column: enough to say where something is.
 
-What the words mean is not known here; the readers of PDDL are unified-planning and Fast Downward.
+What the words mean is not known here.
 """
 
 from __future__ import annotations
@@ -23,6 +23,13 @@ class UnbalancedError(ValueError):
         super().__init__(message)
 
 
+class Place(NamedTuple):
+    """Where something begins in a file; both are counted from 1."""
+
+    line: int
+    column: int
+
+
 class Expression(NamedTuple):
     """A word, or a list in parentheses.
 
@@ -34,14 +41,22 @@ class Expression(NamedTuple):
         Empty for a list.
     parts : tuple of Expression
         What a list consists of.
+    column : int
+        Of its first character, counted from 1.
     """
 
     line: int
     word: str
     parts: tuple[Expression, ...] = ()
+    column: int = 1
 
     def __str__(self) -> str:
         return self.word or f"({' '.join(map(str, self.parts))})"
+
+    @property
+    def place(self) -> Place:
+        """Where it begins."""
+        return Place(self.line, self.column)
 
     @property
     def head(self) -> str:
@@ -70,11 +85,14 @@ class Expression(NamedTuple):
         return next((part for part in self.parts if part.head == head), None)
 
 
-def tokens(text: str) -> Iterator[tuple[str, int]]:
-    """Parentheses and words with their lines, comments left out; a variable begins at its question mark."""
+_TOKEN = re.compile(r"[()]|\?[^()\s?]*|[^()\s?]+")
+
+
+def tokens(text: str) -> Iterator[tuple[str, Place]]:
+    """Parentheses and words with their places, comments left out; a variable begins at its question mark."""
     for line, content in enumerate(text.split("\n"), start=1):
-        for match in re.finditer(r"[()]|\?[^()\s?]*|[^()\s?]+", content.partition(";")[0]):
-            yield match[0], line
+        for match in _TOKEN.finditer(content.partition(";")[0]):
+            yield match[0], Place(line, match.start() + 1)
 
 
 def parse(text: str) -> Expression:
@@ -85,31 +103,31 @@ def parse(text: str) -> Expression:
     UnbalancedError
         Parentheses are missing, or too many.
     """
-    opened: list[tuple[int, list[Expression]]] = []
+    opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None
     section, previous = 1, ""
-    for token, line in tokens(text):
+    for token, (line, column) in tokens(text):
         if token == "(":
-            opened.append((line, []))
+            opened.append((Place(line, column), []))
         elif token == ")":
             if not opened:
                 raise UnbalancedError(line, "')' without a '(' that it closes")
             begin, parts = opened.pop()
-            closed = Expression(begin, "", tuple(parts))
+            closed = Expression(begin.line, "", tuple(parts), begin.column)
             if opened:
                 opened[-1][1].append(closed)
             elif whole is None:
                 whole = closed
             else:
-                raise UnbalancedError(begin, "nothing is expected after the end of (define ...)")
+                raise UnbalancedError(begin.line, "nothing is expected after the end of (define ...)")
         else:
             if previous == "(" and token in SECTIONS:
                 if len(opened) > 2:
-                    raise UnbalancedError(opened[-2][0], f"'(' is not closed before ({token} on line {line}")
+                    raise UnbalancedError(opened[-2][0].line, f"'(' is not closed before ({token} on line {line}")
                 section = line
             if not opened:
                 raise UnbalancedError(line, f"'{token}' is not within (define ...)")
-            opened[-1][1].append(Expression(line, token))
+            opened[-1][1].append(Expression(line, token, (), column))
         previous = token
     if opened:
         raise UnbalancedError(section, "')' is missing between here and the end of the file")

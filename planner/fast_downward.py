@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from .expressions import Expression
 from .pddl import Instance, PDDLError
 from .processes import guarded_group, python
 from .source import Source
@@ -39,7 +38,6 @@ ASTAR_WITH_AXIOMS = "astar(blind())"
 EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
-EXIT_INPUT_ERROR = {30, 31}
 EXIT_NOT_LOADED = 127  # the system's loader did not bring the program to its beginning
 NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # what it says then
 
@@ -96,7 +94,7 @@ def digest(instance: Instance) -> str:
     """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
     import importlib.metadata
 
-    found = hashlib.sha256(f"3 {version()} {importlib.metadata.version('unified-planning')}".encode())
+    found = hashlib.sha256(f"4 {version()} {importlib.metadata.version('unified-planning')}".encode())
     for file in (instance.domain, instance.problem):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()
@@ -123,14 +121,8 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
         command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
         code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
         _check_limits("translation", code, output, limits)
-        if code in EXIT_INPUT_ERROR:
-            raise _refused(source, output)
         if code != 0 or not sas.is_file():
-            fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
-            kind = f" ({fault[1]})" if fault else ""
-            raise PDDLError(
-                source.instance.problem, None, f"Fast Downward's translator fails at this task, exit code {code}{kind}"
-            )
+            raise _refused(source, code, output)
         return sas.read_text(encoding="utf-8")
 
 
@@ -294,56 +286,14 @@ def _last_line(output: str) -> str:
     return " ".join(lines[-2:]) if lines else "no output"
 
 
-SHOWN = 60
-"""Characters of an expression that a message shows."""
-
-
-def _refused(source: Source, output: str) -> PDDLError:
-    """What the translator says when it refuses, as one line with its place.
-
-    It says where in the files it was, layer by layer, and then what is wrong, with the syntax that it expects and
-    the expression that it got.
-    """
-    lines = [line.strip() for line in output.splitlines() if line.strip() and not line.startswith("Warning: ")]
-    begin = next((n for n, line in enumerate(lines) if line in ("Parsing domain", "Parsing problem")), 0)
-    layers = [line.removeprefix("->") for line in lines[begin:] if line.startswith(("->", "Parsing "))]
-    told = [line for line in lines[begin:] if not line.startswith(("->", "Parsing "))]
-    told = [line for line in told if not line.startswith(("Reason: Tokens", "Expected: "))] or told
-    got = next((line.removeprefix("Got: ") for line in told if line.startswith("Got: ")), "")
-    syntax = next((line.removeprefix("Syntax: ") for line in told if line.startswith("Syntax: ")), "")
-    message = " ".join(line for line in told if not line.startswith(("Got: ", "Syntax: ")))
-    message = (message or "refused by Fast Downward's translator").removesuffix(".")
-    if got:
-        message += f": {got if len(got) <= SHOWN else got[:SHOWN] + ' ...'}"
-    if syntax:
-        message += f"; expected {syntax}"
-    in_domain = bool(layers) and layers[0] == "Parsing domain"
-    file, whole = (source.instance.domain, source.domain) if in_domain else (source.instance.problem, source.problem)
-    if not layers:
-        return PDDLError(file, None, message)
-    block = _block(whole, layers)
-    place = next((each for each in block.walk() if str(each) == got), block) if got else block
-    return PDDLError(file, None if place is whole else place.line, message)
-
-
-def _block(whole: Expression, layers: Sequence[str]) -> Expression:
-    """Find the smallest part of a file that the translator's layers name."""
-    block = whole
-    for layer in layers:
-        if match := re.match(r"Parsing axiom/action entry #(\d+)", layer):
-            entries = [part for part in whole.parts if part.head in (":action", ":derived")]
-            block = entries[int(match[1]) - 1]
-        elif match := re.match(r"Parsing element #(\d+) in init block", layer):
-            block = (whole.section(":init") or whole).parts[int(match[1])]
-        elif match := re.match(
-            r"Parsing (requirements|types|constants|predicates|functions|objects|goal|metric)$", layer
-        ):
-            block = whole.section(f":{match[1]}") or block
-        elif match := re.match(r"Parsing predicate #(\d+)", layer):
-            block = block.parts[int(match[1])]
-        elif layer in ("Parsing precondition", "Parsing effect", "Parsing parameters"):
-            words = [part.word for part in block.parts]
-            keyword = f":{layer.split()[1]}"
-            if keyword in words[:-1]:
-                block = block.parts[words.index(keyword) + 1]
-    return block
+def _refused(source: Source, code: int, output: str) -> PDDLError:
+    """Say why the translator refuses what has been read and checked: only a few faults are left for it to find."""
+    reading = source.reading
+    if "not stratifiable" in output:
+        line = next((rule.head.place.line for rule in reading.domain.rules), None)
+        return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")
+    fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
+    kind = f" ({fault[1]})" if fault else ""
+    return PDDLError(
+        reading.instance.problem, None, f"Fast Downward's translator fails at this task, exit code {code}{kind}"
+    )

@@ -26,17 +26,20 @@ class PDDLError(ValueError):
         Its line, counted from 1, where one can be named.
     message : str
         What is wrong, and what would be right.
+    column : int or None
+        Where on that line, counted from 1.
     """
 
-    def __init__(self, file: Path, line: int | None, message: str) -> None:
+    def __init__(self, file: Path, line: int | None, message: str, column: int | None = None) -> None:
         self.file = file
         self.line = line
         self.message = message
+        self.column = column
         super().__init__(f"{file}:{line}: {message}" if line else f"{file}: {message}")
 
-    def __reduce__(self) -> tuple[type[PDDLError], tuple[Path, int | None, str]]:
-        """Keep the three fields when the error crosses a process boundary."""
-        return type(self), (self.file, self.line, self.message)
+    def __reduce__(self) -> tuple[type[PDDLError], tuple[Path, int | None, str, int | None]]:
+        """Keep all fields when the error crosses a process boundary."""
+        return type(self), (self.file, self.line, self.message, self.column)
 
 
 @dataclass(frozen=True, order=True)

@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
-from . import finding, pddl, supported
+from . import finding, pddl, reading, rendering, supported
 from .expressions import Expression
 from .pddl import Instance
+from .reading import Reading
+from .rendering import Rendered
 
 
 @dataclass(frozen=True)
 class Source:
-    """The texts of an instance, with what they consist of.
+    """What the files of an instance say, and both written anew for other readers.
 
     Attributes
     ----------
-    instance : Instance
-    domain_text, problem_text : str
-        In lower case.
-    domain, problem : Expression
+    reading : Reading
+    rendered_domain, rendered_problem : Rendered
     """
 
-    instance: Instance
-    domain_text: str
-    problem_text: str
-    domain: Expression
-    problem: Expression
+    reading: Reading
+    rendered_domain: Rendered
+    rendered_problem: Rendered
 
     @classmethod
     def of(cls, instance: Instance) -> Source:
@@ -38,9 +37,40 @@ class Source:
         """
         if (fault := finding.missing(instance)) is not None:
             raise fault
-        domain, problem = pddl.text(instance.domain, "domain"), pddl.text(instance.problem, "problem")
-        source = cls(
-            instance, domain, problem, pddl.parse(instance.domain, domain), pddl.parse(instance.problem, problem)
+        domain, problem = (
+            pddl.parse(file, pddl.text(file, kind))
+            for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
         )
-        supported.check(instance, source.domain, source.problem)
-        return source
+        supported.check(instance, domain, problem)
+        read = reading.read(instance, domain, problem)
+        return cls(read, rendering.domain(read), rendering.problem(read))
+
+    @cached_property
+    def typed_domain(self) -> Rendered:
+        """The domain for unified-planning: it takes `object` for a type only where that is listed."""
+        return rendering.domain(self.reading, list_object=True)
+
+    @property
+    def instance(self) -> Instance:
+        """The two files."""
+        return self.reading.instance
+
+    @property
+    def domain(self) -> Expression:
+        """The domain, as it is written anew; with the places of the file."""
+        return self.rendered_domain.whole
+
+    @property
+    def problem(self) -> Expression:
+        """The problem, as it is written anew; with the places of the file."""
+        return self.rendered_problem.whole
+
+    @property
+    def domain_text(self) -> str:
+        """The text of the domain, for the translator."""
+        return self.rendered_domain.text
+
+    @property
+    def problem_text(self) -> str:
+        """The text of the problem, for all readers."""
+        return self.rendered_problem.text

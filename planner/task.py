@@ -34,10 +34,6 @@ Fact = tuple[int, int]
 """A variable and one of its values."""
 
 
-FOR_WORDS = 10.0
-"""Seconds to wait for unified-planning's words of a fault that the translator has named already."""
-
-
 @dataclass(frozen=True)
 class Variable:
     """A finite-domain variable; `facts[v]` says what its value `v` means, as the translator writes it.
@@ -245,8 +241,8 @@ def _digest(content: str) -> str:
 def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task:
     """Ground an instance that unified-planning is reading meanwhile.
 
-    Where unified-planning refuses what Fast Downward's translator reads, the translator has the last word, but for
-    faults that it would pass over in silence.
+    Where unified-planning refuses what Fast Downward's translator reads, the task's note says so: the files have been
+    checked before.
 
     Raises
     ------
@@ -255,33 +251,16 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
     LimitError
         Out of time or memory.
     """
-    fault: pddl.PDDLError | None = None
-    sas = ""
-    try:
-        sas = fast_downward.translate(source, limits)
-    except pddl.PDDLError as error:
-        fault = error
-    # Where the translator has named a fault, a better name for it is not worth waiting long.
-    patience = PATIENCE if limits.seconds is None else limits.seconds
-    refusal = checker.refusal(patience if fault is None else min(patience, FOR_WORDS))
-    if refusal is not None and (refusal.certain or (fault is not None and _says_more(refusal, fault, source))):
-        raise refusal.error(source.instance)
-    if fault is not None:
-        raise fault
+    sas = fast_downward.translate(source, limits)
+    refusal = checker.refusal(PATIENCE if limits.seconds is None else limits.seconds)
     note = None
     if refusal is not None:
-        if refusal.vague and (derived := source.domain.section(":derived")) is not None:
-            refusal = Refusal("domain", derived.line, "it knows no derived predicates")
+        if rules := source.reading.domain.rules:
+            refusal = Refusal("domain", rules[0].head.place.line, "it knows no derived predicates")
         # Without the file's path, since a cached task may be that of a copy.
         place = "" if refusal.line is None else f" (line {refusal.line} of the {refusal.file})"
         note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal.message}{place}"
     return from_sas(sas, source.instance, note)
-
-
-def _says_more(refusal: Refusal, fault: pddl.PDDLError, source: Source) -> bool:
-    """Whether unified-planning's words are the better ones for what the translator refuses: of the same place."""
-    other = refusal.error(source.instance)
-    return not refusal.vague and (fault.line is None or (fault.file, fault.line) == (other.file, other.line))
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:

@@ -91,9 +91,9 @@ def without_processes() -> None:
 
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
-                self._problem = parsed(self._source.domain_text, self._source.problem_text)
+                self._problem = parsed(self._source.typed_domain.text, self._source.problem_text)
             except checking.RefusedError as error:
-                return error.refusal
+                return error.refusal.placed(self._source)
             return None
 
         def check(self, plan: Sequence[str], seconds: float = 0.0) -> None:  # noqa: ARG002

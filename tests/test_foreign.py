@@ -58,18 +58,23 @@ FOREIGN = {
     "a predicate and an action": walk(name="next"),
     "an object and a type": walk(types="(:types p1 - object)", objects="p1 p2 p3 p4"),
     "an object and a predicate": walk(predicates="(p1)"),
-    "a predicate declared twice": walk(predicates="(next ?a ?b - object)"),
-    "an argument's name twice": walk(predicates="(far ?a ?a)", init="(far p1 p4)"),
     "an untyped quantifier": (
         TYPED.format("?a ?b - place", "(forall (?x) (not (next ?x ?x)))", "?a"),
         WALK_PROBLEM.format(objects="p1 p2 p3 p4 - place", init="", goal=""),
     ),
+    "a type and an action": walk(
+        requirements=":typing", types="(:types stone step - object)", predicates="(dry ?p - (either stone step))"
+    ),
+}
+CHECKED = {
+    "a predicate declared twice": walk(predicates="(next ?a ?b - object)"),
+    "an argument's name twice": walk(predicates="(far ?a ?a)", init="(far p1 p4)"),
     "a variable glued to its type": (
         TYPED.format("?a - place?b - place", "", "?a").replace("at ?", "at?"),
         WALK_PROBLEM.format(objects="p1 p2 p3 p4 - place", init="", goal=""),
     ),
     "either": walk(
-        requirements=":typing", types="(:types stone step - object)", predicates="(dry ?p - (either stone step))"
+        requirements=":typing", types="(:types stone way - object)", predicates="(dry ?p - (either stone way))"
     ),
 }
 
@@ -83,6 +88,12 @@ def test_the_translator_has_the_last_word(domain: str, tmp_path: Path) -> None:
     assert record["note"].startswith("read by Fast Downward's translator, not checked by unified-planning: "), record
 
 
+@pytest.mark.parametrize("domain", CHECKED, ids=str)
+def test_unified_planning_reads_what_is_written_anew(domain: str, tmp_path: Path) -> None:
+    record = solve_instance(write_instance(tmp_path, *CHECKED[domain]))
+    assert (record["status"], record["cost"], record["note"]) == ("solved", 3, None), record["error"]
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -94,7 +105,7 @@ def test_the_translator_has_the_last_word(domain: str, tmp_path: Path) -> None:
     ],
 )
 def test_every_command_says_that_a_task_was_not_checked(command: str, tmp_path: Path) -> None:
-    instance = write_instance(tmp_path, *FOREIGN["either"])
+    instance = write_instance(tmp_path, *FOREIGN["a type and an action"])
     log = tmp_path / "log.jsonl"
     log.write_text('{"person": "a", "episode": "1", "step": 0, "action": "(step p1 p2)", "suggestion": null}\n')
     words = {"INSTANCE": str(instance), "OUT.pomdp": str(tmp_path / "out.pomdp"), "LOG": str(log)}

@@ -154,7 +154,7 @@ BROKEN = [
         ),
         changed(PROBLEM, "(:init", "(:init (= (load) 0)"),
         "domain",
-        "(:functions",
+        "(increase (load) 1)",
         ["numeric fluents", "load"],
     ),
     (
@@ -257,7 +257,7 @@ BROKEN = [
         ),
         PROBLEM,
         "domain",
-        "(:functions",
+        "(scale-up",
         ["scale-up", "numeric fluents"],
     ),
     (
@@ -309,7 +309,7 @@ BROKEN = [
         changed(DOMAIN, "(and (in-storage ?c) (platform-free))", "(and (in-storage ?c)\n (imply (platform-free)))"),
         PROBLEM,
         "domain",
-        "(and (in-storage ?c)\n",
+        "(imply",
         ["'imply'", "two"],
     ),
     (

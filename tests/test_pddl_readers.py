@@ -129,11 +129,3 @@ def test_faults_of_a_problem_that_would_change_the_answer(
     with pytest.raises(PDDLError, match=words) as error:
         load(write_instance(tmp_path, domain, PROBLEM.replace(old, new, 1)))
     assert (error.value.file.name, error.value.line) == ("problem.pddl", line)
-
-
-def test_the_goal_before_the_initial_state_is_refused_in_plain_words(tmp_path: Path) -> None:
-    start, end = PROBLEM.index("  (:init"), PROBLEM.index("  (:goal")
-    metric = PROBLEM.index("  (:metric")
-    swapped = PROBLEM[:start] + PROBLEM[end:metric] + PROBLEM[start:end] + PROBLEM[metric:]
-    with pytest.raises(PDDLError, match=r":4: \(:goal ...\) stands before \(:init ...\)"):
-        load(write_instance(tmp_path, DOMAIN, swapped))
