@@ -19,7 +19,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from . import built, fast_downward, finding, pddl, shipped
+from . import agreement, built, fast_downward, finding, pddl, shipped
 from .arrays import outline
 from .checker import PATIENCE, Checker
 from .checking import Refusal
@@ -260,7 +260,15 @@ def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task
         # Without the file's path, since a cached task may be that of a copy.
         place = "" if refusal.line is None else f" (line {refusal.line} of the {refusal.file})"
         note = f"read by Fast Downward's translator, not checked by unified-planning: {refusal.message}{place}"
-    return from_sas(sas, source.instance, note)
+    return _agreed(from_sas(sas, source.instance, note), source)
+
+
+def _agreed(task: Task, source: Source) -> Task:
+    """Give back a grounded task that agrees with what was read."""
+    primary = [at for at, variable in enumerate(task.variables) if variable.axiom_layer < 0]
+    facts = [task.variables[at].facts for at in primary]
+    agreement.check(source.reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])
+    return task
 
 
 def _load_built(problem: Problem, limits: Limits) -> Task:
@@ -268,7 +276,9 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         instance, names = built.write(problem, Path(folder))
         try:
-            sas = fast_downward.translate(Source.of(instance), limits)
+            source = Source.of(instance)
+            sas = fast_downward.translate(source, limits)
+            _agreed(from_sas(sas, instance), source)
         except pddl.PDDLError as error:  # the places are those of files that nobody has seen
             raise pddl.PDDLError(named.problem, None, error.message) from None
     return from_sas(built.restore_names(sas, names), named)

@@ -1,0 +1,67 @@
+"""What the translator grounds is compared with what was read: a difference is an error with its place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import write_instance
+from test_reading import DOMAIN, PROBLEM, RULE
+
+from planner import PDDLError, Task, agreement, load
+from planner.reading import Reading
+from planner.source import Source
+
+
+def both(folder: Path, domain: str = DOMAIN, problem: str = PROBLEM) -> tuple[Reading, Task]:
+    instance = write_instance(folder, domain, problem)
+    return Source.of(instance).reading, load(instance)
+
+
+def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:
+    """Compare a task whose actions and facts are named otherwise."""
+
+    def name(text: str) -> str:
+        return changed.get(text, text)
+
+    facts = [[name(fact) for fact in variable.facts] for variable in task.variables if variable.axiom_layer < 0]
+    initial = [value for value, variable in zip(task.initial, task.variables, strict=True) if variable.axiom_layer < 0]
+    agreement.check(reading, [name(action) for action in task.actions], task.costs, facts, initial)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("(go red blue)", "(go red red)", ("domain.pddl", 7), r"\(go red red\) costs 0, and 4 for Fast Downward"),
+        ("(go red blue)", "(go red nut)", ("domain.pddl", 7), r"has \(go red nut\), with other arguments"),
+        ("(go red blue)", "(go red)", ("domain.pddl", 7), "with other arguments than declared"),
+        ("(take nut red)", "(take red nut)", ("domain.pddl", 13), "with other arguments than declared"),
+        ("(take nut red)", "(steal nut red)", ("domain.pddl", None), "an action .*, which is not in the files"),
+        ("Atom at(red)", "Atom at(blue)", ("problem.pddl", 4), r"\(at blue\) holds initially"),
+        ("Atom held(nut)", "Atom on(nut, red)", ("problem.pddl", 4), r"\(on nut red\) does not hold initially"),
+        ("Atom held(nut)", "Atom held(nut, red)", ("problem.pddl", None), "a fact .*, which is none of the files"),
+        ("Atom held(nut)", "Atom held(nuts)", ("problem.pddl", None), "which is none of the files"),
+    ],
+)  # fmt: skip
+def test_a_difference_is_told(tmp_path: Path, old: str, new: str, place: tuple[str, int | None], words: str) -> None:
+    reading, task = both(tmp_path)
+    check(reading, task, {})
+    assert any(old in (*variable.facts, *task.actions) for variable in task.variables)
+    with pytest.raises(PDDLError, match=words) as error:
+        check(reading, task, {old: new})
+    assert (error.value.file.name, error.value.line) == place
+
+
+def test_without_a_metric_all_actions_cost_one(tmp_path: Path) -> None:
+    reading, task = both(tmp_path, problem=PROBLEM.replace("(:metric minimize (total-cost))", ""))
+    assert set(task.costs) == {1}
+    check(reading, task, {})
+
+
+def test_derived_facts_and_settled_tasks_agree(tmp_path: Path) -> None:
+    domain = DOMAIN.replace("(seen ?x)", "(seen ?x) (idle ?t - tray)").replace(
+        "  (:action go", f"  {RULE}\n  (:action go"
+    )
+    check(*both(tmp_path / "derived", domain), {})
+    check(*both(tmp_path / "solved", problem=PROBLEM.replace("(on nut blue)", "(on nut red)")), {})
+    check(*both(tmp_path / "unsolvable", problem=PROBLEM.replace("(on nut blue)", "(seen blue)")), {})
