@@ -96,7 +96,7 @@ def test_tables_and_plans_are_saved(tmp_path: Path, tiny: Table, monkeypatch: py
         packing = Packing(saved["word"], saved["shift"], saved["bits"], saved["states"].shape[1])
         values = packing.unpack(saved["states"])
         facts = [str(saved["facts"][variable, value]) for variable, value in enumerate(values[tiny.initial])]
-        assert "Atom in-storage(box-a)" in facts
+        assert "(in-storage box-a)" in facts
         np.testing.assert_array_equal(values, tiny.values(np.arange(21)))
 
 
