@@ -77,8 +77,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
     import numpy as np
 
     from planner import Limits, Table, instance, verify
-    from planner.costtogo import check_successors
     from planner.solving import SolveOptions, solve_instance
+    from planner.verifying import check_successors
 
     compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}
 

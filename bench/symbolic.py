@@ -23,7 +23,7 @@ import numpy as np
 from tables import Columns, record_option, write_record
 
 from planner import load, sweep
-from planner.costtogo import random_states
+from planner.verifying import sample
 
 PEER = Path(__file__).parent / "peers" / "symbolic.py"
 
@@ -48,7 +48,7 @@ def swept(file: Path, count: int, max_states: int, memory: float | None) -> dict
     start = time.monotonic()
     table = sweep(task, max_states=max_states, memory_limit_mb=memory)
     seconds = time.monotonic() - start
-    states = [table.initial, *random_states(table.space, count - 1, np.random.default_rng(0))]
+    states = sample(len(table), table.initial, count, np.random.default_rng(0))
     return {
         "instance": f"{file.parent.name}/{file.stem}",
         "states": len(table),

@@ -2,7 +2,6 @@ from .astar import astar as astar
 from .costtogo import CostToGo as CostToGo
 from .costtogo import Table as Table
 from .costtogo import optimal_choices as optimal_choices
-from .costtogo import verify as verify
 from .errors import MismatchError as MismatchError
 from .fast_downward import FastDownwardError as FastDownwardError
 from .fast_downward import LimitError as LimitError
@@ -28,3 +27,4 @@ from .task import Operator as Operator
 from .task import Task as Task
 from .task import Variable as Variable
 from .task import load as load
+from .verifying import verify as verify

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from .fast_downward import LimitError
@@ -27,20 +28,33 @@ class Budget:
         A time on `time.monotonic()`'s clock.
     stop : threading.Event or None
         Once it is set there is no time left.
+    lent : callable
+        How many of the bytes something else may take for now.
     """
 
     max_states: int | None
     memory: float
     deadline: float | None
     stop: threading.Event | None = None
+    lent: Callable[[], float] = float
 
     @classmethod
     def within(
-        cls, max_states: int | None, memory_mb: float | None, deadline: float | None, stop: threading.Event | None
+        cls,
+        max_states: int | None,
+        memory_mb: float | None,
+        deadline: float | None,
+        stop: threading.Event | None,
+        lent: Callable[[], float] = float,
     ) -> Budget:
         """Allow so many megabytes of memory, but no more than the machine has left."""
         memory = available_memory()
-        return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop)
+        return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop, lent)
+
+    @property
+    def room(self) -> float:
+        """Return how many bytes may be in use now."""
+        return self.memory - self.lent()
 
     def part(self, share: float) -> Budget:
         """Give a share of the time that is left."""
@@ -63,8 +77,8 @@ class Budget:
 
     def check_memory(self, needed: float) -> None:
         """Check a number of bytes that is about to be in use."""
-        if needed > self.memory:
-            raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {self.memory / 1e6:.0f} MB allowed")
+        if needed > self.room:
+            raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {self.room / 1e6:.0f} MB allowed")
 
 
 def _counted(states: int) -> str:

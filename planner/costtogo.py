@@ -2,28 +2,21 @@
 
 `CostToGo` is what the rest of the project asks: the cost-to-go of some states, and their choices. There are
 two kinds of it. A `Table` holds h* of every state of a `StateSpace` (`sweep` makes it); `OnDemand`, in the
-module of that name, asks Fast Downward for one state at a time. `verify` compares a table with Fast Downward.
+module of that name, asks Fast Downward for one state at a time.
 """
 
 from __future__ import annotations
 
 import math
-import threading
-import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import replay
-from .astar import astar
 from .errors import MismatchError
-from .fast_downward import NO_LIMITS, LimitError, Limits
 from .statespace import StateSpace, state_numbers
 from .successors import Ints, Transitions
 from .task import Task
@@ -245,6 +238,10 @@ class Table:
             if descent:  # any one way will do
                 targets, first = targets[:1], first[:1]
             came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
+            if not len(targets):
+                raise MismatchError(
+                    f"no cheapest way leads on from state {layer[0]}, {self[int(layer[0])]:g} from the goal"
+                )
             layer = targets
         at, plan = layer[ends.argmax()], []
         for targets, sources, actions in reversed(came):
@@ -316,159 +313,3 @@ def backward(
         for value in np.unique(through):
             waiting.setdefault(int(value), []).append(reached[through == value])
     return distance
-
-
-def verify(
-    table: Table,
-    count: int,
-    rng: np.random.Generator,
-    *,
-    seconds: float | None = None,
-    limits: Limits = NO_LIMITS,
-    jobs: int = 1,
-    searches: Sequence[str | None] = (None,),
-    progress: Callable[[int], None] | None = None,
-) -> int:
-    """Compare a random sample of a table with Fast Downward's A*, the initial state first.
-
-    Parameters
-    ----------
-    table : Table
-    count : int
-        States to compare (all, where there are fewer).
-    rng : numpy.random.Generator
-    seconds : float, optional
-        Stop after this time, or a second later: each search is limited to what is left of it.
-    limits : Limits
-        Of each single search; where one reaches them, no further state is compared.
-    jobs : int
-        States at a time.
-    searches : sequence of str or None
-        Configurations as `astar` takes them; all search from a state at the same time, and the first answer counts.
-    progress : callable, optional
-        Called with how many states have been compared.
-
-    Returns
-    -------
-    int
-        How many states were compared, all of them equal.
-
-    Raises
-    ------
-    MismatchError
-        A state whose values differ.
-    """
-    space, states = table.space, _sample(table.space, count, rng)
-    start, over = time.monotonic(), threading.Event()
-
-    def asked(state: int) -> float | None:
-        left = None if seconds is None else seconds - (time.monotonic() - start)
-        if over.is_set() or (left is not None and left < 0 and state != space.initial):
-            return None
-        own = limits
-        if left is not None and (limits.seconds is None or left < limits.seconds):
-            own = replace(limits, seconds=max(1.0, left))  # a search that has begun may take a second
-        try:
-            return _first(space.task, space.values([state])[0].tolist(), searches, own)
-        except LimitError:
-            return None
-
-    with ThreadPoolExecutor(jobs) as pool:
-        # One at a time without a thread: where no memory is left for its beginning, Python waits for it for ever.
-        each = pool.map if jobs > 1 else map
-        try:
-            for done, expected in enumerate(each(asked, states)):
-                if expected is None:
-                    return done
-                if expected != table[states[done]]:
-                    raise _mismatch(table, states[done], "Fast Downward's A* says", expected)
-                if progress is not None:
-                    progress(done + 1)
-        finally:
-            over.set()
-    return len(states)
-
-
-def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], limits: Limits) -> float:
-    """Give what the first of several searches says of a state."""
-    if len(searches) == 1:
-        return astar(task, state, search=searches[0], limits=limits)[0]
-    done = threading.Event()
-    with ThreadPoolExecutor(len(searches)) as pool:
-        try:
-            own = replace(limits, stop=done)
-            for each in as_completed([pool.submit(astar, task, state, search=one, limits=own) for one in searches]):
-                with suppress(LimitError):
-                    return each.result()[0]
-        finally:
-            done.set()
-    raise LimitError("no search was done in time")
-
-
-def check_successors(table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None) -> int:
-    """Compare a random sample of a table with the values of what comes after, the initial state first.
-
-    In a goal state the cost-to-go is 0, in any other the least sum of an action's cost and the cost-to-go after it.
-    What comes after is computed from the operators of the grounded task, not by what made the table. Of states that
-    are too far from the goal for A* this can be told as well.
-
-    Parameters
-    ----------
-    table : Table
-    count : int
-        States to compare (all, where there are fewer); those that `verify` takes with the same generator.
-    rng : numpy.random.Generator
-    seconds : float, optional
-        No further state is compared after this time.
-
-    Returns
-    -------
-    int
-        How many states were compared, all of them equal.
-
-    Raises
-    ------
-    MismatchError
-        A state whose values differ, or that leads to something that is no state of the table.
-    """
-    space, task, states = table.space, table.task, _sample(table.space, count, rng)
-    start = time.monotonic()
-    for done, state in enumerate(states):
-        if seconds is not None and done and time.monotonic() - start > seconds:
-            return done
-        values = space.values([state])[0].tolist()
-        if all(values[variable] == value for variable, value in task.goal):
-            expected = 0.0
-        else:
-            after = replay.successors(task, values)
-            targets = np.array([target for _, target in after], dtype=np.int64).reshape(len(after), len(values))
-            try:
-                least = np.array([cost for cost, _ in after]) + table.lookup(space.numbers(targets))
-            except KeyError as error:
-                raise MismatchError(f"state {state} leads to {error}, which is no state of the table") from error
-            expected = float(least.min(initial=np.inf))
-        if table[state] != expected:
-            raise _mismatch(table, state, "its successors say", expected)
-    return len(states)
-
-
-def _sample(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:
-    """Draw states to compare, the initial one first."""
-    return [space.initial, *random_states(space, max(0, count - 1), rng)]
-
-
-def _mismatch(table: Table, state: int, who_says: str, expected: float) -> MismatchError:
-    return MismatchError(
-        f"cost-to-go of state {state} is {table[state]:g}, but {who_says} {expected:g} "
-        f"({', '.join(table.space.facts(state))})"
-    )
-
-
-def random_states(space: StateSpace, count: int, rng: np.random.Generator) -> list[int]:
-    """Draw states other than the initial one without replacement; all of them where there are fewer."""
-    if count >= len(space) - 1:
-        return [state for state in range(len(space)) if state != space.initial]
-    drawn: dict[int, None] = {}
-    while len(drawn) < count:  # a permutation of all states would take more memory than the table
-        drawn.update((int(s), None) for s in rng.integers(len(space), size=count) if s != space.initial)
-    return list(drawn)[:count]

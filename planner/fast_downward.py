@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import math
+import os
 import re
 import resource
 import signal
@@ -70,12 +71,18 @@ class Limits:
         Megabytes.
     stop : threading.Event or None
         It ends as well once this is set.
+    first : float or None
+        Seconds after which it lets all other work on the machine go first.
     """
 
     seconds: float | None = None
     memory_mb: float | None = None
     stop: threading.Event | None = None
+    first: float | None = None
 
+
+LAST = 19
+"""The lowest priority."""
 
 LONGEST_WAIT = 2_000_000.0
 """Seconds that one call of the system can wait, about: it counts milliseconds in 32 bits."""
@@ -243,10 +250,16 @@ def _give(process: subprocess.Popen[str], text: str) -> None:
 
 def _output(process: subprocess.Popen[str], limits: Limits) -> str:
     """Wait for all that a program prints."""
-    end = math.inf if limits.seconds is None else time.monotonic() + limits.seconds
+    begun = time.monotonic()
+    end = math.inf if limits.seconds is None else begun + limits.seconds
+    first = math.inf if limits.first is None else begun + limits.first
     while True:
-        left = end - time.monotonic()
-        wait = left if limits.stop is None else min(left, 0.02)
+        now = time.monotonic()
+        if now >= first:
+            first = math.inf
+            with suppress(OSError):  # it has ended
+                os.setpriority(os.PRIO_PROCESS, process.pid, LAST)
+        wait = min(end - now, first - now, math.inf if limits.stop is None else 0.02)
         try:
             return process.communicate(timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:

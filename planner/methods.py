@@ -81,6 +81,7 @@ def cost_to_go(
     limits: Limits = NO_LIMITS,
     progress: Progress | None = None,
     checkpoint: str | Path | None = None,
+    lent: Callable[[], float] = float,
 ) -> Table | OnDemand:
     """Choose how to come by the exact cost-to-go of a task, and begin.
 
@@ -106,7 +107,7 @@ def cost_to_go(
         Threads of the sweep, or searches at a time; one per processor unless given.
     limits : Limits
         Of each single search on demand.
-    progress, checkpoint
+    progress, checkpoint, lent
         Of the sweep.
 
     Returns
@@ -133,6 +134,7 @@ def cost_to_go(
                 stop=stop,
                 progress=progress,
                 checkpoint=checkpoint,
+                lent=lent,
             )
         except (MemoryLimitError, MemoryError):
             reason = "a table of all states does not fit the memory"  # how much is missing differs from run to run
@@ -152,6 +154,7 @@ def cost_to_go(
                 threads=jobs,
                 stop=stop,
                 progress=progress,
+                lent=lent,
             )
         except (LimitError, MemoryError):
             return _Unswept(reason, None)

@@ -8,7 +8,7 @@ with the same cost-to-go. That of any state is looked up by its form.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -138,6 +138,7 @@ def orbits(
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Progress | None = None,
+    lent: Callable[[], float] = float,
 ) -> Orbits:
     """Find the cost-to-go of all states that a task can reach, from one state of each orbit.
 
@@ -149,7 +150,7 @@ def orbits(
     states : int
         The task is known to have so many states or more. Where it has not enough symmetries to have no more orbits
         than allowed, none are listed.
-    memory_limit_mb, deadline, threads, stop
+    memory_limit_mb, deadline, threads, stop, lent
         As in `sweep`.
     progress : callable, optional
         As in `sweep`; it counts "orbits".
@@ -159,7 +160,7 @@ def orbits(
     LimitError
         There are more orbits than allowed, or no symmetries, or there is no time or memory left.
     """
-    budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop)
+    budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, lent)
     group = symmetries(task, check=lambda: budget.check_time(0))
     if group is None:
         raise LimitError("no symmetries")

@@ -90,8 +90,14 @@ class Results:
         """Where the table and the plan of an instance belong, without their endings."""
         return self._folder / self._lines[key(instance)]["place"]
 
-    def add(self, record: Record) -> None:
-        """Add a record whose table and plan have been saved."""
+    def add(self, record: Record, *, lasting: bool = True) -> None:
+        """Add a record, which takes the place of an earlier one of the instance.
+
+        A later run keeps it if it is `lasting`: its table and plan have been saved.
+        """
+        if not lasting:
+            append_record(self._folder / RESULTS, record)
+            return
         line = self._lines[_key_of(record)]
         line |= {"files": self._sizes(line), "record": _digest(record)}
         append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept

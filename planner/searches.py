@@ -159,7 +159,7 @@ class Searches:
     def _bitmap_fits(self, words: int, found: int) -> bool:
         """Whether the states are many enough for a bitmap, and the memory for one and its ranks."""
         bits = 64 * words
-        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.memory
+        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.room
 
     def _share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
         """Do a piece of work for each part, on all threads."""
@@ -360,7 +360,7 @@ class Searches:
 
     def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
         """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
-        fits = in_use + states.bits.nbytes <= self.budget.memory * CLOSED
+        fits = in_use + states.bits.nbytes <= self.budget.room * CLOSED
         closed = np.empty(len(states.bits) if fits else 0, dtype=np.uint64)
         if len(closed):
             reached.close(states, distance, np.iinfo(distance.dtype).max, closed)

@@ -10,7 +10,7 @@ take a slower way: a list of packed states, and all transitions in memory (`list
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -102,6 +102,7 @@ def sweep(
     stop: threading.Event | None = None,
     progress: Progress | None = None,
     checkpoint: str | Path | None = None,
+    lent: Callable[[], float] = float,
 ) -> Table:
     """Enumerate the reachable states of a task, and compute the exact cost-to-go of all.
 
@@ -126,13 +127,15 @@ def sweep(
         A file in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task
         continues from there. It is removed when the sweep is done. One that is damaged is ignored, which the table's
         note says.
+    lent : callable, optional
+        Tells how many bytes of the memory something else may take for now.
 
     Raises
     ------
     LimitError
         One of the limits does not suffice.
     """
-    budget = Budget.within(max_states, memory_limit_mb, deadline, stop)
+    budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
     told = progress or (lambda *_: None)
     if any(variable.axiom_layer >= 0 for variable in task.variables):

@@ -21,6 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.solving import COMPARING, SWEEPING
+
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
 TINY = DOMAINS / "kitting" / "tiny.pddl"
@@ -65,7 +67,12 @@ def lines_of(file: Path) -> list[dict]:
 
 def solve(*instances: Path, options: tuple[str, ...] = ("--jobs", "2", "--verify", "1")) -> Case:
     def stable(record: dict) -> dict:
-        return {key: value for key, value in record.items() if key not in ("seconds", "peak_memory_mb")}
+        # Whose comparison with A* is interrupted stays as it is: it has been solved.
+        return {
+            key: None if value == COMPARING else value
+            for key, value in record.items()
+            if key not in ("seconds", "peak_memory_mb", "verified")
+        }
 
     def outcome(folder: Path) -> dict[str, object]:
         files = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
@@ -77,7 +84,11 @@ def solve(*instances: Path, options: tuple[str, ...] = ("--jobs", "2", "--verify
     return Case(
         "solve",
         lambda folder, resume: ["solve", *map(str, instances), *options, "--out", str(folder), *["--resume"] * resume],
-        lambda folder: {record["instance"]: record for record in lines_of(folder / "results.jsonl")},
+        lambda folder: {
+            record["instance"]: stable(record)
+            for record in lines_of(folder / "results.jsonl")
+            if not (record["note"] or "").endswith(SWEEPING)
+        },
         outcome,
     )
 

@@ -16,10 +16,10 @@ from assist.cli.commands import COMMANDS
 
 ROOMS = {
     "planner": """lazy errors arrays storage machine processes threads reports workers expressions shipped pddl finding
-        declarations supported formulas reading rendering source fast_downward checking checker built agreement task
-        replay budget successors statespace astar costtogo moves compiled atomics checkpoint reached kernels relaxing
-        packed mutexes invariants clusters coding candidates trie searches listing symmetry canonical orbits sweep saved
-        ondemand methods solving results batch engine""",
+        declarations supported formulas reading rendering source fast_downward checking checker built agreement
+        task replay budget successors statespace astar costtogo verifying early moves compiled atomics checkpoint
+        reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches listing
+        symmetry canonical orbits sweep saved ondemand methods solving results batch engine""",
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -293,7 +292,7 @@ def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.Mon
     def slow(*_: object, **__: object) -> None:
         raise LimitError("Fast Downward ran out of time (1 s)")
 
-    monkeypatch.setattr(import_module("planner.astar"), "astar", slow)
+    monkeypatch.setattr("planner.early.astar", slow)
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(max_states=5))
     assert record["status"] == "limit"
     assert record["error"]["message"] == "Fast Downward ran out of time (1 s); not swept: more than 5 states"

@@ -36,12 +36,12 @@ from planner import (
     sweep,
 )
 from planner.canonical import Forms, canonical
-from planner.costtogo import check_successors
 from planner.methods import PER_ORBIT
 from planner.orbits import Orbits, orbits
 from planner.replay import replay
 from planner.solving import SolveOptions, solve_instance
 from planner.symmetry import symmetries
+from planner.verifying import check_successors
 
 
 def switches(costs: list[int], goal: list[int], initial: list[int] | None = None) -> Task:

@@ -1,13 +1,57 @@
-"""Records of `solve` as a table, and what went wrong in them."""
+"""Records of `solve`: the first answer as soon as it is there, a table in the end, and what went wrong in them."""
 
 from __future__ import annotations
 
+import sys
+
 import click
-from rich.table import Table
 
-from planner.solving import Record
+from planner.solving import SWEEPING, Record
 
-from .console import print_table
+from .console import print_json, print_table
+
+
+class Answers:
+    """What is known of instances by now, and is shown as it comes.
+
+    Attributes
+    ----------
+    records : dict of (str, str) to Record
+        The latest of each instance.
+    """
+
+    def __init__(self, *, alone: bool, as_json: bool) -> None:
+        """Show plans only where an instance is `alone`."""
+        self.records: dict[tuple[str, str], Record] = {}
+        self._alone, self._json = alone, as_json
+        self._stdout = sys.stdout  # a progress bar puts another one in its place
+        self._shown = False
+
+    def add(self, record: Record) -> None:
+        """Take the record of an instance, which may not be the last one."""
+        self.records[record["instance"], record["domain"]] = record
+
+    def first(self, record: Record) -> None:
+        """Show cost and plan of an instance on which work goes on."""
+        self.add(record)
+        if self._json or not self._alone or self._shown:
+            return
+        self._shown = True
+        if record["plan"]:
+            # On a terminal the bar makes room for lines that go through it.
+            click.echo("\n".join(record["plan"]), file=sys.stdout if self._stdout.isatty() else self._stdout)
+        if not record["note"].endswith(SWEEPING):
+            return  # the rest follows soon
+        known = "unsolvable" if record["cost"] is None else f"cost {record['cost']:,}, by the plan above"
+        click.echo(f"{record['instance']}: {known}; going on with all states", err=True)
+
+    def show(self, records: list[Record]) -> None:
+        """Show what there is in the end."""
+        tell_errors(records)
+        if self._json:
+            print_json(records)
+        elif len(records) > 1 or not records[0]["error"]:
+            show_solutions(records, plan=self._alone and not self._shown)
 
 
 def tell_errors(records: list[Record]) -> None:
@@ -20,10 +64,12 @@ def tell_errors(records: list[Record]) -> None:
             click.echo(f"{record['instance']}: {record['note']}", err=True)
 
 
-def show_solutions(records: list[Record]) -> None:
-    """Print a row for each instance, and the plan where there is only one."""
-    if len(records) == 1 and records[0]["plan"] is not None:
+def show_solutions(records: list[Record], *, plan: bool) -> None:
+    """Print a row for each instance, before it the plan of the first one if that is wanted."""
+    if plan and records[0]["plan"]:
         click.echo("\n".join(records[0]["plan"]))
+    from rich.table import Table  # takes its time
+
     table = Table(box=None, pad_edge=False)
     table.add_column("instance", overflow="fold")
     table.add_column("status")

@@ -13,8 +13,9 @@ from planner.batch import solve_batch
 from planner.results import DONE
 from planner.solving import SolveOptions
 
-from .console import EXIT_FAILED, one_line_errors, print_json
+from .console import EXIT_FAILED, one_line_errors
 from .options import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
+from .solutions import Answers
 from .solving import solving
 
 
@@ -27,8 +28,8 @@ from .solving import solving
 @megabytes_option("Memory for each instance.")
 @max_states_option("Solve only the initial state of a larger task.")
 @click.option(
-    "--verify", type=click.IntRange(min=1), default=SolveOptions.verify, show_default=True,
-    help="States to compare with Fast Downward's A*.",
+    "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
+    help="States to compare with Fast Downward's A*, however long it takes.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
 @click.option("--resume", is_flag=True, help="Keep what --out holds of the same files.")
@@ -51,17 +52,17 @@ def solve(
         raise click.UsageError("--resume needs --out")
     with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
-        with solving(len(found)) as (solved, stage):
-            records = solve_batch(
-                found, SolveOptions(**options), out=out, jobs=jobs, resume=resume, scheduler=scheduler,
-                progress=solved, stages=stage,
-            )  # fmt: skip
-    from .solutions import show_solutions, tell_errors
-
-    tell_errors(records)
-    if as_json:
-        print_json(records)
-    elif len(records) > 1 or not records[0]["error"]:
-        show_solutions(records)
+        answers = Answers(alone=len(found) == 1, as_json=as_json)
+        try:
+            with solving(len(found), answers.add) as (solved, stage):
+                records = solve_batch(
+                    found, SolveOptions(**options), out=out, jobs=jobs, resume=resume, scheduler=scheduler,
+                    progress=solved, stages=stage, tell=answers.first,
+                )  # fmt: skip
+        except KeyboardInterrupt:
+            if answers.records:
+                answers.show(list(answers.records.values()))
+            raise
+    answers.show(records)
     if any(record["status"] not in DONE for record in records):
         sys.exit(EXIT_FAILED)

@@ -12,18 +12,24 @@ from .progress import compiling_line, stages
 
 
 @contextmanager
-def solving(count: int) -> Iterator[tuple[Callable[[Record], None], Callable[..., None]]]:
-    """Show how far the instances are; give what is called with each record, and with each stage of an instance."""
+def solving(
+    count: int, add: Callable[[Record], None]
+) -> Iterator[tuple[Callable[[Record], None], Callable[..., None]]]:
+    """Show how far the instances are; give what is called with each record, and with each stage of an instance.
+
+    Each record is handed to `add` as well.
+    """
     solved = 0
     say = compiling_line()
     with stages() as show:
 
-        def advance(_: Record) -> None:
+        def advance(record: Record) -> None:
             nonlocal solved
             solved += 1
+            add(record)
 
         def stage(instance: Instance, what: str, done: int, total: int | None) -> None:
-            from . import solutions  # noqa: F401  loads what shows the records, while another process works on them
+            from rich import table  # noqa: F401  loads what shows the records, while another process works on them
 
             if what == COMPILING:
                 say()

@@ -1,0 +1,253 @@
+"""What is known is told at once, written first, and kept, whatever happens to the work that goes on."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import KITTING
+
+import planner.methods
+from assist.cli.solutions import Answers
+from planner import Limits, Table, batch, fast_downward, instance, load, verify
+from planner.batch import solve_batch
+from planner.budget import Budget
+from planner.early import SHARE, Early
+from planner.fast_downward import LimitError, MemoryLimitError
+from planner.results import Results
+from planner.solving import COMPARING, SWEEPING, Record, SolveOptions, saved_files, solve_instance
+from planner.sweep import sweep
+
+TINY = KITTING / "tiny.pddl"
+Told = list[tuple[Record, bool]]
+
+
+def solved_late(
+    monkeypatch: pytest.MonkeyPatch,
+    place: Path | None,
+    then: Callable[[Table], object],
+    options: SolveOptions | None = None,
+) -> tuple[Told, Record]:
+    """Solve a task whose sweep ends only when the first answer has been told; `then` is what it ends in."""
+    original, first = planner.methods.cost_to_go, threading.Event()
+    told: Told = []
+
+    def late(*arguments: object, **ways: object) -> object:
+        assert first.wait(60)
+        return then(original(*arguments, **ways))  # type: ignore[arg-type]
+
+    def tell(record: Record, saved: bool) -> None:
+        told.append((record, saved))
+        first.set()
+
+    monkeypatch.setattr(planner.methods, "cost_to_go", late)
+    monkeypatch.setattr("planner.early.ALONE", 0.0)
+    return told, solve_instance(instance(TINY), options, place, tell=tell)
+
+
+def test_cost_and_plan_are_there_before_all_states_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    table_file, plan_file = saved_files(tmp_path / "tiny")
+    seen: list[list[bool]] = []
+
+    def swept(table: Table) -> Table:
+        seen.append([table_file.exists(), plan_file.exists()])
+        return table
+
+    told, record = solved_late(monkeypatch, tmp_path / "tiny", swept)
+    (first, saved), *later = told
+    assert (first["status"], first["cost"], first["method"], first["verified"]) == ("solved", 6, "on-demand", 1)
+    assert (first["note"], first["states"], saved) == (SWEEPING, None, False)
+    assert load(TINY).plan_cost(first["plan"]) == 6
+    assert seen == [[False, True]]
+    assert all(saved and each["note"] == COMPARING and each["states"] == 21 for each, saved in later)
+    verified = [each["verified"] for each, _ in later]
+    assert verified == sorted(verified)
+    assert verified[:2] == [1, 1]  # the first answer counts
+    assert (record["status"], record["note"], record["states"], record["cost"]) == ("solved", None, 21, 6)
+    assert record["verified"] >= verified[-1]
+
+
+@pytest.mark.parametrize(
+    ("fault", "note"),
+    [
+        (LimitError("out of time after 7 states"), "solved on demand: out of time after 7 states"),
+        (MemoryError(), f"{SWEEPING}; out of memory"),
+        (OSError(28, "No space left on device"), f"{SWEEPING}; No space left on device"),
+        (RuntimeError("can't start new thread"), f"{SWEEPING}; out of memory"),
+    ],
+)
+def test_the_plan_is_there_whatever_limit_ends_the_sweep(
+    monkeypatch: pytest.MonkeyPatch, fault: Exception, note: str
+) -> None:
+    def ends(_: Table) -> None:
+        raise fault
+
+    _, record = solved_late(monkeypatch, None, ends)
+    assert (record["status"], record["cost"], record["error"], record["note"]) == ("solved", 6, None, note)
+    assert len(record["plan"]) == 6
+
+
+def test_a_table_that_contradicts_the_first_answer_is_not_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def wrong(table: Table) -> Table:
+        distance = table.distance.copy()
+        distance[table.initial] += 1
+        return Table(table.space, distance)
+
+    _, record = solved_late(monkeypatch, tmp_path / "tiny", wrong)
+    assert (record["status"], record["cost"], record["plan"]) == ("invalid", None, None)
+    assert "is 7, but Fast Downward's A* says 6" in record["error"]["message"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_small_tasks_have_one_answer() -> None:
+    told: Told = []
+    record = solve_instance(instance(TINY), SolveOptions(verify=3), tell=lambda *what: told.append(what))
+    assert all(saved and each["states"] == 21 for each, saved in told)
+    assert (record["verified"], record["consistent"]) == (3, 3)
+
+
+def test_comparing_takes_a_part_of_the_search_unless_more_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("planner.solving.LEAST", 0.0)
+    monkeypatch.setattr("planner.solving.COMPARING_SHARE", 1e-9)
+    short = solve_instance(instance(TINY))
+    assert (short["status"], short["verified"], short["consistent"]) == ("solved", 0, 1)
+    assert short["note"] is None
+    assert solve_instance(instance(TINY), SolveOptions(verify=21))["verified"] == 21
+    monkeypatch.setattr("planner.solving.LEAST", 600.0)
+    assert solve_instance(instance(TINY))["verified"] == 20
+
+
+def test_a_table_without_a_way_from_the_initial_state_gives_no_plan(tiny: Table) -> None:
+    distance = tiny.distance.copy()
+    distance[tiny.initial] += 1
+    with pytest.raises(AssertionError, match="no cheapest way leads on"):
+        Table(tiny.space, distance).optimal_plan()
+
+
+def test_the_search_beside_a_sweep_borrows_memory() -> None:
+    task, told = load(TINY), threading.Event()
+    with Early(task, Limits(memory_mb=10_000), lambda _: told.set()) as early:
+        assert 0 < early.lent() <= SHARE * 10_000e6
+        assert early.wait(Limits()) == (6.0, early.answer[1] if early.answer else None)
+        assert told.wait(60)
+        assert early.lent() == 0.0
+    lent = [1e12]
+    with pytest.raises(MemoryLimitError):
+        sweep(task, lent=lambda: lent[0])
+    lent[0] = 0.0
+    assert len(sweep(task, lent=lambda: lent[0])) == 21
+    assert Budget(None, 10.0, None, None, lambda: 4.0).room == 6.0
+
+
+def test_a_search_that_is_ended_before_it_begins_is_done_when_it_is_wanted() -> None:
+    early = Early(load(TINY), Limits(), lambda _: pytest.fail("nobody is waiting"))
+    with early:
+        early.end()
+        assert early.answer is None
+        assert early.wait(Limits())[0] == 6
+
+
+def test_a_search_that_lasts_lets_other_work_go_first(tmp_path: Path) -> None:
+    nice = ["sh", "-c", "sleep 0.3; cut -d ' ' -f 19 /proc/self/stat"]
+    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, first=0.0))[1].strip() == "19"
+    assert fast_downward._run(nice, str(tmp_path), "", Limits(seconds=60, first=50.0))[1].strip() != "19"
+
+
+def test_a_comparison_that_is_over_leaves_no_search_behind(tiny: Table) -> None:
+    """A search that never ends is stopped with the time for all."""
+    endless = ("astar(blind(),max_time=infinity)",)
+    start = time.monotonic()
+    assert verify(tiny, 21, np.random.default_rng(0), seconds=1e-3, searches=endless) <= 1
+    assert time.monotonic() - start < 30
+
+
+@pytest.mark.parametrize("saved", [False, True])
+def test_what_a_worker_has_told_outlives_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, saved: bool) -> None:
+    """And is kept by a run that resumes if its table and plan were saved."""
+    told: Told = []
+    solve_instance(instance(TINY), SolveOptions(verify=1), tell=lambda *what: told.append(what))
+    note = COMPARING if saved else SWEEPING
+    record = {**told[0][0], "note": note}
+
+    def outcomes(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:
+        (item,) = items
+        item[2].write_text(json.dumps([record, saved]))
+        yield item, TimeoutError()
+
+    monkeypatch.setattr(batch, "outcomes", outcomes)
+    options = SolveOptions(time_limit=5.0, verify=1)
+    assert solve_batch([instance(TINY)], options, out=tmp_path / "out") == [
+        {**record, "note": f"{note}; out of time (5 s)"}
+    ]
+
+    def interrupted(_: object, items: list, *__: object, **___: object) -> Iterator[tuple]:
+        (item,) = items
+        item[2].write_text(json.dumps([record, saved]))
+        yield from [(item, None)][:0]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(batch, "outcomes", interrupted)
+    heard: list[Record] = []
+    with pytest.raises(KeyboardInterrupt):
+        solve_batch([instance(TINY)], options, out=tmp_path / "second", tell=heard.append)
+    assert heard == [record]
+    lines = (tmp_path / "second" / "results.jsonl").read_text().splitlines()
+    assert [json.loads(line) for line in lines] == [record]
+    assert len(Results(tmp_path / "second", [instance(TINY)], options, resume=True).records) == int(saved)
+
+
+def test_an_answer_is_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
+    told: Told = []
+    record = solve_instance(instance(TINY), SolveOptions(verify=1), tell=lambda *what: told.append(what))
+    first = {**record, "states": None, "note": SWEEPING}
+    answers = Answers(alone=True, as_json=False)
+    answers.first(first)
+    answers.first({**record, "note": COMPARING})
+    shown = capsys.readouterr()
+    assert shown.out.splitlines() == record["plan"]
+    assert shown.err == f"{TINY}: cost 6, by the plan above; going on with all states\n"
+    answers.show([record])
+    shown = capsys.readouterr()
+    assert [line.split()[0] for line in shown.out.splitlines()] == ["instance", str(TINY)]
+    assert shown.err == ""
+    answers = Answers(alone=True, as_json=False)
+    answers.first({**record, "note": COMPARING})
+    shown = capsys.readouterr()
+    assert (shown.out.splitlines(), shown.err) == (record["plan"], "")
+    for silent in (Answers(alone=True, as_json=True), Answers(alone=False, as_json=False)):
+        silent.first(first)
+        assert capsys.readouterr() == ("", "")
+    answers = Answers(alone=True, as_json=False)
+    answers.first({**first, "status": "unsolvable", "cost": None, "plan": None})
+    assert capsys.readouterr() == ("", f"{TINY}: unsolvable; going on with all states\n")
+
+
+def test_ctrl_c_in_the_comparison_keeps_the_record(tmp_path: Path) -> None:
+    out, command = tmp_path / "out", Path(sys.executable).with_name("kitassist")
+    words = ["solve", str(KITTING / "paper.pddl"), "--verify", "836", "--out", str(out)]
+    with subprocess.Popen([command, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while process.poll() is None and not (out / "results.jsonl").exists():
+            time.sleep(0.02)
+        while process.poll() is None and not (out / "results.jsonl").read_text().endswith("\n"):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        printed, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    record = json.loads((out / "results.jsonl").read_text().splitlines()[-1])
+    assert (record["status"], record["cost"], record["states"], record["note"]) == ("solved", 10, 836, COMPARING)
+    assert 0 <= record["verified"] < 836
+    assert len(list(out.rglob("*.npz"))) == len(list(out.rglob("*.plan"))) == 1
+    assert printed.splitlines()[:-2] == record["plan"]
+    assert said.splitlines() == [
+        f"{KITTING / 'paper.pddl'}: {COMPARING}", "interrupted; what was finished is kept, --resume continues",
+    ]  # fmt: skip
+    again = subprocess.run([command, *words, "--resume", "--json"], capture_output=True, text=True, timeout=300)
+    assert json.loads(again.stdout) == [record]
