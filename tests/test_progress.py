@@ -116,7 +116,7 @@ def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) ->
     shown = []
     monkeypatch.setattr("assist.cli.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
     monkeypatch.setattr("assist.cli.solving.compiling_line", progress.compiling_line)
-    with solving(count) as (solved, told):
+    with solving(count, lambda _: None) as (solved, told):
         told(Instance(Path("p.pddl"), Path("domain.pddl")), "compiling", 0, None)
         solved({})
         told(Instance(Path("q.pddl"), Path("domain.pddl")), "states", 5, None)
