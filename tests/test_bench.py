@@ -24,7 +24,7 @@ def commands(script: str) -> dict[str, click.Command]:
 
 
 def test_every_benchmark_is_run() -> None:
-    others = {"graphs", "run", "tables", *RUN.NEED_DATA}
+    others = {"graphs", "random_tasks", "random_writing", "run", "tables", *RUN.NEED_DATA}
     scripts = sorted(file.stem for file in (ROOT / "bench").glob("*.py") if file.stem not in others)
     assert {name for script in scripts for name in commands(script)} == set(CASES)
 
