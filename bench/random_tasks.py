@@ -258,7 +258,8 @@ def _action(
             function = hand.one(task.functions)
             found = []
             for wanted in task.functions[function]:
-                fits = [variable for variable, kinds in scope if task.overlap(kinds, wanted)]
+                # The translator grounds actions wrongly where a cost names a parameter twice and lacks a value.
+                fits = [each for each, kinds in scope if each not in found and task.overlap(kinds, wanted)]
                 fits += [each for each in constants if each in task.of(wanted)]
                 found.append(hand.one(fits) if fits else "")
             if all(found):

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -150,7 +151,32 @@ def read(instance: Instance, domain: Expression, problem: Expression) -> Reading
     """
     unions: dict[tuple[str, ...], str] = {}
     known, derived = _domain(instance.domain, domain, unions)
-    return Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)
+    reading = Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)
+    for action in known.actions.values():
+        _check_repeated(reading, action)
+    return reading
+
+
+def _check_repeated(reading: Reading, action: Action) -> None:
+    """Refuse a cost that names a parameter twice and lacks a value: the translator grounds such actions wrongly."""
+    function = () if action.cost is None or action.cost.number is not None else action.cost.function
+    variables = [word for word in function[1:] if word.startswith("?")]
+    if action.cost is None or len(variables) == len(set(variables)):
+        return
+    kinds = {each.name: each.kinds for each in action.parameters if each.name in variables}
+    objects = {**reading.domain.constants, **reading.problem.objects}
+    fits = reading.domain.types.fits
+    ranges = [[name for name, each in objects.items() if fits(each.kinds[0], k)] for k in kinds.values()]
+    for chosen in itertools.product(*ranges):
+        bound = dict(zip(kinds, chosen, strict=True))
+        if action.cost.of(bound, reading.problem.values) is None:
+            missing = " ".join(bound.get(word, word) for word in function)
+            refuse(
+                reading.instance.domain,
+                action.cost.place,
+                f"action '{action.name}' costs '({' '.join(function)})', which names a parameter twice; ({missing}) "
+                "has no value in the initial state; expected a value for every object",
+            )
 
 
 def _parts(whole: Expression, head: str) -> tuple[Expression, ...]:

@@ -132,6 +132,16 @@ def test_an_action_whose_cost_has_no_value_is_not_applicable(tmp_path: Path) -> 
     assert (task.actions, task.note) == ((), None)
 
 
+@pytest.mark.parametrize("metric", [True, False])
+def test_a_cost_that_names_a_parameter_twice_needs_all_values(tmp_path: Path, metric: bool) -> None:
+    """The translator either fails at such a task, or grounds actions that have no cost."""
+    problem = PROBLEM if metric else PROBLEM.replace("(:metric minimize (total-cost))", "")
+    domain = DOMAIN.replace("(increase (total-cost) (way ?a ?b))", "(increase (total-cost) (way ?b ?b))")
+    assert swept(tmp_path, domain, problem).task.note is None
+    with pytest.raises(PDDLError, match=r"domain.pddl:\d+: action 'go' costs .*; \(way blue blue\) has no value"):
+        swept(tmp_path, domain, problem.replace("(= (way blue blue) 0)", ""))
+
+
 def test_variables_of_one_name_do_not_disturb_each_other(tmp_path: Path) -> None:
     """The translator renames the second ?x to ?x1, which is another variable here."""
     condition = "(and (at ?x1) (exists (?x - part) (on ?x ?x1)) (exists (?x - tray) (and (at ?x) (not (at ?x1)))))"
