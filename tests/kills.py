@@ -210,7 +210,7 @@ def kill(case: Case, folder: Path, moment: float, number: signal.Signals, *, gro
     figures.codes[f"{number.name} {process.returncode}"] += 1
     if number != signal.SIGKILL and process.returncode not in (-number, 0):  # not while the interpreter was starting
         assert process.returncode == 128 + number, (process.returncode, stderr)
-        assert stdout == ""
+        assert stdout == "" or case.name == "solve", stdout  # which shows what it has solved until then
         assert stderr.splitlines()[-1].startswith("interrupted"), stderr
         assert "Traceback" not in stderr, stderr
     if folder.exists():
