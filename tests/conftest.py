@@ -20,13 +20,13 @@ from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
 from numba.core import event
 
-from assist.cli import main, progress, solving, task
+from assist.cli import main, solving, task
 from assist.people.choices import Choices
 from assist.study.protocol import read
 from assist.study.study import Study
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from planner import Instance, Limits, Table, fast_downward, find_instances, load, sweep
+from planner import Instance, Limits, Table, fast_downward, find_instances, load, progress, sweep
 from planner.source import Source
 
 ROOT = Path(__file__).parent.parent

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from assist.person.pomdp import Later
 from assist.simulation.episodes import Episodes
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
@@ -43,6 +44,8 @@ def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, 
     elif isinstance(thing, tuple | list):
         for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
             reachable(item, f"{path}[{number}]", found)
+    elif isinstance(thing, Later):
+        reachable(thing.alone(), path, found)
     elif is_dataclass(thing):
         for name in {field.name for field in fields(thing)} | set(vars(thing)):
             reachable(getattr(thing, name), f"{path}.{name}", found)

@@ -15,11 +15,11 @@ from assist.cli import main
 from assist.cli.commands import COMMANDS
 
 ROOMS = {
-    "planner": """lazy errors arrays storage machine processes threads reports workers expressions shipped pddl finding
-        declarations supported formulas reading rendering source fast_downward checking checker built agreement
-        task replay budget successors statespace astar costtogo verifying early moves compiled atomics checkpoint
-        reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches listing
-        symmetry canonical orbits sweep saved ondemand methods solving results batch engine""",
+    "planner": """lazy errors arrays storage machine processes threads reports bars progress workers expressions shipped
+        pddl finding declarations supported formulas reading rendering source fast_downward checking checker built
+        agreement task replay budget successors statespace astar costtogo verifying early moves compiled atomics
+        checkpoint reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches
+        listing symmetry canonical orbits sweep saved ondemand methods solving results batch engine""",
     "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",
@@ -36,7 +36,7 @@ ROOMS = {
         limits description messages admission routes watching browser web server client""",
     "assist.userstudy": """assignment questionnaires plan group cohort session tables effects summary report export
         service rehearsal routes serving""",
-    "assist.cli": """interrupts options console bars progress task population person travel team policies live summaries
+    "assist.cli": """interrupts options console task population person travel team policies live summaries
         solutions bounds solving domains solve simulate policy bound export draw log learned fit study conducting serve
         study_report commands""",
 }
@@ -62,7 +62,7 @@ MAY_READ_PDDL = (
     "assist.userstudy.plan",
     "assist.cli",
 )
-WITH_ARRAYS = ["compiled", "lazy", "errors", "arrays", "storage", "machine", "workers"]
+WITH_ARRAYS = ["compiled", "lazy", "errors", "arrays", "storage", "machine", "progress", "workers"]
 ARRAYS = {"planner", *(f"planner.{file}" for file in WITH_ARRAYS)}
 READING = {"load", "find_instances", "instance", "Instance", "Task"}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,8 @@ from teams import reachable, run
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
 from assist.people.human import Population
+from assist.person.pomdp import AssistPOMDP, Policy, work_out
+from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Trace
 from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
@@ -67,6 +70,52 @@ def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any
     with pytest.raises(LimitError, match=r"states take about .* MB of memory, and .* are allowed") as refused:
         Pool.sample(choices, 2, seed=0, setting=setting, memory_limit_mb=0.97 * needed)
     assert ("knowledge 'exact'" in str(refused.value)) == (len(pool.policies) > 1)
+
+
+@pytest.mark.parametrize("policy", ["none", "reactive", "attention", "attention-never", "priority"])
+def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choices: Choices, policy: str) -> None:
+    solved: list[AssistPOMDP] = []
+
+    def solver(pomdp: AssistPOMDP) -> Policy:
+        solved.append(pomdp)
+        return qmdp(pomdp)
+
+    setting = Setting(c_suggest=0.1, c_move=0.1)
+    lazy = Pool.sample(tiny_choices, 12, seed=0, setting=setting, solver=solver)
+    assert not solved
+    told: list[tuple[str, int, int | None]] = []
+    found = simulate(lazy, policy, humans=2, episodes=3, seed=4, jobs=2, progress=lambda *what: told.append(what))
+    drawn = set(found.people.ravel().tolist())
+    assert 2 <= len(drawn) < 12
+    needs = policy.startswith("attention")  # priority has problems of its own, and the others have none
+    assert {id(one) for one in solved} == {id(lazy.policies[n].pomdp) for n in drawn if needs}
+    assert len(solved) == len(drawn) * needs  # once each
+    if policy not in ("none", "reactive"):
+        assert ("solving people's POMDPs", len(drawn), len(drawn)) in told
+    assert told[-1] == (f"simulating {policy}", 3, 3)
+    eager = Pool.sample(tiny_choices, 12, seed=0, setting=setting)
+    for one in eager.policies:
+        work_out(one)
+    assert list(simulate(eager, policy, humans=2, episodes=3, seed=4)) == list(found)
+
+
+def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> None:
+    pool = Pool.sample(tiny, 8, seed=0, setting=Setting(c_suggest=0.1, c_move=0.1), states=5)
+    for name in ("attention", "priority"):
+        found = simulate(pool, name, humans=2, episodes=1, seed=1)
+        drawn = set(found.people.ravel().tolist())
+        assert {n for n, one in enumerate(pool.policies) if one.solved} == drawn  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="expected a task that is looked at whole"):
+        pool.policy("attention-never")
+
+
+def test_a_pool_survives_pickling_solved_or_not(tiny_choices: Choices) -> None:
+    pool = Pool.sample(tiny_choices, 3, seed=0)
+    work_out(pool.policies[0])
+    again = pickle.loads(pickle.dumps(pool))
+    for name in ("attention", "none"):
+        kept, other = (simulate(one, name, humans=2, episodes=4, seed=2) for one in (pool, again))
+        assert list(kept) == list(other)
 
 
 def test_the_robots_grid_covers_the_people_it_is_told_of(tiny_choices: Choices) -> None:

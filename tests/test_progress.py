@@ -16,9 +16,8 @@ from pathlib import Path
 import numba
 import pytest
 
-from assist.cli import progress
 from assist.cli.solving import solving
-from planner import Instance
+from planner import Instance, progress
 from planner.compiled import compiling
 
 
@@ -114,7 +113,7 @@ def test_compiling_is_said_at_once_and_once(capsys) -> None:
 )
 def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) -> None:
     shown = []
-    monkeypatch.setattr("assist.cli.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
+    monkeypatch.setattr("planner.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
     monkeypatch.setattr("assist.cli.solving.compiling_line", progress.compiling_line)
     with solving(count, lambda _: None) as (solved, told):
         told(Instance(Path("p.pddl"), Path("domain.pddl")), "compiling", 0, None)

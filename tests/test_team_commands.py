@@ -205,6 +205,6 @@ def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
 def test_a_single_episode_has_no_standard_error() -> None:
     said = invoke("simulate", str(TINY), "--humans", "1", "--policy", "none", "--episodes", "1").stdout
     assert "8.00" in said
-    assert said.endswith("of one episode\n")
+    assert said.endswith("of one episode; 1 of 12 people drawn\n")
     assert "nan" not in said
     assert "±" not in said

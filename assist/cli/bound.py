@@ -9,12 +9,12 @@ from typing import Any
 import click
 from rich.table import Column, Table
 
+from planner.progress import stages
 from planner.solving import versions
 
 from .console import print_json, print_table
 from .options import JOBS, gap_option, instance_argument, json_option, seconds_option
 from .policies import policies_of, policy_errors, policy_option
-from .progress import stages
 from .team import team_of, team_options
 
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import click
 
 from planner import storage
+from planner.progress import progress_bar
 
 from .console import print_json, print_table
 from .log import Replayed, comparison_of
-from .progress import progress_bar
 
 if TYPE_CHECKING:
     from ..learning.people import People

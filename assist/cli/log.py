@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
 from planner.machine import processors
+from planner.progress import progress_bar, stages
 
 from .console import EXIT_FAILED, fail
 from .options import (
@@ -27,7 +28,6 @@ from .options import (
     with_options,
 )
 from .population import choice_model, people_option
-from .progress import progress_bar, stages
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:

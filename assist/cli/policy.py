@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from planner.progress import status_line
 from planner.solving import versions
 
 from .bounds import line_of, show_bounds
@@ -23,7 +24,6 @@ from .options import (
     seconds_option,
 )
 from .person import person_options, person_problem
-from .progress import status_line
 from .task import costs_of
 
 

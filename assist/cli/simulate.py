@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
+from planner.progress import stages
 from planner.solving import versions
 
 from .console import print_json
 from .options import OUTPUT_FILE, instance_argument, json_option, separate_files
 from .policies import policies_of, policy_errors, policy_option
-from .progress import progress_bar
 from .team import team_of, team_options
 
 
@@ -58,23 +58,23 @@ def simulate(
         kept: dict[str, Any] = {"trace": steps if trace else None, "memory_limit_mb": team["memory_limit"]}
         for name, policy in policies.items():
             ready = made.prepared(policy)
-            with progress_bar(f"simulating {name}", episodes) as advance:
-                kept |= {"episodes": episodes, "name": name, "progress": advance}
+            with stages() as show:
+                kept |= {"episodes": episodes, "name": name, "progress": show}
                 results.append(run(made.pool, ready, **kept, **options))
         if figure:
-            shown = Illustration.of(made.pool, policy, results[-1], **options)
+            shown = Illustration.of(made.pool, ready, results[-1], **options)
             style.save(episode_figure(shown.episode, shown.trace, None if name == "none" else shown.alone), figure)
     if out:
         storage.write_records(out, (episode.record() for result in results for episode in result))
     if trace:
         storage.write_records(trace, steps)
-    summaries = [result.summary() for result in results]
+    summaries, drawn = [result.summary() for result in results], len(set(results[0].people.ravel().tolist()))
     if as_json:
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
-            "pool": size, "episodes": episodes, "seed": team["seed"], "setting": asdict(made.pool.setting),
-            "population": made.population.as_dict(), "policies": [summary.record() for summary in summaries],
-            "versions": versions(),
+            "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
+            "setting": asdict(made.pool.setting), "population": made.population.as_dict(),
+            "policies": [summary.record() for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:
-        show_summaries(summaries)
+        show_summaries(summaries, drawn, size)

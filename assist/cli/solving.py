@@ -6,9 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from planner import Instance
+from planner.progress import compiling_line, stages
 from planner.solving import COMPILING, Record
-
-from .progress import compiling_line, stages
 
 
 @contextmanager

@@ -8,9 +8,10 @@ from pathlib import Path
 import click
 from rich.table import Table
 
+from planner.progress import progress_bar
+
 from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
 from .options import JOBS, OUTPUT_FOLDER
-from .progress import progress_bar
 
 
 @click.command()

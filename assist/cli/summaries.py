@@ -16,8 +16,8 @@ def _cell(mean: float, error: float) -> str:
     return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
 
 
-def show_summaries(summaries: list[Summary]) -> None:
-    """Print a row for each policy."""
+def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
+    """Print a row for each policy, and how many of a pool's people were in a team."""
     table = Table(box=None, pad_edge=False)
     for column in ("policy", *SHOWN.values(), "cut off"):
         table.add_column(column.replace("_", " "), justify="left" if column == "policy" else "right")
@@ -26,4 +26,5 @@ def show_summaries(summaries: list[Summary]) -> None:
         table.add_row(summary.policy, *cells, f"{summary.cut_off}")
     print_table(table)
     count = summaries[0].episodes
-    click.echo("of one episode" if count == 1 else f"mean ± standard error over {count} episodes")
+    what = "of one episode" if count == 1 else f"mean ± standard error over {count} episodes"
+    click.echo(what if drawn == pool else f"{what}; {drawn} of {pool} people drawn")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 
 from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
+from planner.progress import compiling_line, stages
 
 from .console import EXIT_FAILED, fail
-from .progress import compiling_line, stages
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,7 +25,6 @@ from .options import (
 )
 from .person import model_options
 from .population import people_option, population_of, population_options, read_population
-from .progress import stages
 from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
@@ -74,16 +72,13 @@ class Team(NamedTuple):
     travel: Travel
 
     def prepared(self, policy: str | TeamPolicy) -> TeamPolicy:
-        """Make a policy of a name, and show how far that is."""
+        """Make a policy of a name."""
         if not isinstance(policy, str):
             return policy
-        with stages() as show:
-            try:
-                return self.pool.policy(
-                    policy, self.travel, progress=partial(show, f"solving people's POMDPs, {policy}")
-                )
-            except ValueError as error:  # it needs to look at the whole of the task
-                fail(f"{self.instance}: {error} (--region-states)", EXIT_FAILED)
+        try:
+            return self.pool.policy(policy, self.travel)
+        except ValueError as error:  # it needs to look at the whole of the task
+            fail(f"{self.instance}: {error} (--region-states)", EXIT_FAILED)
 
 
 def team_of(
@@ -91,7 +86,7 @@ def team_of(
     theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
     memory_limit: float, max_states: int, region_states: int, **setting: Any,
 ) -> Team:  # fmt: skip
-    """Draw so many people and solve the POMDP of each; errors are those of a command."""
+    """Draw so many people; errors are those of a command."""
     from ..team.pool import Pool
     from ..team.settings import Setting
 
@@ -104,17 +99,15 @@ def team_of(
         raise click.UsageError(f"--prior {prior}: {error}") from None
     found = one_instance(instance, domain)
     known = costs_of(found, max_states=max_states, memory_limit_mb=None)
-    with stages() as show:
-        try:
-            travel = travel_of(chosen := Setting(**setting), humans, distances)
-            pool = Pool.sample(
-                known, size, seed=seed, setting=chosen, population=population, prior=believed,
-                memory_limit_mb=memory_limit, states=region_states,
-                region=region_states if known.method == "sweep" or is_given("region_states") else None,
-                progress=lambda done, total: show("solving people's POMDPs", done, total),
-            )  # fmt: skip
-        except LimitError as error:
-            fail(f"{found}: {error} (--memory-limit)", EXIT_FAILED)
-        except ValueError as error:
-            raise click.UsageError(str(error)) from None
+    try:
+        travel = travel_of(chosen := Setting(**setting), humans, distances)
+        pool = Pool.sample(
+            known, size, seed=seed, setting=chosen, population=population, prior=believed,
+            memory_limit_mb=memory_limit, states=region_states,
+            region=region_states if known.method == "sweep" or is_given("region_states") else None,
+        )  # fmt: skip
+    except LimitError as error:
+        fail(f"{found}: {error} (--memory-limit)", EXIT_FAILED)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
     return Team(found, population, pool, travel)

@@ -31,7 +31,7 @@ from ..people.decision import Floats
 from ..people.human import Mixture, Population
 from ..person.pomdp import Policy
 from ..simulation.dynamics import update
-from ..team.policies import POLICIES, named
+from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
@@ -343,7 +343,9 @@ class Assistant:
             assert isinstance(self.policy, str)
             # As all places are equally far unless distances are given, two stand for any number.
             travel = self._travel if self._distance is not None else self.setting.travel(2)
-            self._made = named(self.policy, [problem.policy for problem in self._problems.values()], travel)
+            policies = [problem.policy for problem in self._problems.values()]
+            prepare(made := named(self.policy, policies, travel), policies)
+            self._made = made
         return self._made
 
     def _suggestion(self, record: Record) -> str | None:

@@ -10,9 +10,11 @@ The robot's actions in a state are numbered from 0: nothing, then the suggestion
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,3 +304,60 @@ class Policy(Protocol):
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
         """Give the best robot action for each person, shape (N,)."""
         ...
+
+
+class Later:
+    """One person's policy, worked out when it is first asked for anything but the problem.
+
+    Any thread may ask. What the policy has beyond a `Policy` is an attribute of this one, too.
+
+    Parameters
+    ----------
+    pomdp : AssistPOMDP
+    solver : callable
+        Gives the policy for the problem.
+    """
+
+    def __init__(self, pomdp: AssistPOMDP, solver: Callable[[AssistPOMDP], Policy]) -> None:
+        self.pomdp, self._solver = pomdp, solver
+        self._lock, self._solved = threading.Lock(), list[Policy]()
+
+    def __repr__(self) -> str:
+        return f"Later({self._solved[0] if self._solved else self.pomdp!r})"
+
+    def alone(self) -> Policy:
+        """Give the policy; worked out once."""
+        with self._lock:
+            if not self._solved:
+                self._solved.append(self._solver(self.pomdp))
+            return self._solved[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=threading.Lock())
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.alone(), name)
+
+    def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each robot action, shape (N, R); minus infinity in padding."""
+        return self.alone().q_values(x, belief)
+
+    def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
+        """Give the value of each person's problem, shape (N,)."""
+        return self.alone().value(x, belief)
+
+    def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
+        """Give the best robot action for each person, shape (N,)."""
+        return self.alone().choose(x, belief)
+
+
+def work_out(policy: Policy) -> None:
+    """Work a policy out now, if that is otherwise done when it is first asked."""
+    alone = getattr(policy, "alone", None)
+    if alone is not None:
+        alone()

@@ -36,7 +36,7 @@ class Run:
         presence: Presence,
         world: World,
         trace: Trace | None,
-        progress: Callable[[int], None] | None,
+        progress: Callable[[int], None],
         ground: Callable[[Ints, Ints, Ints], Ground],
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
@@ -79,13 +79,13 @@ class Run:
         for step in range(self.pool.setting.max_steps):
             to_come = ~self.finished & (step < self.presence.leaves)
             running = np.flatnonzero(to_come.any(axis=1))
-            if self.progress is not None and len(to_come) - len(running) > ended:
+            if len(to_come) - len(running) > ended:
                 self.progress(len(to_come) - len(running) - ended)
                 ended = len(to_come) - len(running)
             if not len(running):
                 break
             self._step(step, running, to_come & (step >= self.presence.joins))
-        if self.progress is not None and ended < len(self.numbers):
+        if ended < len(self.numbers):
             self.progress(len(self.numbers) - ended)
         return Episodes(
             policy=self.name, episode=self.numbers, people=self.people, beta=self.beta, theta=self.first_theta,

@@ -1,5 +1,7 @@
 """Episodes of a team: several people at work, one robot.
 
+Only the problems of people who are in a team are solved, and only if the policy needs that.
+
 Episodes are numbered, and their random numbers are drawn for a block of them at a time from the seed and the block's
 number alone: policies meet the same people with the same luck (common random numbers), and results do not depend on
 how episodes are divided among processes.
@@ -16,21 +18,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import LimitError
+from planner.progress import Wanted, adding, shows_progress
 
 from ..team.arguments import Seed, entropy, positive, whole, wholes
+from ..team.policies import prepare
 from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .episodes import Episodes, Trace
 from .ground import Ground, Group, Whole, Wide, World
-from .luck import BLOCK
+from .luck import BLOCK, Luck
 from .presence import Presence
 from .run import Run
+
+SOLVING = "solving people's POMDPs"
 
 TOGETHER = 16_384
 """People who are simulated at a time: what is known of them should stay in the processor's cache."""
 
 
+@shows_progress
 def simulate(
     pool: Pool,
     policy: TeamPolicy | str,
@@ -45,7 +52,7 @@ def simulate(
     trace: Trace | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
-    progress: Callable[[int], None] | None = None,
+    progress: Wanted = None,
 ) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
 
@@ -75,8 +82,8 @@ def simulate(
         Threads that simulate at a time. The policy is then called by several; results do not depend on it.
     memory_limit_mb : float
         What the records of all episodes may take, in megabytes.
-    progress : callable, optional
-        Called with the number of episodes that have been finished since the last call.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: people's problems are solved, then episodes are simulated.
 
     Raises
     ------
@@ -118,18 +125,35 @@ def simulate(
     else:
         ground = partial(Whole, pool, cache(lambda number: Group.of_model(pool, number, world)), world)
 
-    def run(start: int) -> Episodes:
-        chunk = slice(start, start + together)
+    assert callable(progress)
+    chunks = [slice(start, start + together) for start in range(0, count, together)]
+    if hasattr(policy, "prepare"):
+        drawn = _drawn(pool, luck, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
+        models = np.unique(pool.model[drawn]).tolist()
+        prepare(policy, [pool.policies[model] for model in models], progress=partial(progress, SOLVING))
+    advance = adding(progress, f"simulating {called}", count)
+
+    def run(chunk: slice) -> Episodes:
         return Run(
             pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=luck, name=called,
-            travel=travel, presence=presence, world=world, trace=trace, progress=progress, ground=ground,
+            travel=travel, presence=presence, world=world, trace=trace, progress=advance, ground=ground,
         ).run()  # fmt: skip
 
-    starts = range(0, count, together)
     if jobs == 1:
-        return Episodes.joined([run(start) for start in starts])
+        return Episodes.joined([run(chunk) for chunk in chunks])
     with ThreadPoolExecutor(jobs) as workers:
-        return Episodes.joined(list(workers.map(run, starts)))
+        return Episodes.joined(list(workers.map(run, chunks)))
+
+
+def _drawn(pool: Pool, luck: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:
+    """Give who is in a team in any of some episodes, in chunks."""
+    size = len(pool.people)
+    drawn = np.arange(size if places == size else 0)
+    for chunk in numbers:
+        if len(drawn) == size:
+            break
+        drawn = np.union1d(drawn, Luck(luck, chunk, places).team(size))
+    return drawn
 
 
 def _count(episodes: ArrayLike) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..people.decision import Floats
-from ..person.pomdp import Policy
+from ..person.pomdp import Policy, work_out
 from ..person.qmdp import evaluate
 from .state import NOBODY, ByPolicy, TeamAction, TeamState
 
@@ -80,6 +80,12 @@ class AttentionSwitching:
             return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
 
         return cls(ByPolicy(policies, never))
+
+    def prepare(self, policy: Policy) -> None:
+        """Work out now what it takes to help the people of a policy."""
+        work_out(policy)
+        if self.never is not None:
+            self.never[policy]
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Choose the person with the largest positive score, in every team that has one."""

@@ -24,14 +24,10 @@ POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
 """The names that `named` knows."""
 
 
-def named(
-    name: str,
-    policies: Sequence[Policy],
-    travel: Travel,
-    *,
-    progress: Callable[[int, int], None] | None = None,
-) -> TeamPolicy:
+def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     """Make a team policy by its name.
+
+    What it takes to help somebody is worked out when that is first asked for, or by `prepare`.
 
     Parameters
     ----------
@@ -42,9 +38,6 @@ def named(
         For the people by themselves.
     travel : Travel
         The way between them.
-    progress : callable, optional
-        Called with how many people's problems have been solved for it, and of how many, on tasks of any size: others
-        have been before.
 
     Raises
     ------
@@ -55,14 +48,10 @@ def named(
         return NoAssistance()
     if name == "reactive":
         return Reactive()
-    wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
     if name == "attention":
-        for done, policy in enumerate(wide):
-            if progress is not None:
-                progress(done, len(wide))
-            policy.alone()
         return AttentionSwitching()
     if name == "attention-never":
+        wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
         if wide:
             raise ValueError(
                 f"policy {name!r}: expected a task that is looked at whole, and this one is too large: it has "
@@ -70,8 +59,32 @@ def named(
             )
         return AttentionSwitching.against_never(policies)
     if name == "priority":
-        return Priority.of(policies, travel, progress=progress)
+        return Priority.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
+
+
+def prepare(
+    policy: TeamPolicy, policies: Sequence[Policy], *, progress: Callable[[int, int], None] | None = None
+) -> None:
+    """Work out now what a team policy needs to know of the people of some policies, if it says what that is.
+
+    Parameters
+    ----------
+    policy : TeamPolicy
+        Its method `prepare`, if it has one, is called with each of the others.
+    policies : sequence of Policy
+    progress : callable, optional
+        Called with how many have been worked out, and of how many, at the beginning and after each.
+    """
+    work = getattr(policy, "prepare", None)
+    if work is None:
+        return
+    for done, one in enumerate(policies):
+        if progress is not None:
+            progress(done, len(policies))
+        work(one)
+    if progress is not None:
+        progress(len(policies), len(policies))
 
 
 @dataclass(frozen=True)

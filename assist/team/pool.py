@@ -14,7 +14,7 @@ from planner.arrays import outline
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
-from ..person.pomdp import AssistPOMDP, Policy
+from ..person.pomdp import AssistPOMDP, Later, Policy
 from ..person.problem import WHOLE, is_whole
 from ..person.qmdp import qmdp
 from .arguments import Seed, entropy, positive, whole
@@ -46,7 +46,7 @@ class Pool:
     people : tuple of Human
     policies : tuple of Policy
         For a person by themselves. People whom the robot cannot tell apart beforehand share one. Each
-        works on the task of their policy.
+        works on the task of their policy. Those of `sample` are worked out when they are first needed.
     model : int array, shape (people,)
         Which policy is each person's.
     """
@@ -90,14 +90,13 @@ class Pool:
         prior: Population | Mixture | None = None,
         solver: Callable[[AssistPOMDP], Policy] = qmdp,
         memory_limit_mb: float = MEMORY_LIMIT_MB,
-        progress: Callable[[int, int], None] | None = None,
         states: int = WHOLE,
         region: int | None = None,
     ) -> Pool:
-        """Draw people from a population and solve the POMDP of each.
+        """Draw people from a population, and set the POMDP of each up.
 
-        Of a task with many states, or one that is asked on demand, only those are looked at to which people come
-        (`WidePolicy`). Their problems are solved when a policy needs it (`Pool.policy`).
+        It is solved when a team policy first needs it, so that whoever is in no team costs no time. Of a task with many
+        states, or one that is asked on demand, only those are looked at to which people come (`WidePolicy`).
 
         Parameters
         ----------
@@ -117,8 +116,6 @@ class Pool:
             Gives the policy for one person's problem.
         memory_limit_mb : float
             What QMDP's policies of all may take, in megabytes; it is known before anything is allocated.
-        progress : callable, optional
-            Called with how many POMDPs have been solved, and of how many, at the beginning and after each.
         states : int
             Tables of at most so many states are looked at whole; of at most `LARGEST` where people remember what they
             did, actions are executed or a solver is given.
@@ -159,16 +156,11 @@ class Pool:
         robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
         one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
         _allow(one, len(choices), models, memory_limit_mb)
-        tell = progress or (lambda *_: None)
-        tell(0, models)
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
-        policies = []
-        for done, human in enumerate(known, start=1):
-            policies.append(solver(setting.problem(choices, human, prior)))
-            tell(done, models)
+        policies = tuple(Later(setting.problem(choices, human, prior), solver) for human in known)
         number = np.arange(size) if models > 1 else np.zeros(size, dtype=np.int64)
-        return cls(setting, tuple(people), tuple(policies), number)
+        return cls(setting, tuple(people), policies, number)
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
@@ -208,14 +200,8 @@ class Pool:
         """Give the task of a person."""
         return self.policies[self.model[person]].pomdp.model.choices
 
-    def policy(
-        self,
-        name: str,
-        travel: Travel | None = None,
-        *,
-        progress: Callable[[int, int], None] | None = None,
-    ) -> TeamPolicy:
-        """Make a team policy by its name.
+    def policy(self, name: str, travel: Travel | None = None) -> TeamPolicy:
+        """Make a team policy by its name; people's problems are solved when it first needs it.
 
         Parameters
         ----------
@@ -223,11 +209,9 @@ class Pool:
             One of `POLICIES`.
         travel : Travel, optional
             The way between people, if it is not that of the setting.
-        progress : callable, optional
-            As in `named`.
         """
         # As all places are equally far, two stand for any number.
-        return named(name, self.policies, travel or self.setting.travel(2), progress=progress)
+        return named(name, self.policies, travel or self.setting.travel(2))
 
 
 def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:

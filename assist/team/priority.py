@@ -9,7 +9,7 @@ others is one price at all steps, or one for each, as a bound on the team has th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -95,12 +95,11 @@ class Priority:
         policies: Sequence[Policy],
         travel: Travel,
         price: ArrayLike | None = None,
-        *,
-        progress: Callable[[int, int], None] | None = None,
     ) -> Priority:
-        """Work the policy out for people, each by themselves, and the way between them.
+        """Make the policy for people, each by themselves, and the way between them.
 
-        Where places are not equally far, coming back counts as far as it is on average.
+        What it takes to help each of them is worked out when they are first met, or by `prepare`. Where places are not
+        equally far, coming back counts as far as it is on average.
 
         Parameters
         ----------
@@ -111,9 +110,6 @@ class Priority:
             0.1 to 0.2 of the cheapest action's cost were about equally good for teams of 2 to 100; or at each of the
             steps from 0 on, and then nothing, for people on tasks that are looked at whole who all begin at step 0.
             The policy then knows the states that can be reached by each step, and refuses a person in another one.
-        progress : callable, optional
-            Called with how many problems of people on tasks that are not looked at whole have been solved, and of how
-            many.
 
         Raises
         ------
@@ -139,12 +135,14 @@ class Priority:
             return Presence.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
-        made = cls(entry, steps, longest, prices, ByPolicy(whole, presence))
-        for done, policy in enumerate(wide):
-            if progress is not None:
-                progress(done, len(wide))
-            policy.visited(entry, steps, longest, float(each))
-        return made
+        return cls(entry, steps, longest, prices, ByPolicy(whole, presence))
+
+    def prepare(self, policy: Policy) -> None:
+        """Work out now what it takes to help the people of a policy."""
+        if isinstance(policy, WidePolicy):
+            policy.visited(self.entry, self.entry_steps, self.longest, float(self.price[0]))
+        else:
+            self.presence(policy)
 
     def __call__(self, team: TeamState, /) -> TeamAction:
         """Choose the person with whom to be, in every team."""

@@ -7,6 +7,7 @@ the same form will do.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
@@ -37,7 +38,7 @@ class PolicyError(ValueError):
 
 
 class ByPolicy(Generic[T]):
-    """What has been worked out for each of some policies for one person.
+    """What is worked out for each of some policies for one person, when it is first asked for; any thread may ask.
 
     Parameters
     ----------
@@ -47,12 +48,19 @@ class ByPolicy(Generic[T]):
 
     def __init__(self, policies: Iterable[Policy], work_out: Callable[[Policy], T]) -> None:
         # By identity: policies are told apart as objects, whatever they hold. Each is kept as long as its number.
-        self._known = {id(policy): (policy, work_out(policy)) for policy in policies}
+        self._policies = {id(policy): (policy, threading.Lock()) for policy in policies}
+        self._known: dict[int, T] = {}
+        self._work_out = work_out
 
     def __getitem__(self, policy: Policy) -> T:
-        if id(policy) not in self._known:
+        number = id(policy)
+        if number not in self._policies:
             raise ValueError("a policy for people whom this team policy was not made for; expected one of those given")
-        return self._known[id(policy)][1]
+        if number not in self._known:
+            with self._policies[number][1]:
+                if number not in self._known:
+                    self._known[number] = self._work_out(policy)
+        return self._known[number]
 
 
 @dataclass(frozen=True)
