@@ -26,7 +26,7 @@ from assist.team import wide
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import by_model
-from planner import CostToGo, OnDemand, Table
+from planner import CostToGo, OnDemand, Table, cost_to_go, load
 
 WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
 
@@ -429,3 +429,18 @@ def test_a_robot_on_its_way_to_a_person_who_leaves_helps_others(tiny: Table, rep
     assert desk.recommend().arrived
     with pytest.raises(UnknownError):
         desk.arrived("carl")
+
+
+def test_free_actions_of_cheapest_plans_are_no_errors() -> None:
+    """Loading costs nothing: the cost-to-go stays the same, and the action is still an optimal choice."""
+    table = cost_to_go(load("delivery/one-parcel"))
+    desk = Assistant(table, policy="none", people=["ann"])
+    before = desk.person("ann").cost_to_go
+    same = []
+    for action in table.optimal_plan() or []:
+        desk.observe("ann", action)
+        assert not desk.erred("ann")
+        before, known = desk.person("ann").cost_to_go, before
+        same.append(before == known)
+    assert any(same)
+    assert desk.person("ann").finished

@@ -78,6 +78,8 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
         own = [one for one in actions if one["participant"] == task["participant"] and one["task"] == "tiny"]
         assert int(task["actions"]) == len(own)
         assert int(task["suggestions"]) == sum(one["suggestion"] != "" for one in own)
+        worse = [one for one in own if float(one["cost_after"]) >= float(one["cost_before"])]  # as each action costs 1
+        assert int(task["suboptimal_actions"]) == len(worse) == sum(one["optimal"] == "false" for one in own)
         assert (task["finished"], own[-1]["cost_after"], task["optimal_cost"]) == ("true", "0.0", "6.0")
 
     # The same figures by other means.

@@ -269,6 +269,10 @@ class Assistant:
         self._advice = None
         return last.action
 
+    def erred(self, person: str) -> bool:
+        """Return whether a person's last action was not an optimal choice."""
+        return bool(self._team.erred[self._team.known(person).place])
+
     def _believe(self, record: Record, step: Step) -> bool:
         """Update the belief in a person by a step, and return whether it was not an optimal choice."""
         part, row = record.problem.at(step.place)

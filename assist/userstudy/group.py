@@ -68,6 +68,7 @@ class Group:
         seen = {
             "suggestion": None if subs[0].get("unheard") else before["suggestion"],
             "cost_before": before["cost_to_go"], "cost_after": after["cost_to_go"], "finished": after["finished"],
+            "optimal": not self.course.desk.erred(self.name),
         }  # fmt: skip
         return {"team": subs, "seen": seen}
 

@@ -40,7 +40,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "finished": "whether the goal was reached",
         "actions": "actions taken",
         "optimal_cost": "cost of a cheapest plan from the beginning; the number of actions where each costs 1",
-        "suboptimal_actions": "actions that did not lower the cost-to-go",
+        "suboptimal_actions": "actions that no cheapest plan begins with",
         "suggestions": "suggestions that were answered by an action",
         "followed": "of these, followed",
         "seconds": "from the beginning to the last action, without those in which the service did not run",
@@ -57,6 +57,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "followed": "whether the action is the suggestion; empty without one",
         "cost_before": "cheapest way to the goal before the action; empty in a dead end",
         "cost_after": "the same after it",
+        "optimal": "whether a cheapest plan begins with it",
     },
     "answers": {
         "participant": "code of a participant",
@@ -229,16 +230,15 @@ def _action(stage: Stage, record: Mapping[str, Any], step: int) -> Row:
     return {
         "task": stage.what, "step": step, "time": record["time"], "action": own["action"],
         "suggestion": seen["suggestion"], "followed": followed, "cost_before": seen["cost_before"],
-        "cost_after": seen["cost_after"],
+        "cost_after": seen["cost_after"], "optimal": seen["optimal"],
     }  # fmt: skip
 
 
 def _count(task: Row, action: Row, finished: bool, seconds: float) -> None:
-    before, after = action["cost_before"], action["cost_after"]
     if action["step"] == 0:
-        task["optimal_cost"] = before
+        task["optimal_cost"] = action["cost_before"]
     task["finished"], task["seconds"] = finished, round(seconds, 3)
     task["actions"] += 1
-    task["suboptimal_actions"] += after is None or after >= before
+    task["suboptimal_actions"] += not action["optimal"]
     task["suggestions"] += action["suggestion"] is not None
     task["followed"] += bool(action["followed"])
