@@ -208,3 +208,9 @@ def test_a_single_episode_has_no_standard_error() -> None:
     assert said.endswith("of one episode; 1 of 12 people drawn\n")
     assert "nan" not in said
     assert "±" not in said
+
+
+def test_more_episodes_than_anybody_can_wait_for_are_refused() -> None:
+    said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--episodes", "99999999999")
+    assert said.exit_code == 2
+    assert "99999999999 is not in the range" in said.stderr

@@ -24,6 +24,9 @@ BEYOND = 1e-6
 PORTION = 1024
 """Episodes between two looks at the clock."""
 
+AT_ONCE = 65_536
+"""Episodes that are simulated together where there is no clock: their records take some 10 MB a person."""
+
 
 @dataclass(frozen=True)
 class Certificate:
@@ -101,10 +104,10 @@ def returns(
     ) + travel.c_move * float(travel.distance.max())
     deadline = None if time_limit is None else time.perf_counter() + time_limit
     parts: list[Floats] = []
-    for start in range(0, episodes, episodes if deadline is None else PORTION):
+    for start in range(0, episodes, portion := AT_ONCE if deadline is None else PORTION):
         if parts and deadline is not None and time.perf_counter() > deadline:
             break
-        numbers = np.arange(start, min(episodes, start + (episodes if deadline is None else PORTION)))
+        numbers = np.arange(start, min(episodes, start + portion))
         run = simulate(pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model")
         left = (~run.finished).sum(axis=1) * dearest * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - left)

@@ -22,7 +22,7 @@ from .team import team_of, team_options
 @instance_argument
 @policy_option("Team policy; repeat it to certify several with the same bound.")
 @click.option(
-    "--episodes", type=click.IntRange(min=2), default=20_000, show_default=True,
+    "--episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
     help="From which its value is estimated.",
 )  # fmt: skip
 @gap_option("Relative gap to which each person's problem is solved.")
