@@ -314,7 +314,7 @@ def test_sample_paths_on_the_command_line() -> None:
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
-    sampled, errors = document["sampled"], 1.699  # Student's t of 29 degrees of freedom, from a table
+    sampled, errors = document["sampled"], 2.462  # Student's t of 29 degrees of freedom, from a table
     assert (sampled["paths"], document["confidence"]) == (30, 0.95)
     assert document["upper"] >= sampled["mean"] + errors * sampled["stderr"] - 1e-3
     assert document["upper"] < document["upper_proven"]
@@ -331,14 +331,14 @@ def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) 
 
 def test_few_paths_say_less() -> None:
     """Standard errors above the mean, from a table of Student's t; two paths hardly say anything."""
-    for paths, errors in ((2, 6.314), (3, 2.920), (11, 1.812), (100_000, 1.645)):
+    for paths, errors in ((2, 31.821), (3, 6.965), (11, 2.764), (100_000, 2.326)):
         assert Sampled(-9.0, 0.5, paths, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
         assert Sampled(-9.0, 0.5, paths, 0.3, skewness=-2.0).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
 
 
 @pytest.mark.parametrize(("skewness", "paths"), [(0.3, 30), (1.0, 40), (2.0, 100), (6.0, 30)])
 def test_a_skewed_mean_has_the_bound_at_which_halls_cubic_is_students_t(skewness: float, paths: int) -> None:
-    from_table = {30: 1.6991, 40: 1.6849, 100: 1.6604}[paths]
+    from_table = {30: 2.4620, 40: 2.4258, 100: 2.3646}[paths]
 
     def cubic(w: float) -> float:
         g = skewness
@@ -355,7 +355,7 @@ def test_the_correction_for_skewness_misses_less_often_than_students_t() -> None
     rng, seeds, mean = np.random.default_rng(0), 2000, math.exp(0.5)
     found = [Sampled.of(rng.lognormal(size=30).tolist(), 30, 0.0) for _ in range(seeds)]
     missed = np.mean([one.upper < mean for one in found])
-    student = np.mean([one.mean + 1.699 * one.stderr < mean for one in found])
+    student = np.mean([one.mean + 2.462 * one.stderr < mean for one in found])
     assert missed < 0.75 * student
     small = [Sampled.of(rng.gamma(2.0, size=30).tolist(), 30, 0.0) for _ in range(seeds)]
     assert np.mean([one.upper < 2.0 for one in small]) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / seeds)

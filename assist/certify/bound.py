@@ -96,7 +96,7 @@ class TeamBound:
         Who is at each place.
     travel : Travel
     upper : float
-        Mean discounted return, in cost units. Where lucks were sampled it holds with a nominal confidence of
+        Mean discounted return, in cost units. Where lucks were sampled it holds with a confidence of
         `confidence.CONFIDENCE`, else in any case.
     slack : float
         By how much `upper` could be lower, at most, if each person's problem had been solved to the end: the sum of

@@ -29,7 +29,7 @@ from .team import team_of, team_options
 @seconds_option("Seconds for all of it; what has been proven by then is reported.", default=300.0)
 @click.option(
     "--paths", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Sample so many paths (at least 30) for a tighter bound, at a nominal confidence of 95 %.",
+    help="Sample so many paths (at least 30) for a tighter bound, with a confidence of 95 %.",
 )  # fmt: skip
 @click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
 @team_options

@@ -55,6 +55,6 @@ def show_samples(found: TeamBound) -> None:
         click.echo(f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--paths, --time-limit)")
     else:
         click.echo(
-            f"the bound is that of {sampled.paths} sample paths, at a nominal confidence of {CONFIDENCE:.0%}; "
+            f"the bound is that of {sampled.paths} sample paths, with a confidence of {CONFIDENCE:.0%}; "
             f"{found.proven:.3f} holds in any case"
         )
