@@ -9,8 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from xml.sax.saxutils import escape
 
-from conftest import ROOT
-from test_architecture import ROOMS, imports, modules, within
+from test_architecture import ROOMS, ROOT, imports, modules, within
 
 FILE = ROOT / "docs" / "figures" / "architecture.svg"
 WIDTH, HEIGHT, ACROSS, DOWN, MARGIN = 218, 78, 236, 118, 12

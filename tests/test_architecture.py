@@ -9,10 +9,11 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
 
 from assist.cli import main
 from assist.cli.commands import COMMANDS
+
+ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner": """lazy errors arrays storage machine processes threads reports bars progress workers expressions shipped

@@ -9,16 +9,16 @@ import re
 from pathlib import Path
 
 import pytest
-from conftest import invoke, kit
+from conftest import invoke, kit, write_instance
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recorded import BACK, FETCH, RIGHT, WRONG, lines
+from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
 
 from assist.learning.actions import UnmatchedError, words_of
 from assist.learning.log import Log, read_log, told
 from assist.learning.log_files import MISSING
 from assist.learning.recording import replay
-from planner import Table
+from planner import Table, load, sweep
 
 PLAN = kit("tiny").optimal_plan() or []
 
@@ -264,3 +264,20 @@ def test_columns_are_named_on_the_command_line(tmp_path: Path) -> None:
     noted.write_text(HEAD + ROWS.replace(",\n", ",NA\n"))
     found = invoke("fit", "kitting/tiny", noted, "--jobs", 1, "--json")
     assert (found.stdout, found.stderr.count(f"{noted}: read 'NA' as a missing value")) == (first.stdout, 1)
+
+
+def test_an_action_that_never_changes_anything_can_be_dropped(tmp_path: Path) -> None:
+    """Going from a room to itself: the grounded task does not have it, and the rest of the episode is used."""
+    domain = """(define (domain rooms) (:predicates (at ?r) (room ?r))
+        (:action go :parameters (?a ?b) :precondition (and (at ?a) (room ?b)) :effect (and (not (at ?a)) (at ?b))))"""
+    problem = """(define (problem one) (:domain rooms) (:objects a b c) (:init (at a) (room a) (room b) (room c))
+        (:goal (at c)))"""
+    rooms = sweep(load(write_instance(tmp_path, domain, problem)))
+    assert "(go b b)" not in rooms.task.actions
+    rows = lines("(go a b)", "(go b b)", "(go b c)")
+    recording, faults = replay(log_of(rows), rooms)
+    assert (len(recording), [fault.line for fault in faults]) == (0, [2])
+    assert "(go b b) is no action of the task, which has none that can never be done or never ch" in faults[0].message
+    recording, faults = replay(log_of(rows), rooms, drop=["(go b b)"])
+    assert (len(recording), faults) == (2, [])
+    assert len(replay(log_of(rows), rooms, drop=["go b"])[0]) == 1  # all that begin so

@@ -66,7 +66,9 @@ def log_options(command: Command) -> Command:
             "--largest-beta", type=NUMBER,
             help="Where beta's range ends.  [default: 10, divided by the cost of the smallest possible mistake]",
         ),
-        click.option("--drop", multiple=True, metavar="NAME", help="Leave actions of this name out; may be repeated."),
+        click.option(
+            "--drop", multiple=True, metavar="ACTION", help="Leave out actions of this name, or with these arguments."
+        ),
         click.option(
             "--rename", multiple=True, metavar="OLD=NEW",
             help="What the log calls OLD the task calls NEW; may be repeated.",

@@ -65,6 +65,7 @@ class Matcher:
         self.actions = actions
         self.words = [tuple(action[1:-1].lower().split()) for action in actions]
         self.number = {words: number for number, words in enumerate(self.words)}
+        self.objects = {word for words in self.words for word in words[1:]}
         self.beginnings = {words[:end] for words in self.words for end in range(1, len(words) + 1)}
 
     def slot(self, words: Words, options: NDArray[np.int32]) -> int:
@@ -95,7 +96,10 @@ class Matcher:
             return None
         if words[:1] not in self.beginnings:
             return f"{_shown(words)}: no action of the task is called '{words[0]}'"
-        return f"{_shown(words)} is no action of the task"
+        why = (
+            "" if set(words[1:]) - self.objects else ", which has none that can never be done or never changes anything"
+        )
+        return f"{_shown(words)} is no action of the task{why}"
 
     def _nearest(self, words: Words, options: NDArray[np.int32]) -> str:
         """Name the applicable actions that are nearest in writing, three at the most."""

@@ -157,7 +157,8 @@ def replay(
     answers : CostToGo
         Only its `choices` and `is_goal` are asked for.
     drop : sequence of str
-        Names of actions that are no choices (a log may say so of standing still); they are left out.
+        Actions that are no choices, each by its name and the first of its arguments; they are left out. A log may say
+        so of standing still, or of a ground action that never changes anything, which the grounded task leaves out.
     rename : mapping of str to str, optional
         Names in the log, and what the task calls those actions.
 
@@ -175,7 +176,7 @@ def replay(
     """
     matcher = Matcher(answers.task.actions)
     renamed = {old.lower(): new.lower() for old, new in (rename or {}).items()}
-    dropped = {name.lower() for name in drop}
+    dropped = {words_of(action) for action in drop}
     _check_names(log, matcher, dropped, renamed)
     episodes: dict[Names, list[Entry]] = {}
     for entry in log.entries:
@@ -215,19 +216,20 @@ def replay(
     return _recording(used, costs), sorted(faults, key=lambda fault: fault.line)
 
 
-def _check_names(log: Log, matcher: Matcher, dropped: set[str], renamed: Mapping[str, str]) -> None:
+def _check_names(log: Log, matcher: Matcher, dropped: set[Words], renamed: Mapping[str, str]) -> None:
     """Refuse names that stand for nothing: they are misspelt."""
     called = log.called
     if not called:
         return
-    known = {words[0] for words in matcher.words} | {STAND_STILL[1:-1]} | dropped
+    known = {words[0] for words in matcher.words} | {STAND_STILL[1:-1]} | {words[0] for words in dropped if words}
     for old, new in renamed.items():
         if old not in called:
             raise ValueError(f"rename {old}={new}: no action in {log.name} is called '{old}'")
         if new not in known:
             raise ValueError(f"rename {old}={new}: no action of the task is called '{new}'")
-    for name in dropped - {renamed.get(old, old) for old in called}:
-        raise ValueError(f"drop {name}: no action in {log.name} is called so")
+    for words in dropped:
+        if words[:1] not in {(renamed.get(old, old),) for old in called}:
+            raise ValueError(f"drop {' '.join(words)}: no action in {log.name} is called so")
 
 
 def _at(entry: Entry, message: str, *, spoils: bool = True) -> Fault:
@@ -244,13 +246,13 @@ class _Event:
     robot: bool
 
     @classmethod
-    def of(cls, entry: Entry, dropped: set[str], renamed: Mapping[str, str]) -> list[_Event]:
+    def of(cls, entry: Entry, dropped: set[Words], renamed: Mapping[str, str]) -> list[_Event]:
         """Give what happens in a line of the log, in that order."""
         events = []
         if entry.executed is not None:
             events.append(cls(entry, words_of(entry.executed, renamed), None, robot=True))
         action = () if entry.action is None else words_of(entry.action, renamed)
-        if entry.action is not None and action[:1] not in {(name,) for name in dropped}:
+        if entry.action is not None and not any(action[: len(words)] == words for words in dropped):
             suggestion = None if entry.suggestion is None else words_of(entry.suggestion, renamed)
             events.append(cls(entry, action, suggestion, robot=False))
         return events
