@@ -60,7 +60,7 @@ def test_episodes_as_a_data_frame(episodes: Episodes) -> None:
     frame = episodes.to_frame()
     assert list(frame.columns) == [
         "policy", "episode", "person", "beta", "theta", "sigma", "actions", "cost", "finished", "helped",
-        "interventions", "moves", "steps", "discounted_return",
+        "executed", "interventions", "moves", "steps", "discounted_return",
     ]  # fmt: skip
     assert len(frame) == 10
     for row in frame.to_dict("records"):

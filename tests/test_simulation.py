@@ -372,7 +372,13 @@ def test_execution_by_the_robot(tiny_choices: Choices) -> None:
     episodes = simulate(pool, pool.policy("attention"), humans=1, episodes=50, seed=0, trace=trace)
     assert episodes.finished.all()
     assert episodes.actions.min() == 3
-    assert episodes.helped.sum() > 0
+    done = sum(row["executed"] is not None for row in trace)
+    said = sum(row["suggestion"] is not None for row in trace)
+    assert (episodes.executed.sum(), episodes.helped.sum()) == (done, done + said)
+    summary = episodes.summary().record()
+    assert summary["executions"]["mean"] * 50 == pytest.approx(done)
+    assert summary["suggestions"]["mean"] + summary["executions"]["mean"] == summary["interventions"]["mean"]
+    assert done > 0
     assert sum(row["reward"] for row in trace) == pytest.approx(-episodes.costs.sum())
 
 

@@ -19,10 +19,13 @@ def _cell(mean: float, error: float) -> str:
 def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
     """Print a row for each policy, and how many of a pool's people were in a team."""
     table = Table(box=None, pad_edge=False)
-    for column in ("policy", *SHOWN.values(), "cut off"):
+    shown = SHOWN
+    if any(summary.executions[0] for summary in summaries):  # else all interventions are suggestions
+        shown = {**SHOWN, "suggestions": "suggestions", "executions": "executions"}
+    for column in ("policy", *shown.values(), "cut off"):
         table.add_column(column.replace("_", " "), justify="left" if column == "policy" else "right")
     for summary in summaries:
-        cells = [_cell(*getattr(summary, name)) for name in SHOWN]
+        cells = [_cell(*getattr(summary, name)) for name in shown]
         table.add_row(summary.policy, *cells, f"{summary.cut_off}")
     print_table(table)
     count = summaries[0].episodes

@@ -35,7 +35,9 @@ class Episode:
         What these cost, in cost units.
     finished : tuple of bool
     helped : tuple of int
-        Suggestions made to each (and actions executed for them).
+        Suggestions made to each, and actions executed for them.
+    executed : tuple of int
+        Of these, actions executed.
     interventions, moves, steps : int
         Suggestions made and actions executed, changes of place, and steps until all had finished.
     discounted_return : float
@@ -52,6 +54,7 @@ class Episode:
     costs: tuple[float, ...]
     finished: tuple[bool, ...]
     helped: tuple[int, ...]
+    executed: tuple[int, ...]
     interventions: int
     moves: int
     steps: int
@@ -73,7 +76,7 @@ class Episodes:
     people : int array, shape (N, K)
         Numbers in the pool.
     beta, theta, sigma, costs : float arrays, shape (N, K)
-    actions, helped : int arrays, shape (N, K)
+    actions, helped, executed : int arrays, shape (N, K)
     finished : bool array, shape (N, K)
     interventions, moves, steps : int arrays, shape (N,)
     discounted_return : float array, shape (N,)
@@ -91,6 +94,7 @@ class Episodes:
     costs: Floats
     finished: NDArray[np.bool_]
     helped: NDArray[np.int64]
+    executed: NDArray[np.int64]
     interventions: NDArray[np.int64]
     moves: NDArray[np.int64]
     steps: NDArray[np.int64]
@@ -112,6 +116,8 @@ class Episodes:
             episodes=len(self),
             actions=_mean_and_error(self.actions.mean(axis=1)),
             interventions=_mean_and_error(self.interventions),
+            suggestions=_mean_and_error(self.interventions - self.executed.sum(axis=1)),
+            executions=_mean_and_error(self.executed.sum(axis=1)),
             moves=_mean_and_error(self.moves),
             discounted_return=_mean_and_error(self.discounted_return),
             cut_off=int(self.cut_off.sum()),
@@ -122,8 +128,9 @@ class Episodes:
 
         Its columns are `policy`, `episode`, `person` (their name in the pool), `beta` (per cost unit), `theta` (at the
         beginning) and `sigma` (cost units) of the person, `actions` (number), `cost` (of these actions, in cost units),
-        `finished` and `helped` (number of suggestions and executions); and of the episode, in each of its rows,
-        `interventions` and `moves` (numbers), `steps` (number) and `discounted_return` (cost units).
+        `finished`, `helped` (number of suggestions and executions) and `executed` (number of executions); and of the
+        episode, in each of its rows, `interventions` and `moves` (numbers), `steps` (number) and `discounted_return`
+        (cost units).
 
         Raises
         ------
@@ -136,7 +143,7 @@ class Episodes:
 
         number, people = self.people.shape
         own = {"beta": "beta", "theta": "theta", "sigma": "sigma", "actions": "actions", "cost": "costs",
-               "finished": "finished", "helped": "helped"}  # fmt: skip
+               "finished": "finished", "helped": "helped", "executed": "executed"}  # fmt: skip
         whole = ("interventions", "moves", "steps", "discounted_return")
         return pd.DataFrame(
             {
@@ -164,6 +171,7 @@ class Episodes:
             costs=tuple(self.costs[row].tolist()),
             finished=tuple(self.finished[row].tolist()),
             helped=tuple(self.helped[row].tolist()),
+            executed=tuple(self.executed[row].tolist()),
             interventions=int(self.interventions[row]),
             moves=int(self.moves[row]),
             steps=int(self.steps[row]),
@@ -194,9 +202,9 @@ class Summary:
     ----------
     policy : str
     episodes : int
-    actions, interventions, moves, discounted_return : tuple of float
-        Mean and standard error: human actions per person, and suggestions, changes of place and
-        return per episode.
+    actions, interventions, suggestions, executions, moves, discounted_return : tuple of float
+        Mean and standard error: human actions per person, and interventions, which are suggestions and executions,
+        each of the two, changes of place and return per episode.
     cut_off : int
         Episodes in which a person had neither finished nor left at the step limit.
     """
@@ -205,6 +213,8 @@ class Summary:
     episodes: int
     actions: tuple[float, float]
     interventions: tuple[float, float]
+    suggestions: tuple[float, float]
+    executions: tuple[float, float]
     moves: tuple[float, float]
     discounted_return: tuple[float, float]
     cut_off: int
@@ -214,19 +224,25 @@ class Summary:
         record: dict[str, Any] = {"policy": self.policy, "episodes": self.episodes}
         for name, label in SHOWN.items():
             mean, error = getattr(self, name)
-            record[label] = {"mean": mean, "stderr": None if math.isnan(error) else error}
+            record[label] = _record(mean, error)
+        record |= {"suggestions": _record(*self.suggestions), "executions": _record(*self.executions)}
         return {**record, "cut_off": self.cut_off}
 
     def __str__(self) -> str:
         shown = [
             f"{what} {mean:.2f}" + ("" if math.isnan(error) else f" ± {error:.2f}")
             for what, (mean, error) in (
-                ("actions per person", self.actions), ("suggestions", self.interventions), ("moves", self.moves),
-                ("return", self.discounted_return),
+                ("actions per person", self.actions), ("suggestions", self.suggestions),
+                ("executions", self.executions), ("moves", self.moves), ("return", self.discounted_return),
             )
+            if what != "executions" or mean
         ]  # fmt: skip
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
         return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut})"
+
+
+def _record(mean: float, error: float) -> dict[str, float | None]:
+    return {"mean": mean, "stderr": None if math.isnan(error) else error}
 
 
 def _mean_and_error(values: NDArray[Any]) -> tuple[float, float]:

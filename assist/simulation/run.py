@@ -69,6 +69,7 @@ class Run:
         self.actions = np.zeros(shape, dtype=np.int64)
         self.costs = np.zeros(shape)
         self.helped = np.zeros(shape, dtype=np.int64)
+        self.executed = np.zeros(shape, dtype=np.int64)
         self.moves = np.zeros(len(numbers), dtype=np.int64)
         self.steps = np.zeros(len(numbers), dtype=np.int64)
         self.discounted = np.zeros(len(numbers))
@@ -90,7 +91,7 @@ class Run:
         return Episodes(
             policy=self.name, episode=self.numbers, people=self.people, beta=self.beta, theta=self.first_theta,
             sigma=self.sigma, actions=self.actions, costs=self.costs, finished=self.finished, helped=self.helped,
-            interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
+            executed=self.executed, interventions=self.helped.sum(axis=1), moves=self.moves, steps=self.steps,
             discounted_return=self.discounted,
             cut_off=np.asarray((~self.finished & (self.presence.leaves > self.pool.setting.max_steps)).any(axis=1)),
         )  # fmt: skip
@@ -151,7 +152,9 @@ class Run:
         robot[teams, to] = does
         for number, rows in by_model(view.model[teams, to], np.flatnonzero(does > 0), len(view.policies)):
             at = (teams[rows], to[rows])
-            charged[at] += view.groups[number].arrays.robot_costs[view.x[at], does[rows]]
+            arrays = view.groups[number].arrays
+            charged[at] += arrays.robot_costs[view.x[at], does[rows]]
+            self.executed[at] += arrays.suggested[view.x[at], does[rows]] == NOTHING
         self.helped[teams, to] += does > 0
         return robot, charged
 
