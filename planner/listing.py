@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -226,7 +227,7 @@ class Listing:
 
 
 class Numbered:
-    """States that are numbered as they are met, in the order in which they are; by one thread at a time.
+    """States that are numbered as they are met, in the order in which they are. Any thread may ask.
 
     Parameters
     ----------
@@ -238,26 +239,35 @@ class Numbered:
         self._states = _Growing(np.uint64, words)
         self.slots = np.zeros(1 << 14, dtype=np.uint64)
         self._held = 0
+        self._lock = threading.Lock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, _lock=threading.Lock())
 
     def __len__(self) -> int:
         return self._held
 
     def numbers(self, states: Words) -> NDArray[np.int32]:
         """Give the numbers of states, shape (n, words); those that are new get the next ones."""
-        most = self._held + len(states)
-        self._states.make_room(most)
-        if most > FULL * len(self.slots):
-            self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
-            packed.fill_slots(self.slots, self._states.rows, 0, self._held)
-        numbers = np.empty(len(states), dtype=np.int32)
-        self._held = packed.insert(self.slots, self._states.rows, self._held, states, numbers)
+        with self._lock:
+            most = self._held + len(states)
+            self._states.make_room(most)
+            if most > FULL * len(self.slots):
+                self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
+                packed.fill_slots(self.slots, self._states.rows, 0, self._held)
+            numbers = np.empty(len(states), dtype=np.int32)
+            self._held = packed.insert(self.slots, self._states.rows, self._held, states, numbers)
         if self._held > MOST:
             raise LimitError(f"more than {MOST} states without an index")
         return numbers
 
     def states(self, numbers: Ints | slice) -> Words:
         """Give a copy of the states, shape (n, words), of some numbers."""
-        return self._states.rows[numbers].copy()  # the rows move as they grow
+        with self._lock:  # the rows move as they grow
+            return self._states.rows[numbers].copy()
 
     def trimmed(self) -> Words:
         """Give all states; no more can be met."""

@@ -118,7 +118,8 @@ class Cache:
 class OnDemand:
     """The cost-to-go of a task that is too large to enumerate.
 
-    States are numbered as they are met; the initial state is 0. The object grows with what it is asked.
+    States are numbered as they are met; the initial state is 0. The object grows with what it is asked, and any thread
+    may ask.
 
     Parameters
     ----------

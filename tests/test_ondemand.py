@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -50,6 +51,25 @@ def test_answers_equal_the_tables(name: str) -> None:
     plan = asked.optimal_plan()
     assert plan is not None
     assert asked.task.plan_cost(plan) == table[table.initial]
+
+
+def test_any_thread_may_ask() -> None:
+    """States are numbered once, and nothing is read while the rows move."""
+    table = table_of(Instance(KITTING / "ladder-3x5.pddl", KITTING / "domain.pddl"))
+    asked, found = OnDemand(table.task), np.full((8, len(table)), -1)
+
+    def ask(thread: int) -> None:
+        for block in np.array_split(np.random.default_rng(thread).permutation(len(table))[:6000], 60):
+            found[thread, block] = asked.numbers(table.values(block))
+            np.testing.assert_array_equal(asked.values(found[thread, block]), table.values(block))
+            targets = asked.choices(found[thread, block[:3]]).targets
+            np.testing.assert_array_equal(asked.values(targets), table.values(table.choices(block[:3]).targets))
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(ask, range(8)))
+    for state in range(len(table)):
+        assert len(set(found[:, state]) - {-1}) <= 1
+    assert len(np.unique(found)) - 1 <= len(asked) <= len(table)
 
 
 # Two ways of cost 6, of two actions and of three; a free way that is longer; a circle, and a dead end.
