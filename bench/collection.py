@@ -1,7 +1,7 @@
 """Other people's tasks: the first instance of each domain of the public collection `aibasel/downward-benchmarks`.
 
-    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--instance K] [--out FILE] [--busy N]
-                                                          [--compare SECONDS] [--count SECONDS]
+    DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--all] [--instance K] [--out FILE]
+                                                          [--busy N] [--compare SECONDS] [--count SECONDS]
 
 Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and memory.
 Of each that is swept, 20 states are then compared with Fast Downward's A*, for `--compare` seconds at most; of the
@@ -11,7 +11,8 @@ run's `--out`, the table has its figures beside. What `--out FILE` has already i
 others use, `--busy N` allows N times as much time on the clock; processor time is limited in any case. `--record FILE`
 writes the table for the documentation, and how many instances came to what into `FILE-outcomes.json`.
 
-Domains made for satisficing and agile tracks, and split ones, are left out.
+With `--read` each is compared with what Fast Downward's translator alone makes of the files: the same task, another
+one, or refused. Domains made for satisficing and agile tracks, and split ones, are left out unless `--all` is given.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,6 +34,7 @@ from typing import Any
 import click
 from tables import Columns, cell, record_option, write_record
 
+from planner import Task, find_instances, instance
 from planner.budget import MAX_STATES
 from planner.machine import processors
 
@@ -43,19 +46,13 @@ COUNT_MEMORY = 12e9  # bytes in which states are counted
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning: "
 
 
-def instances(folder: Path, number: int) -> list[tuple[Path, Path]]:
+def instances(folder: Path, number: int, *, every: bool) -> list[tuple[Path, Path]]:
     """The n-th problem of each domain, with its domain file, however the two are named."""
     found = []
     for place in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
-        if any(word in place.name for word in LEFT_OUT):
-            continue
-        problems = sorted(f for f in place.rglob("*.pddl") if "domain" not in f.name)
-        for problem in problems[number - 1 : number]:
-            names = ["domain.pddl", f"{problem.stem}-domain.pddl", f"domain_{problem.name}", f"domain-{problem.name}"]
-            names += [f"{problem.stem[:3]}-domain.pddl"]
-            beside = (problem.with_name(name) for name in names)
-            found.append((next(file for file in beside if file.is_file()), problem))
-    return found
+        if every or not any(word in place.name for word in LEFT_OUT):
+            found += find_instances([place])[number - 1 : number]
+    return [(one.domain, one.problem) for one in found]
 
 
 def name_of(problem: Path) -> str:
@@ -63,20 +60,43 @@ def name_of(problem: Path) -> str:
     return "/".join(problem.parts[-2:] if problem.parent.name != "mprime-renamed" else problem.parts[-3:])
 
 
-def read(domain: str, problem: str) -> dict[str, Any]:
-    from planner import PDDLError, instance, load
+def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
+    """Read an instance, and compare it with what Fast Downward's translator alone makes of the files."""
+    from planner import LimitError, Limits, PDDLError, load
 
     try:
-        task = load(instance(problem, domain))
+        alone = translated(domain, problem, seconds)
+        task = load(instance(problem, domain), limits=Limits(seconds))
     except PDDLError as error:
-        return {"status": "invalid", "said": str(error)}
-    return {"status": "read", "said": task.note, "variables": len(task.variables), "operators": len(task.operators)}
+        return {"status": "refused by both" if alone is None else "refused", "said": str(error)}
+    except (LimitError, subprocess.TimeoutExpired) as error:
+        return {"status": "time out", "said": str(error)}
+    sizes = {"variables": len(task.variables), "operators": len(task.operators)}
+    if alone is None:
+        return {"status": "read here only", "said": task.note, **sizes}
+    names = ("variables", "actions", "costs", "operators", "axioms", "initial", "goal")
+    other = [name for name in names if getattr(task, name) != getattr(alone, name)]
+    return {"status": "differs" if other else "read alike", "said": ", ".join(other) or task.note, **sizes}
+
+
+def translated(domain: str, problem: str, seconds: float) -> Task | None:
+    """What Fast Downward's translator makes of files as they are; None where it refuses them."""
+    from planner.fast_downward import TRANSLATE_OPTIONS
+    from planner.task import from_sas
+
+    with tempfile.TemporaryDirectory() as folder:
+        sas = Path(folder) / "output.sas"
+        command = [sys.executable, "-m", "fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas)]
+        done = subprocess.run([*command, domain, problem], capture_output=True, timeout=seconds, check=False)
+        if done.returncode or not sas.is_file():
+            return None
+        return from_sas(sas.read_text(encoding="utf-8"), instance(problem, domain))
 
 
 def solve(domain: str, problem: str, seconds: float, memory: float, patience: float) -> dict[str, Any]:
     import numpy as np
 
-    from planner import Limits, Table, instance, verify
+    from planner import Limits, Table, verify
     from planner.solving import SolveOptions, solve_instance
     from planner.verifying import check_successors
 
@@ -99,7 +119,7 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
 
 def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
     """Count states, up to as many as `solve` enumerates."""
-    from planner import LimitError, instance, listing, load
+    from planner import LimitError, listing, load
     from planner.budget import Budget
 
     found, task, why = 1, load(instance(problem, domain)), None
@@ -134,7 +154,7 @@ class Limited:
     def most(self) -> dict[str, float]:
         """Give the seconds that each piece of work may take on the clock."""
         compare = 3 * self.compare  # a search that begins as the time is over, and the comparison with what comes after
-        seconds = {"read": self.seconds, "solve": self.seconds + compare, "count": self.seconds + self.count}
+        seconds = {"read": 2 * self.seconds, "solve": self.seconds + compare, "count": self.seconds + self.count}
         return {what: one * self.busy + GRACE for what, one in seconds.items()}
 
     def options(self) -> list[str]:
@@ -149,7 +169,7 @@ def done(what: str, domain: str, problem: str, limits: Limited) -> dict[str, Any
     seconds = limits.most[what] if what != "solve" else limits.seconds + limits.compare + GRACE
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * processors()), most))
     if what == "read":
-        return read(domain, problem)
+        return read(domain, problem, limits.seconds * limits.busy)
     if what == "count":
         return count(domain, problem, limits.count * limits.busy)
     return solve(domain, problem, limits.seconds * limits.busy, limits.memory, limits.compare * limits.busy)
@@ -284,7 +304,8 @@ def keep(found: dict[str, dict[str, Any]], row: dict[str, Any], out: Path | None
 
 @click.command()
 @click.argument("domains", nargs=-1)
-@click.option("--read", "only_read", is_flag=True, help="Read only.")
+@click.option("--read", "only_read", is_flag=True, help="Read only, and compare with the translator.")
+@click.option("--all", "every", is_flag=True, help="The domains of all tracks.")
 @click.option("--instance", "which", type=int, default=1, show_default=True, help="Which instance of each domain.")
 @click.option("--seconds", type=float, default=60.0, show_default=True)
 @click.option("--compare", type=float, default=20.0, show_default=True, help="Seconds for comparing.")
@@ -296,8 +317,9 @@ def keep(found: dict[str, dict[str, Any]], row: dict[str, Any], out: Path | None
 @record_option
 @click.option("--one", nargs=3, hidden=True)
 def main(
-    domains: tuple[str, ...], only_read: bool, which: int, seconds: float, compare: float, counting: float, busy: float,
-    memory: float, out: Path | None, before: Path | None, record: Path | None, one: tuple[str, str, str] | None,
+    domains: tuple[str, ...], only_read: bool, every: bool, which: int, seconds: float, compare: float, counting: float,
+    busy: float, memory: float, out: Path | None, before: Path | None, record: Path | None,
+    one: tuple[str, str, str] | None,
 ) -> None:  # fmt: skip
     """Read and solve an instance of each domain of a collection."""
     limits = Limited(seconds, compare, counting, busy, memory)
@@ -309,7 +331,9 @@ def main(
         print("DOWNWARD_BENCHMARKS is not set to the collection's folder: nothing to do")
         return
     found = rows_of(out)
-    chosen = [pair for pair in instances(Path(folder), which) if not domains or {*domains} & {*pair[1].parts}]
+    chosen = [
+        pair for pair in instances(Path(folder), which, every=every) if not domains or {*domains} & {*pair[1].parts}
+    ]
     for domain, problem in chosen:
         if name_of(problem) not in found:
             keep(found, run(domain, problem, limits, only_read=only_read), out)
