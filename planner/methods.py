@@ -28,7 +28,7 @@ from .costtogo import Table
 from .fast_downward import NO_LIMITS, LimitError, Limits
 from .ondemand import Cache, OnDemand
 from .orbits import Orbits, orbits
-from .reports import Progress
+from .progress import Progress, Wanted, shows_progress
 from .sweep import sweep
 from .task import Task
 
@@ -69,6 +69,7 @@ class _Stop(threading.Event):
         return self.wait(seconds) if seconds > 0 else super().is_set()
 
 
+@shows_progress
 def cost_to_go(
     task: Task,
     states: ArrayLike | None = None,
@@ -79,7 +80,7 @@ def cost_to_go(
     cache: Cache | None = None,
     jobs: int | None = None,
     limits: Limits = NO_LIMITS,
-    progress: Progress | None = None,
+    progress: Wanted = None,
     checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
 ) -> Table | OnDemand:
@@ -107,7 +108,9 @@ def cost_to_go(
         Threads of the sweep, or searches at a time; one per processor unless given.
     limits : Limits
         Of each single search on demand.
-    progress, checkpoint, lent
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`.
+    checkpoint, lent
         Of the sweep.
 
     Returns
@@ -120,8 +123,9 @@ def cost_to_go(
     LimitError
         The deadline has passed.
     """
+    assert callable(progress)
 
-    def swept(stop: threading.Event | None = None, progress: Progress | None = progress) -> Table | _Unswept:
+    def swept(stop: threading.Event | None = None, progress: Progress = progress) -> Table | _Unswept:
         """Sweep; give the reason if that is not possible."""
         states = 0
         try:
@@ -175,7 +179,7 @@ def _race(
     cache: Cache | None,
     jobs: int | None,
     limits: Limits,
-    progress: Progress | None,
+    progress: Progress,
 ) -> Table | OnDemand:
     """Sweep and ask for states, of shape (N, variables), at the same time, until one of the two is done.
 
@@ -196,8 +200,7 @@ def _race(
     def told(what: str, done: int, of: int | None) -> None:
         if what == "cost-to-go" and len(states) - answered > LONGER * (answered + 1):
             late.set()
-        if progress is not None:
-            progress(what, done, of)
+        progress(what, done, of)
 
     def sweeping() -> Table | _Unswept:
         try:

@@ -19,12 +19,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
-from .reports import Progress
+from .reports import Progress as Progress
 
 Wanted = Progress | bool | None
 """Who is told how far work is: a function, or somebody who looks on."""
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+UNSHOWN = "KITASSIST_PROGRESS"
+"""The environment variable that is 0 where nothing is to be shown unasked."""
 
 AFTER = 2.0  # seconds that work takes before anybody who did not ask is told
 BETWEEN_LINES = 30.0  # seconds
@@ -102,14 +105,22 @@ def shows_progress(function: F) -> F:
 
 @contextmanager
 def told(progress: Wanted) -> Iterator[Progress]:
-    """Show long work to those who want it shown; call what is given as `stages` says."""
-    if callable(progress):
-        yield progress
-    elif _displays or not (_looked_at() if progress is None else progress):  # only the outermost is shown
-        yield lambda *_: None
-    else:
-        with stages(after=AFTER) as show:
-            yield show
+    """Show long work to those who want it shown; call what is given as `stages` says.
+
+    Work that is part of other work is not shown by itself: the caller of the whole has said what is wanted.
+    """
+    part = bool(_displays or _work)
+    _work.append(token := object())
+    try:
+        if callable(progress):
+            yield progress
+        elif part or not (_looked_at() if progress is None else progress):
+            yield lambda *_: None
+        else:
+            with stages(after=AFTER) as show:
+                yield show
+    finally:
+        _work.remove(token)
 
 
 def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
@@ -128,7 +139,7 @@ def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
 
 def _looked_at() -> bool:
     """Whether somebody looks on who did not ask for it."""
-    return os.environ.get("KITASSIST_PROGRESS") != "0" and (sys.stderr.isatty() or _notebook() is not None)
+    return os.environ.get(UNSHOWN) != "0" and (sys.stderr.isatty() or _notebook() is not None)
 
 
 def _notebook() -> Callable[..., Any] | None:
@@ -161,6 +172,9 @@ class _Display(Protocol):
 
 _displays: list[_Display] = []
 """What is shown now."""
+
+_work: list[object] = []
+"""What is under way now of which `told` knows, shown or not."""
 
 
 @contextmanager

@@ -28,8 +28,8 @@ from .fast_downward import LimitError
 from .listing import Listing, enumerated, settled
 from .machine import processors
 from .moves import split_operators
+from .progress import Progress, Wanted, shows_progress
 from .reached import States
-from .reports import Progress
 from .searches import Searches
 from .statespace import StateSpace
 from .successors import Ints, Transitions
@@ -92,6 +92,7 @@ class Indexed:
         return rows
 
 
+@shows_progress
 def sweep(
     task: Task,
     *,
@@ -100,7 +101,7 @@ def sweep(
     deadline: float | None = None,
     threads: int | None = None,
     stop: threading.Event | None = None,
-    progress: Progress | None = None,
+    progress: Wanted = None,
     checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
 ) -> Table:
@@ -120,9 +121,9 @@ def sweep(
         As many as there are processors unless given. The result does not depend on it.
     stop : threading.Event, optional
         The sweep is given up once it is set.
-    progress : callable, optional
-        Called after each layer of the search with what is under way, "states" or "cost-to-go", how many states have
-        been found, or have got theirs, and of how many (dead ends among them); None while nobody knows.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`, after each layer of the search: what is under way is
+        "states" or "cost-to-go", what is done the states that have been found, or have got theirs.
     checkpoint : path, optional
         A file in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task
         continues from there. It is removed when the sweep is done. One that is damaged is ignored, which the table's
@@ -135,20 +136,20 @@ def sweep(
     LimitError
         One of the limits does not suffice.
     """
+    assert callable(progress)
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
-    told = progress or (lambda *_: None)
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        return _listed(task, budget, threads, "it has derived variables", told)
+        return _listed(task, budget, threads, "it has derived variables", progress)
     moves = split_operators(task)
     if moves is None:
-        return _listed(task, budget, threads, "its operators split into very many moves", told)
+        return _listed(task, budget, threads, "its operators split into very many moves", progress)
     coding, moves = plain(task, moves)
     if coding is None or coding.size > MANY:
         with suppress(MemoryLimitError, MemoryError):  # an index may take less
-            few = enumerated(task, budget, threads, told, FEW * len(moves))
+            few = enumerated(task, budget, threads, progress, FEW * len(moves))
             if few is not None:
-                return _settled(task, few, budget, told, None)
+                return _settled(task, few, budget, progress, None)
         why = "its states take more than 62 bits each"
         try:
             coding, moves = denser(task, coding, moves, partial(budget.part(LOOKING).check_time, 1))
@@ -156,17 +157,17 @@ def sweep(
             budget.check_time(1)
             why = "looking for an index took too long"
         if coding is None:
-            return _listed(task, budget, threads, why, told)
+            return _listed(task, budget, threads, why, progress)
     if coding.size > HUGE:
         with suppress(MemoryLimitError, MemoryError):
-            return _listed(task, budget, threads, None, told)
+            return _listed(task, budget, threads, None, progress)
     searches = Searches(
         coding,
         build_tests(moves, coding, task.costs),
         build_tests([move.inverse() for move in moves], coding, task.costs),
         budget,
         threads,
-        told,
+        progress,
         None if checkpoint is None else Checkpoint(Path(checkpoint), task, coding.decoder),
     )
     states, transitions, distance = searches.solve(int(coding.encode(task.initial)[0]), task.goal)

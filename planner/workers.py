@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from . import processes
 from .errors import MissingExtraError
+from .progress import UNSHOWN
 from .reports import Listener, Reporter
 
 if TYPE_CHECKING:
@@ -138,8 +139,9 @@ _pipe: Connection | None = None  # of a worker, which is handed it as it begins
 
 
 def _begin(group: int, pipe: Connection | None) -> None:
-    """Begin a worker process."""
+    """Begin a worker process, which shows nothing by itself on the terminal that it shares."""
     global _pipe
+    os.environ[UNSHOWN] = "0"
     processes.join(group)
     _pipe = pipe
 

@@ -5,6 +5,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import threading
@@ -196,6 +197,12 @@ def small_study(shared_folder: Path) -> tuple[Study, Path, dict]:
             assert (result.exit_code, result.stderr) == (0, "")
             printed.write_text(result.stdout)
     return read(folder / "small.toml"), folder / "out", json.loads(printed.read_text())
+
+
+@pytest.fixture
+def results(small_study: tuple[Study, Path, dict], tmp_path: Path) -> Path:
+    """A folder of its results, to be changed."""
+    return Path(shutil.copytree(small_study[1], tmp_path / "out", ignore=shutil.ignore_patterns("figures")))
 
 
 def draw_first_picture(patched: pytest.MonkeyPatch) -> None:

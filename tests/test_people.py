@@ -62,16 +62,20 @@ def test_what_cannot_be_used_is_not_passed_over(tiny: Table) -> None:
         fit(tiny, log, strict=True)
     with pytest.raises(LogError, match="log: no recorded actions"):
         fit(tiny, Log.of([]))
-    with pytest.warns(UserWarning, match="log:1"), pytest.raises(LogError, match="is it the log of another instance"):
+    with (
+        pytest.warns(UserWarning, match="log:1") as warned,
+        pytest.raises(LogError, match="is it the log of another instance"),
+    ):
         fit(tiny, Log.of(lines("(stack a b)")))
+    assert warned[0].filename == __file__  # where it was asked for
     with pytest.raises(ValueError, match="drop nosuch"):
         fit(tiny, log, drop=["nosuch"])
 
 
 def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None:
-    told: list[int] = []
-    people: People = fit(tiny, Log.of(rows), misconceptions=True, progress=told.append)
-    assert sum(told) == 3
+    told: list[tuple[str, int, int | None]] = []
+    people: People = fit(tiny, Log.of(rows), misconceptions=True, progress=lambda *what: told.append(what))
+    assert told == [("evaluating states", 0, None), *(("fitting people", done, 3) for done in range(4))]
     found = [record.misconception for record in people.values()]
     low, high = people.sigma
     assert all(m is not None and m.sigma >= 0 for m in found)

@@ -12,13 +12,25 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
+from typing import Any
 
 import numba
+import numpy as np
 import pytest
+from recorded import people_at_work
 
+from assist import Pool, fit, simulate
+from assist.certify import certify, upper_bound
 from assist.cli.solving import solving
-from planner import Instance, progress
+from assist.learning import Log, compare
+from assist.people.choices import Choices
+from assist.person import qmdp, solve
+from assist.person.pomdp import work_out
+from assist.study.runner import run_study
+from assist.team.settings import Setting
+from planner import Instance, Table, cost_to_go, progress, sweep
 from planner.compiled import compiling
+from planner.workers import outcomes
 
 
 class Heard(io.StringIO):
@@ -33,6 +45,28 @@ class Heard(io.StringIO):
         if re.search(self.awaited, self.getvalue(), re.M):
             self.said.set()
         return written
+
+
+def on_terminal(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> str:
+    """Give what some work shows on a terminal."""
+    inner, outer = pty.openpty()
+    shown: list[str] = []
+
+    def read() -> None:
+        with suppress(OSError):  # Linux says so when the other side is closed
+            while more := os.read(inner, 1 << 16):
+                shown.append(more.decode())
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    with os.fdopen(outer, "w") as terminal, monkeypatch.context() as changed:
+        changed.setattr(sys, "stderr", terminal)
+        changed.setenv("TERM", "xterm")
+        changed.setenv("COLUMNS", "100")
+        work()
+    reader.join()
+    os.close(inner)
+    return "".join(shown)
 
 
 def stage(what: str, done: int, total: int | None, seconds: float) -> str:
@@ -77,20 +111,12 @@ def test_what_takes_no_time_says_nothing(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_on_a_terminal_there_is_a_bar_which_goes_away(monkeypatch) -> None:
-    inner, outer = pty.openpty()
-    with os.fdopen(outer, "w") as terminal, monkeypatch.context() as changed:
-        changed.setattr(sys, "stderr", terminal)
-        changed.setenv("TERM", "xterm")
-        changed.setenv("COLUMNS", "100")
+    def work() -> None:
         with progress.stages() as show:
             show("states", 0, None)
             show("cost-to-go", 5, 10)
-    shown = ""
-    with suppress(OSError):  # Linux says so when the other side is closed
-        while more := os.read(inner, 1 << 16):
-            shown += more.decode()
-    os.close(inner)
-    assert re.search(r"cost-to-go, \d+ s: 5 of 10", shown)
+
+    assert re.search(r"cost-to-go, \d+ s: 5 of 10", on_terminal(monkeypatch, work))
 
 
 def test_compiling_is_said_at_once_and_once(capsys) -> None:
@@ -121,3 +147,79 @@ def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) ->
         told(Instance(Path("q.pddl"), Path("domain.pddl")), "states", 5, None)
     assert shown == expected
     assert capsys.readouterr().err == f"{progress.COMPILING_LINE}\n"
+
+
+QUICK = {"window": 0, "gap": 0.5}
+
+LONG: dict[str, tuple[str, Callable[..., object]]] = {
+    "sweep": ("cost-to-go", lambda told, task, **_: sweep(task, **told)),
+    "cost_to_go": ("cost-to-go", lambda told, task, **_: cost_to_go(task, **told)),
+    "Pool.sample": ("setting people's POMDPs up", lambda told, table, **_: Pool.sample(table, 2, seed=0, **told)),
+    "qmdp": ("solving a person's POMDP: sweeps", lambda told, pomdp, **_: qmdp(pomdp, **told)),
+    "solve": ("solving a person's POMDP: backups", lambda told, pomdp, **_: solve(pomdp, **told)),
+    "simulate": (
+        "simulating none",
+        lambda told, pool, **_: simulate(pool, "none", humans=2, episodes=3, seed=0, **told),
+    ),
+    "upper_bound": ("bounding people's problems", lambda told, pool, **_: upper_bound(pool, **QUICK, **told)),
+    "certify": (
+        "simulating policies",
+        lambda told, pool, **_: certify(pool, {"none": "none"}, episodes=2, **QUICK, **told),
+    ),
+    "fit": ("fitting people", lambda told, table, log, **_: fit(table, log, **told)),
+    "distribution": (
+        "fitting the population",
+        lambda told, people, **_: people.distribution(family="histogram", **told),
+    ),
+    "compare": ("comparing models", lambda told, table, log, **_: compare(table, log, folds=2, **told)),
+    "run_study": ("episodes", lambda told, study, results, **_: run_study(study, results, resume=True, **told)),
+}
+"""Functions of which each may take minutes: a stage that each of them shows, and how it is called."""
+
+
+@pytest.fixture(scope="module")
+def things(tiny: Table) -> dict[str, Any]:
+    """What these functions are called with."""
+    setting = Setting(c_suggest=0.2, c_move=0.1)
+    pool = Pool.sample(tiny, 2, seed=0, setting=setting)
+    rows = people_at_work(Choices.of(tiny), [0.5, 1.0], np.random.default_rng(0), suggest=0.4, episodes=2)
+    log = Log.of(rows)
+    return {
+        "task": tiny.task, "table": tiny, "pool": pool, "pomdp": pool.policies[0].pomdp, "log": log,
+        "people": fit(tiny, log),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_long_work_shows_how_far_it_is(
+    name: str, things: dict[str, Any], request: pytest.FixtureRequest, monkeypatch, capsys
+) -> None:
+    """It does on a terminal, without being asked and after a while; or it calls a function."""
+    stage, call = LONG[name]
+    given = dict(things)
+    if name == "run_study":
+        given |= {"study": request.getfixturevalue("small_study")[0], "results": request.getfixturevalue("results")}
+    told: list[tuple[str, int, int | None]] = []
+    call({"progress": lambda *what: told.append(what)}, **given)
+    assert stage in {what for what, *_ in told}
+    assert all(done <= (total or done) for _, done, total in told)
+    call({}, **given)
+    assert capsys.readouterr().err == ""  # which is no terminal
+    monkeypatch.setattr(progress, "AFTER", 0.0)
+    assert stage in on_terminal(monkeypatch, lambda: call({}, **given))
+    for wanted in (False, lambda *_: None):  # nothing else is shown, whatever is called within
+        assert on_terminal(monkeypatch, lambda wanted=wanted: call({"progress": wanted}, **given)) == ""
+    monkeypatch.setattr(progress, "AFTER", 60.0)
+    assert on_terminal(monkeypatch, lambda: call({}, **given)) == ""
+
+
+def test_a_person_who_is_solved_when_first_asked_is_shown(tiny: Table, monkeypatch) -> None:
+    monkeypatch.setattr(progress, "AFTER", 0.0)
+    whole, part = (Pool.sample(tiny, 1, seed=0, **options).policies[0] for options in ({}, {"states": 5, "region": 9}))
+    for policy in (whole, part):
+        assert "solving a person's POMDP" in on_terminal(monkeypatch, lambda policy=policy: work_out(policy))
+
+
+def test_worker_processes_show_nothing_by_themselves() -> None:
+    ((_, shown),) = outcomes(os.getenv, [progress.UNSHOWN])
+    assert shown == "0"

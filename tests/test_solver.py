@@ -287,7 +287,7 @@ def test_dead_ends_cost_for_ever(sealed: Table) -> None:
 def test_bounds_tighten_until_the_gap_is_reached() -> None:
     steps: list[tuple[float, float, float]] = []
     pomdp = problem("paper-fixed", 0.95, 0.5, 0.5)
-    solution = solve(pomdp, gap=5e-3, progress=lambda *step: steps.append(step))
+    solution = solve(pomdp, gap=5e-3, bounds=lambda *step: steps.append(step))
     seconds, lower, upper = np.array(steps).T
     assert len(steps) > 3
     assert (np.diff(seconds) > 0).all()

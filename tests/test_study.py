@@ -61,8 +61,8 @@ def test_repeats_can_be_added_and_another_study_is_refused(
 ) -> None:
     study, whole, _ = small_study
     out, seen = tmp_path / "out", []
-    assert run_study(read(study.file, repeats=1), out, progress=seen.append) == []
-    assert sum(seen) == len(load_study(out))
+    assert run_study(read(study.file, repeats=1), out, progress=lambda *told: seen.append(told)) == []
+    assert seen[-1] == ("episodes", len(load_study(out)), len(load_study(out)))
     first = write_report(read(study.file, repeats=1), out)  # a single pool has no intervals
     assert first["headline"]["actions_vs_none"]["low"] is None
     assert "## Sensitivity" in (out / "report.md").read_text()
@@ -84,11 +84,6 @@ def spoil(file: Path, number: int, line: bytes) -> None:
     file.write_bytes(b"\n".join(lines))
 
 
-@pytest.fixture
-def results(small_study: tuple[Study, Path, dict], tmp_path: Path) -> Path:
-    return Path(shutil.copytree(small_study[1], tmp_path / "out", ignore=shutil.ignore_patterns("figures")))
-
-
 @pytest.mark.parametrize(
     ("line", "what"),
     [
@@ -106,15 +101,17 @@ def test_cells_with_damaged_lines_are_run_again(
     study, whole, _ = small_study
     spoil(results / "episodes.jsonl", 7, line)
     spoil(results / "profile.jsonl", 2, line)
-    said, counts = [], []
-    assert run_study(study, results, resume=True, warn=said.append, progress=counts.append) == []
+    said, seen = [], []
+    told = lambda *told: seen.append(told)  # noqa: E731
+    assert run_study(study, results, resume=True, warn=said.append, progress=told) == []
     assert said == [
         f"{results / 'episodes.jsonl'}:7: {what}; the cells of such lines are run again",
         f"{results / 'profile.jsonl'}:2: {what}; how long these cells took is forgotten",
     ]
     assert (results / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     total = sum(map(study.episodes, study.cells()))
-    assert counts[0] == total - study.episodes(next(study.cells()))  # all others are kept
+    kept = total - study.episodes(next(study.cells()))  # of all others
+    assert seen == [("episodes", done, total) for done in (0, kept, total)]
 
 
 @pytest.mark.usefixtures("in_this_process")

@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from planner import LimitError
 from planner.arrays import outline
 from planner.machine import processors
+from planner.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
@@ -50,7 +51,7 @@ from .clairvoyant import AFTER, Clairvoyant
 from .confidence import Sampled
 from .conflicts import OutOfTimeError
 from .lattice import Lattice
-from .prices import Kind, Tell, kinds_of, search, window_of
+from .prices import Kind, kinds_of, search, window_of
 
 FOR_BOUND = 0.8
 """The share of a time limit in which a bound is looked for; policies are simulated in the rest."""
@@ -184,6 +185,7 @@ class TeamBound:
         return Certificate.of(called, value, humans=len(self.team), upper=self.upper, slack=self.slack)
 
 
+@shows_progress
 def upper_bound(
     pool: Pool,
     team: Sequence[int] | None = None,
@@ -196,7 +198,7 @@ def upper_bound(
     paths: int = 0,
     seed: Seed = 0,
     jobs: int | None = None,
-    progress: Tell | None = None,
+    progress: Wanted = None,
 ) -> TeamBound:
     """Bound from above what any policy gets with a team in which all work from the beginning.
 
@@ -227,14 +229,15 @@ def upper_bound(
     seed : int or Generator
     jobs : int, optional
         Problems that are solved, and lucks that are looked at, at a time; as many as there are processors unless given.
-    progress : callable, optional
-        As `Tell` says.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`.
 
     Raises
     ------
     LimitError
         People's problems would take more memory than is allowed.
     """
+    assert callable(progress)
     start = time.perf_counter()
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)
     members = _members(pool, team)
@@ -243,13 +246,13 @@ def upper_bound(
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
     paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or processors(), 1)
-    luck, tell = entropy(seed), progress or (lambda *_: None)
+    luck = entropy(seed)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
 
     def kinds_with(steps: int, around: bool) -> list[Kind]:
         return kinds_of(
             pool, members, travel, steps, around=around, memory_limit_mb=memory_limit_mb,
-            until=start + FOR_REGIONS * for_people, tell=tell,
+            until=start + FOR_REGIONS * for_people, tell=progress,
         )  # fmt: skip
 
     priced = window is not None or not pool.wide or _worth_prices(pool, members, memory_limit_mb)
@@ -265,11 +268,11 @@ def upper_bound(
     price = np.zeros(0)
     if len(members) > 1 and steps:
         for_prices = FOR_REGIONS + FOR_PRICES_THERE if pool.wide else FOR_PRICES
-        price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=tell)
+        price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=progress)
         if pool.wide and not len(price):
             kinds = kinds_with(0, paths > 0)
     met = _met(pool, members, travel, kinds, price, together + AFTER, luck) if paths and not pool.wide else None
-    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, tell, met)
+    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, progress, met)
     sampled = None
     if paths and len(members) > 1:
         # Without prices states need no step: problems are so much smaller that this may be ahead where time was short.
@@ -278,14 +281,14 @@ def upper_bound(
             until = begun + FOR_FREE * (start + limit - begun)
             relaxed = min(
                 relaxed,
-                _relax(free, price[:0], gap, until, memory_limit_mb, workers, tell, met),
+                _relax(free, price[:0], gap, until, memory_limit_mb, workers, progress, met),
                 key=lambda one: one.upper,
             )
 
         begun = time.perf_counter()
 
         def left(done: int) -> float:
-            tell("sampling lucks", done, paths)
+            progress("sampling lucks", done, paths)
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
         with suppress(OutOfTimeError):
@@ -394,7 +397,7 @@ def _beliefs(kind: Kind, visits: Visits, met: Meeting) -> tuple[NDArray[np.int64
 
 
 def _relax(
-    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Tell,
+    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Progress,
     met: Meeting | None = None,
 ) -> _Relaxed:  # fmt: skip
     """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
@@ -428,6 +431,7 @@ def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
     return members
 
 
+@shows_progress
 def certify(
     pool: Pool,
     policies: Mapping[str, TeamPolicy | str],
@@ -435,7 +439,7 @@ def certify(
     episodes: int = 20_000,
     seed: Seed = 0,
     time_limit: float | None = None,
-    progress: Tell | None = None,
+    progress: Wanted = None,
     **options: Any,
 ) -> tuple[TeamBound, list[Certificate]]:
     """Bound what any policy gets with a team, and compare some with it.
@@ -450,18 +454,19 @@ def certify(
     seed : int or Generator
     time_limit : float, optional
         Seconds for all of it: `FOR_BOUND` of them for the bound, and an equal share of what is left for each policy.
-    progress : callable, optional
+    progress : callable or bool, optional
         As in `upper_bound`.
     **options
         As in `upper_bound`.
     """
-    start, luck, tell = time.perf_counter(), entropy(seed), progress or (lambda *_: None)
+    assert callable(progress)
+    start, luck = time.perf_counter(), entropy(seed)
     episodes = whole("episodes", episodes, 2)
     limit = None if time_limit is None else FOR_BOUND * positive("time_limit", time_limit)
     bound = upper_bound(pool, time_limit=limit, seed=luck, progress=progress, **options)
     found: list[Certificate] = []
     for name, policy in policies.items():
-        tell("simulating policies", len(found), len(policies))
+        progress("simulating policies", len(found), len(policies))
         left = None
         if time_limit is not None:
             left = max(0.0, start + time_limit - time.perf_counter()) / (len(policies) - len(found))

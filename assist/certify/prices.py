@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
+from planner.progress import Progress
 
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, ahead, highest, improve
@@ -48,9 +49,6 @@ LONGEST = 6
 """They end after at most so many times what the longest task takes at best."""
 
 Ints = NDArray[np.int64]
-
-Tell = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it has been, and of how much."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def kinds_of(
     around: bool = False,
     memory_limit_mb: float = math.inf,
     until: float = math.inf,
-    tell: Tell = lambda *_: None,
+    tell: Progress = lambda *_: None,
 ) -> list[Kind]:
     """Give a team's kinds, with prices of 0 on so many steps.
 
@@ -231,7 +229,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
     return max(math.ceil(2 * shortest), int((working > MANY).sum()))
 
 
-def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: Tell) -> Floats:
+def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: Progress) -> Floats:
     """Look for prices until so many rounds are over or, on `time.perf_counter()`'s clock, the deadline is.
 
     Returns

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from planner import storage
-from planner.progress import progress_bar
+from planner.progress import stages
 
 from .console import print_json, print_table
 from .log import Replayed, comparison_of
@@ -25,7 +25,6 @@ def show_people(
     as_json: bool,
 ) -> bool:  # fmt: skip
     """Write and print estimates and, where asked for, their distribution; tell whether all of the log was used."""
-    from ..learning import population as populations
     from ..learning.summary import lines_of, table_of
     from ..plots import people as pictures
 
@@ -34,8 +33,8 @@ def show_people(
         storage.write_records(out, records)
     general = None
     if population or (not as_json and len(people) >= FEWEST):
-        with progress_bar("fitting the population", populations.ETAS) as advance:
-            general = people.distribution(family=family, progress=advance)
+        with stages() as show:
+            general = people.distribution(family=family, progress=show)
     if population and general:
         with storage.atomic(population) as path:
             path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")

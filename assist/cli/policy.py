@@ -52,7 +52,7 @@ def policy(
         with status_line("first bounds") as show:
             solution = solve(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
-                progress=lambda _, *bounds: show(line_of(*bounds)),
+                bounds=lambda _, *found: show(line_of(*found)),
             )  # fmt: skip
         if out is not None:
             solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)

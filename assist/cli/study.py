@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from planner.progress import progress_bar
+from planner.progress import stages
 
 from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
 from .options import JOBS, OUTPUT_FOLDER
@@ -50,10 +50,8 @@ def study(
         try:
             planned = read(protocol, repeats=repeats)
             check(planned)
-            with progress_bar("episodes", sum(map(planned.episodes, planned.cells()))) as advance:
-                failed = run_study(
-                    planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=advance, warn=say
-                )
+            with stages() as show:
+                failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=show, warn=say)
         except StudyError as error:
             fail(str(error), EXIT_USAGE)
         for cell, reason in failed:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 from planner.arrays import read_only
+from planner.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from ..people.terms import TERMS, Term
@@ -115,6 +116,7 @@ class Comparison:
         return {"comparison": [row.as_dict() for row in self.models], "people": people}
 
 
+@shows_progress
 def compare(
     costs: CostToGo,
     log: Log,
@@ -125,7 +127,7 @@ def compare(
     rename: Mapping[str, str] | None = None,
     method: Method | None = None,
     strict: bool = False,
-    progress: Callable[[int], None] | None = None,
+    progress: Wanted = None,
 ) -> Comparison:
     """Compare choice models by how well they predict people whom they were not fitted to.
 
@@ -137,18 +139,20 @@ def compare(
         Those that are given, or one's own as well.
     folds : int
         Groups of people that are left out in turn.
-    progress : callable, optional
-        Called with how many models have been finished since the last call.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: how many models have been compared.
 
     Raises
     ------
     LogError
         As from `fit`; or there are not two people to learn from one about the other.
     """
+    assert callable(progress)
+    progress("evaluating states", 0, None)
     recording, h, _ = replayed(costs, log, drop=drop, rename=rename, strict=strict)
-    return compare_observed(
-        observed(log, costs, recording, h, terms)[0], method, folds=folds, name=log.name, progress=progress
-    )
+    observations = observed(log, costs, recording, h, terms)[0]
+    advance = adding(progress, "comparing models", len(terms) + 1 + (len(terms) > 1))
+    return compare_observed(observations, method, folds=folds, name=log.name, progress=advance)
 
 
 def compare_observed(
@@ -159,7 +163,10 @@ def compare_observed(
     name: str = "log",
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
-    """Compare choice models on observations, of one task or of several; parameters as of `compare`."""
+    """Compare choice models on observations, of one task or of several; parameters as of `compare`.
+
+    `progress` is called with how many models have been finished since the last call.
+    """
     if folds < 2:
         raise ValueError(f"folds {folds}: expected 2 or more")
     likelihood = Likelihood.of(observations, method or Method())

@@ -15,6 +15,7 @@ import numpy as np
 
 from planner import CostToGo, LimitError, Table
 from planner.arrays import outline
+from planner.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
 from ..people.decision import Floats
@@ -28,11 +29,12 @@ from .likelihood import Method
 from .log import Fault, Log, in_order
 from .misconception import fit_misconception, require_memory
 from .observations import Ints, Observations, observe
-from .population import PopulationFit, fit_population, population_of
+from .population import ETAS, PopulationFit, fit_population, population_of
 from .record import Record, nothing_known
 from .recording import Recording, replay, situation
 
-Progress = Callable[[int], None]
+WHO_ASKED = 4
+"""Calls from a warning of `replayed` up to whoever called a function that shows its progress."""
 Terms = bool | Mapping[str, Term]
 
 
@@ -89,8 +91,9 @@ class People(Mapping[str, Record]):
         """Whether every line and every action of the log was used."""
         return not self.faults and not self.unknown and not any(record.left_out for record in self.records)
 
-    def distribution(self, *, family: str | None = None, progress: Progress | None = None) -> PopulationFit:
-        """Estimate how beta and theta are distributed over people; parameters as of `fit_population`.
+    @shows_progress
+    def distribution(self, *, family: str | None = None, progress: Wanted = None) -> PopulationFit:
+        """Estimate how beta and theta are distributed over people; `family` as for `fit_population`.
 
         Where terms were asked for it is the population that people were taken from: beta is log-normal, theta
         logit-normal, and weights are normal.
@@ -99,8 +102,10 @@ class People(Mapping[str, Record]):
             if family not in (None, "log-normal"):
                 raise ValueError(f"family '{family}': expected log-normal, which beta is taken to be where terms are")
             return population_of(self.hierarchy)
+        assert callable(progress)
         observations = [record.fit.observations for record in self.records]
-        return fit_population(observations, self.method, family=family, progress=progress)
+        advance = adding(progress, "fitting the population", ETAS)
+        return fit_population(observations, self.method, family=family, progress=advance)
 
     def population(self, *, family: str | None = None) -> Mixture:
         """Give a population like these people, to draw others from.
@@ -128,6 +133,7 @@ class People(Mapping[str, Record]):
         return sorted(found, key=lambda record: in_order(record["person"]))
 
 
+@shows_progress
 def fit(
     costs: CostToGo,
     log: Log,
@@ -141,7 +147,7 @@ def fit(
     strict: bool = False,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Wanted = None,
 ) -> People:
     """Learn expertise, influence and trust of people from a log of their actions.
 
@@ -169,8 +175,8 @@ def fit(
         Of the check of the model.
     jobs : int
         Threads.
-    progress : callable, optional
-        Called with how many people have been finished since the last call.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: states are evaluated, then people are fitted.
 
     Raises
     ------
@@ -186,10 +192,13 @@ def fit(
     UserWarning
         Some lines cannot be used, or some states were not evaluated; `People.faults` has the lines.
     """
+    assert callable(progress)
+    progress("evaluating states", 0, None)
     recording, h, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
+    advance = adding(progress, "fitting people", len(recording.people))
     return learn(
         log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, terms=terms,
-        chooses=chooses, table=costs if isinstance(costs, Table) else None, seed=seed, jobs=jobs, progress=progress,
+        chooses=chooses, table=costs if isinstance(costs, Table) else None, seed=seed, jobs=jobs, progress=advance,
     )  # fmt: skip
 
 
@@ -209,7 +218,7 @@ def replayed(
         if strict:
             raise LogError(message)
         others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
-        warnings.warn(message + others, stacklevel=3)
+        warnings.warn(message + others, stacklevel=WHO_ASKED)
     require_actions(log, recording, costs)
     wanted, h = recording.wanted(), np.full(len(costs), np.nan)
     try:
@@ -218,7 +227,7 @@ def replayed(
         known = getattr(costs, "known", None)
         if strict or known is None:
             raise
-        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=3)
+        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=WHO_ASKED)
         h[wanted] = known(wanted)
     return recording, h, faults
 
@@ -249,7 +258,7 @@ def learn(
     table: Table | None = None,
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> People:
     """Learn about people from what was replayed; for who has the cost-to-go of its states in another way.
 
@@ -259,8 +268,10 @@ def learn(
         Of the task, as it was replayed on; it is not asked for costs.
     h : float array, shape (states,)
         h* of the states that `recording.wanted()` names, NaN where it is not known.
-    faults, method, misconceptions, terms, chooses, seed, jobs, progress
+    faults, method, misconceptions, terms, chooses, seed, jobs
         As for `fit`; faults are all that was found.
+    progress : callable, optional
+        Called with how many people have been finished since the last call.
     table : Table, optional
         Of the same task; where people choose by a model of one's own.
     """

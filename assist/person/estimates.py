@@ -8,13 +8,13 @@ new means, a few times. The same means stand for all states outside. No bound re
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.arrays import outline, read_only
+from planner.progress import Progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -78,7 +78,7 @@ class Estimates:
         *,
         like: Estimates | None = None,
         tolerance: float | None = None,
-        progress: Callable[[float], None] | None = None,
+        progress: Progress | None = None,
     ) -> Estimates:
         """Work them out.
 
@@ -96,7 +96,7 @@ class Estimates:
             Largest error of a value given those at the frontier; `TOLERANCE` unless given, `DIGITS` where there is no
             frontier.
         progress : callable, optional
-            As in `qmdp`.
+            Told how far it is, as `qmdp` says.
         """
         choices, costs = region.choices, np.array(region.known.task.costs, dtype=np.float64)
         rows = np.arange(len(choices))[None] if rows is None else rows

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +29,7 @@ from numpy.typing import NDArray
 from planner.arrays import outline
 from planner.compiled import njit
 from planner.machine import processors
+from planner.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -40,6 +40,7 @@ ROUNDING = 1e-12
 EACH = np.int64(-1)  # a number, not a literal, for which numba would compile once more
 DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
 MOST_SWEEPS = 100_000  # over all states, unless another number is given
+SOLVING = "solving a person's POMDP: sweeps"
 SECONDS_BETWEEN = 0.2  # two calls of `progress`, at least
 
 
@@ -103,6 +104,7 @@ class QMDP:
         return self.q_values(x, belief).argmax(axis=1)
 
 
+@shows_progress
 def qmdp(
     pomdp: AssistPOMDP,
     *,
@@ -110,7 +112,7 @@ def qmdp(
     tolerance: float = 1e-6,
     max_sweeps: int = MOST_SWEEPS,
     deadline: float = math.inf,
-    progress: Callable[[float], None] | None = None,
+    progress: Wanted = None,
 ) -> QMDP:
     """Compute the QMDP policy.
 
@@ -126,20 +128,20 @@ def qmdp(
     deadline : float
         A time on `time.perf_counter()`'s clock after which no sweep begins. Every sweep leaves upper bounds, so that
         those that there are by then hold.
-    progress : callable, optional
-        Called after some sweeps with the largest error that a value may still have, in cost units.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: how many sweeps have been done.
 
     Raises
     ------
     RuntimeError
         The values had not converged after `max_sweeps`.
     """
+    assert callable(progress)
+    progress(SOLVING, 0, None)
     value = highest(pomdp)
     if above is not None:
         value = np.minimum(value, above)
-    converged = improve(
-        pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress
-    )  # fmt: skip
+    converged = improve(pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress)
     if not converged and time.perf_counter() < deadline:
         raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
     return ahead(pomdp, value)
@@ -180,15 +182,14 @@ def improve(
     tolerance: float,
     max_sweeps: int = MOST_SWEEPS,
     deadline: float = math.inf,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> bool:
     """Sweep over values, shape (n, B, T), in place, and tell whether they have converged; arguments as in `qmdp`.
 
     Those of final states stay as they are.
     """
-    return _converge(
-        value, sweep_order(pomdp), np.full(len(value), -1), Arrays.of(pomdp), tolerance, max_sweeps, deadline, progress
-    )  # fmt: skip
+    robot, arrays = np.full(len(value), -1), Arrays.of(pomdp)
+    return _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps, deadline, progress)
 
 
 def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
@@ -218,8 +219,7 @@ def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
     """
     arrays, order, found = Arrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
     with ThreadPoolExecutor(processors()) as pool:
-        for _ in pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])):
-            pass
+        list(pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])))
     return found
 
 
@@ -301,7 +301,7 @@ def _converge(
     tolerance: float,
     sweeps: int,
     deadline: float = math.inf,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> bool:
     """Sweep until no value's error exceeds the tolerance, and tell whether that was reached.
 
@@ -309,21 +309,20 @@ def _converge(
     """
     order, robot = read_only(order), read_only(robot)
     errors = np.full(value.shape[1], math.inf)
-    last, stopped = time.perf_counter(), False
+    last, done, stopped = time.perf_counter(), 0, False
 
     def one(b: int) -> bool:
-        nonlocal last
-        left = sweeps
+        nonlocal last, done
         # What is swept over lies together, so that more of it stays in the processor's cache.
-        own = value[:, b : b + 1].copy()
+        left, own = sweeps, value[:, b : b + 1].copy()
         chosen, unsuggested = read_only(arrays.chosen[:, :, b : b + 1]), read_only(arrays.unsuggested[:, :, b : b + 1])
         m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
         while errors[b] > tolerance and left and not stopped and (now := time.perf_counter()) < deadline:
             errors[b] = _sweep(own, order, robot, 0, m) * arrays.gamma / (1 - arrays.gamma)
-            left -= 1
+            left, done = left - 1, done + 1
             if progress is not None and now > last + SECONDS_BETWEEN:
                 last = now
-                progress(float(errors.max()))
+                progress(SOLVING, done, None)
         value[:, b] = own[:, 0]
         return bool(errors[b] <= tolerance)
 

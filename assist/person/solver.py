@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 
 from planner import LimitError
 from planner.arrays import outline
+from planner.progress import Wanted, shows_progress
 
 from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
@@ -42,6 +43,7 @@ from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP
 from .qmdp import QMDP, ROUNDING, Arrays, evaluate, load_compiled, qmdp, read_only, sweep_order
 
+SOLVING = "solving a person's POMDP: backups"
 BACKUPS = 1000  # between two looks at the clock
 MEMORY_LIMIT_MB = 4000.0  # unless another is given
 SEED = 0  # of what trials draw: with as many backups all comes out the same
@@ -184,6 +186,7 @@ def first_bounds_bytes(pomdp: AssistPOMDP) -> int:
     return 8 * hidden * (states * (2 * robots + 12) + hsvi.DEPTH * (8 + robots * slots))
 
 
+@shows_progress
 def solve(
     pomdp: AssistPOMDP,
     *,
@@ -192,7 +195,8 @@ def solve(
     memory_limit_mb: float = MEMORY_LIMIT_MB,
     best: QMDP | None = None,
     met: tuple[NDArray[np.int64], Floats] | None = None,
-    progress: Callable[[float, float, float], None] | None = None,
+    bounds: Callable[[float, float, float], None] | None = None,
+    progress: Wanted = None,
 ) -> Solution:
     """Solve one person's problem.
 
@@ -213,14 +217,17 @@ def solve(
         States, none of them final, and beliefs at which the bounds are to be good as well, wherever the best policy
         goes; what comes last is best first. That ends where nothing is gained any more; a third of a time limit is for
         it, and what is left of the rest.
-    progress : callable, optional
+    bounds : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: how many backups have been done.
 
     Raises
     ------
     LimitError
         The first bounds alone would take more memory than is allowed; nothing has been worked out.
     """
+    assert callable(progress)
     for name, number in (("gap", gap), ("time_limit", time_limit), ("memory_limit_mb", memory_limit_mb)):
         if number is not None and not number >= 0:
             raise ValueError(f"{name} {number:g}: expected 0 or more")
@@ -231,6 +238,7 @@ def solve(
             f"{memory_limit_mb:,.0f} MB are allowed; expected fewer states, a coarser grid or more memory"
         )
     load_compiled(pomdp)
+    progress(SOLVING, 0, None)
     start = time.perf_counter()
     x0 = pomdp.model.choices.initial
     prior = pomdp.prior.reshape(-1)
@@ -259,8 +267,9 @@ def solve(
         below, above = work.bounds(x0, prior)
         lower, upper = max(lower, below), min(upper, above)
         seconds = time.perf_counter() - start
-        if progress is not None:
-            progress(seconds, lower, upper)
+        progress(SOLVING, backups, None)
+        if bounds is not None:
+            bounds(seconds, lower, upper)
         if relative_gap(lower, upper) <= gap:
             break
         if searching is not None and seconds >= searching:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.errors import DamagedFileError, MissingExtraError
+from planner.progress import Wanted, adding, shows_progress
 from planner.storage import (
     append,
     append_record,
@@ -41,6 +42,7 @@ LISTS = ("people", "beta", "theta", "sigma", "actions", "helped", "finished")
 NUMBERS = ("interventions", "moves", "steps", "discounted_return")
 
 
+@shows_progress
 def run_study(
     study: Study,
     out: str | Path,
@@ -48,7 +50,7 @@ def run_study(
     jobs: int = 1,
     scheduler: str | None = None,
     resume: bool = False,
-    progress: Callable[[int], None] | None = None,
+    progress: Wanted = None,
     warn: Callable[[str], None] | None = None,
 ) -> list[tuple[Cell, Exception]]:
     """Carry a study out, and return the cells that failed, each with its error.
@@ -65,8 +67,8 @@ def run_study(
         paths, and run one thread each.
     resume : bool
         Keep the cells that are in the folder, and run the rest. A cell of which a line is damaged is run again.
-    progress : callable, optional
-        Called with the number of episodes that have been added since the last call.
+    progress : callable or bool, optional
+        Who is told how far it is, as in `planner.progress`: how many episodes there are.
     warn : callable, optional
         Called with a line for each file of which something is damaged, with the number of the first such line.
 
@@ -78,11 +80,12 @@ def run_study(
     DamagedFileError
         `study.json` does not say whose results the folder holds.
     """
+    assert callable(progress)
     out = Path(out)
     order = {cell: number for number, cell in enumerate(study.cells())}
     kept = _begin(study, out, resume, order, warn or (lambda _: None))
-    if progress is not None:
-        progress(sum(study.episodes(cell) for cell in kept))
+    advance = adding(progress, "episodes", sum(map(study.episodes, order)))
+    advance(sum(map(study.episodes, kept)))
     failed: list[tuple[Cell, Exception]] = []
     todo = [cell for cell in order if cell not in kept]
     with closing(outcomes(carry_out, todo, (study,), jobs=jobs, scheduler=scheduler)) as coming:
@@ -93,8 +96,7 @@ def run_study(
                 append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
             else:
                 failed.append((cell, outcome))
-            if progress is not None:
-                progress(study.episodes(cell))
+            advance(study.episodes(cell))
     _write(out / EPISODES, [kept[cell] for cell in order if cell in kept])
     spent = {_cell(record): record for record in read_records(out / PROFILE)}
     write_records(out / PROFILE, [spent[cell] for cell in order if cell in spent])

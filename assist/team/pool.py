@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo, LimitError
 from planner.arrays import outline
+from planner.progress import Wanted, adding, shows_progress
 
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
@@ -79,6 +80,7 @@ class Pool:
         self.model.flags.writeable = False
 
     @classmethod
+    @shows_progress
     def sample(
         cls,
         table: CostToGo | Choices,
@@ -92,6 +94,7 @@ class Pool:
         memory_limit_mb: float = MEMORY_LIMIT_MB,
         states: int = WHOLE,
         region: int | None = None,
+        progress: Wanted = None,
     ) -> Pool:
         """Draw people from a population, and set the POMDP of each up.
 
@@ -121,6 +124,8 @@ class Pool:
             did, actions are executed or a solver is given.
         region : int, optional
             States that policies are worked out on where the task is not; `assist.team.wide.REGION` unless given.
+        progress : callable or bool, optional
+            Who is told how far it is, as in `planner.progress`: how many people's POMDPs have been set up.
 
         Raises
         ------
@@ -130,6 +135,7 @@ class Pool:
         LimitError
             People's policies would take more memory than is allowed.
         """
+        assert callable(progress)
         size = whole("size", size, 1)
         setting = setting or Setting()
         population = population or Population()
@@ -158,9 +164,13 @@ class Pool:
         _allow(one, len(choices), models, memory_limit_mb)
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
-        policies = tuple(Later(setting.problem(choices, human, prior), solver) for human in known)
+        advance = adding(progress, "setting people's POMDPs up", len(known))
+        policies = []
+        for human in known:
+            policies.append(Later(setting.problem(choices, human, prior), solver))
+            advance(1)
         number = np.arange(size) if models > 1 else np.zeros(size, dtype=np.int64)
-        return cls(setting, tuple(people), policies, number)
+        return cls(setting, tuple(people), tuple(policies), number)
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:

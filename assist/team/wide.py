@@ -13,7 +13,6 @@ its arrays have a row for each of these states and for those that come next. Tea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -21,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
+from planner.progress import told
 
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.estimates import Estimates
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, ahead
+from ..person.qmdp import QMDP, SOLVING, ahead
 from ..person.region import Region
 from ..person.visited import NONE, Visited
 from .bounded import Bounded, bounded
@@ -36,8 +36,6 @@ from .subproblem import Visits
 
 REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 """States that a policy is worked out on, by how a state's cost-to-go is come by."""
-
-Tell = Callable[[float], None]
 
 
 def how(known: CostToGo) -> str:
@@ -129,11 +127,13 @@ class WidePolicy:
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return Around(self, self.problem(region), region, len(states), deep)
 
-    def alone(self, progress: Tell | None = None) -> Estimates:
+    def alone(self) -> Estimates:
         """Give what the person's problem is worth with a robot that is always there; worked out once."""
         if () not in self.solved:
-            region, like = self.region, None if self.like is None else self.like.alone(progress)
-            self.solved[()] = Estimates.of(self.problem(region), region, like=like, progress=progress)
+            with told(None) as tell:
+                tell(SOLVING, 0, None)
+                region, like = self.region, None if self.like is None else self.like.alone()
+                self.solved[()] = Estimates.of(self.problem(region), region, like=like, progress=tell)
         return self.solved[()]
 
     def visited(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:

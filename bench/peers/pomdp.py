@@ -58,11 +58,11 @@ def own(case: Case, options: dict[str, Any]) -> None:
     pomdp = case.problem()
     loaded = time.process_time()
 
-    def progress(_: float, lower: float, upper: float) -> None:
+    def bounds(_: float, lower: float, upper: float) -> None:
         say("point", seconds=time.process_time() - loaded, lower=lower, upper=upper)
 
-    solution = solve(pomdp, gap=options["gap"], time_limit=options["timeout"], progress=progress)
-    progress(solution.seconds, solution.lower, solution.upper)
+    solution = solve(pomdp, gap=options["gap"], time_limit=options["timeout"], bounds=bounds)
+    bounds(solution.seconds, solution.lower, solution.upper)
     say("result", load=loaded - start, vectors=len(solution.policy.vectors), stopped=solution.stopped)
 
 
