@@ -45,7 +45,7 @@ def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, 
         for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
             reachable(item, f"{path}[{number}]", found)
     elif isinstance(thing, Later):
-        reachable(thing.alone(), path, found)
+        reachable(thing.prepare(), path, found)
     elif is_dataclass(thing):
         for name in {field.name for field in fields(thing)} | set(vars(thing)):
             reachable(getattr(thing, name), f"{path}.{name}", found)

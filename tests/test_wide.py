@@ -21,6 +21,7 @@ from assist.simulation.simulate import simulate
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
+from assist.team.subproblem import is_for_one_step, is_on_part, on_parts
 from planner import CostToGo, Instance, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region
@@ -68,6 +69,15 @@ def test_small_tasks_looked_at_step_by_step(task: str, policy: Any, options: dic
     table = table_of(Instance(file := KITTING / f"{task}.pddl", file.parent / "domain.pddl"))
     whole = episodes(table, policy, states=len(table), **options)
     assert_same(whole, episodes(table, policy, states=len(table) - 1, region=EVERYTHING, **options))
+
+
+def test_a_policy_on_a_part_is_told_apart_before_it_is_solved(tiny: Table) -> None:
+    whole, part = Pool.sample(tiny, 2, seed=1), Pool.sample(tiny, 2, seed=1, states=len(tiny) - 1)
+    assert on_parts([*whole.policies, *part.policies]) == list(part.policies)
+    assert not any("region" in vars(policy) or policy.solved for policy in part.policies)
+    around = part.policies[0].around(np.array([tiny.initial]))
+    assert is_for_one_step(around)
+    assert not is_on_part(around)
 
 
 @pytest.mark.parametrize("knowledge", ["own", "exact"])

@@ -325,7 +325,7 @@ class Later:
     def __repr__(self) -> str:
         return f"Later({self._solved[0] if self._solved else self.pomdp!r})"
 
-    def alone(self) -> Policy:
+    def prepare(self) -> Policy:
         """Give the policy; worked out once."""
         with self._lock:
             if not self._solved:
@@ -341,23 +341,23 @@ class Later:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        return getattr(self.alone(), name)
+        return getattr(self.prepare(), name)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give the value of each robot action, shape (N, R); minus infinity in padding."""
-        return self.alone().q_values(x, belief)
+        return self.prepare().q_values(x, belief)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give the value of each person's problem, shape (N,)."""
-        return self.alone().value(x, belief)
+        return self.prepare().value(x, belief)
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
         """Give the best robot action for each person, shape (N,)."""
-        return self.alone().choose(x, belief)
+        return self.prepare().choose(x, belief)
 
 
 def work_out(policy: Policy) -> None:
     """Work a policy out now, if that is otherwise done when it is first asked."""
-    alone = getattr(policy, "alone", None)
-    if alone is not None:
-        alone()
+    prepare = getattr(policy, "prepare", None)
+    if prepare is not None:
+        prepare()

@@ -17,8 +17,8 @@ from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
+from .subproblem import on_parts
 from .travel import Travel
-from .wide import WidePolicy
 
 POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
 """The names that `named` knows."""
@@ -51,11 +51,11 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     if name == "attention":
         return AttentionSwitching()
     if name == "attention-never":
-        wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
-        if wide:
+        on_part = on_parts(policies)
+        if on_part:
             raise ValueError(
                 f"policy {name!r}: expected a task that is looked at whole, and this one is too large: it has "
-                f"{len(wide[0].ground.known):,} states or more"
+                f"{len(on_part[0].known):,} states or more"
             )
         return AttentionSwitching.against_never(policies)
     if name == "priority":

@@ -20,9 +20,8 @@ from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
-from .subproblem import HERE, Visits, backwards
+from .subproblem import HERE, Visits, backwards, is_for_one_step, is_on_part, on_parts
 from .travel import Travel
-from .wide import Around, WidePolicy
 
 PRICE = 0.15
 """What a step of the robot's attention will be worth to others: this share of the cheapest action's cost."""
@@ -67,7 +66,7 @@ class Priority:
     For each person, what they get with the robot there, less what they get without it in this step, is what its
     presence is worth: saying something where it is, holding its place silently, or arriving after the way and going on
     from there; less what the way costs. The largest worth is acted on. On tasks that are not looked at whole
-    (`team.wide`) what follows is looked up in a region, one step ahead of it.
+    (`PolicyOnPart`) what follows is looked up in a region, one step ahead of it.
 
     Attributes
     ----------
@@ -116,15 +115,15 @@ class Priority:
         ValueError
             Prices of several steps for tasks that are not looked at whole.
         """
-        wide = [policy for policy in policies if isinstance(policy, WidePolicy)]
-        whole = [policy for policy in policies if not isinstance(policy, WidePolicy)]
+        on_part = on_parts(policies)
+        whole = [policy for policy in policies if not is_on_part(policy)]
         if price is None:
             tasks = [policy.pomdp.model.choices for policy in whole]
             cheapest = [float(task.costs[task.applicable].min()) for task in tasks]
-            price = PRICE * min(cheapest + [min(policy.ground.known.task.costs, default=1) for policy in wide])
+            price = PRICE * min(cheapest + [min(policy.known.task.costs, default=1) for policy in on_part])
         entry, steps, longest = coming(travel)
         each = np.asarray(price, dtype=float)
-        if each.ndim and wide:
+        if each.ndim and on_part:
             raise ValueError(f"prices of {each.size} steps: expected one price where tasks are not looked at whole")
 
         def presence(policy: Policy) -> Presence:
@@ -139,8 +138,8 @@ class Priority:
 
     def prepare(self, policy: Policy) -> None:
         """Work out now what it takes to help the people of a policy."""
-        if isinstance(policy, WidePolicy):
-            policy.visited(self.entry, self.entry_steps, self.longest, float(self.price[0]))
+        if is_on_part(policy):
+            policy.prepare_visits(self.entry, self.entry_steps, self.longest, float(self.price[0]))
         else:
             self.presence(policy)
 
@@ -185,7 +184,7 @@ class Priority:
 
     def presence(self, policy: Policy) -> Presence:
         """Give the problem of the people of a policy with a robot that comes and goes."""
-        if isinstance(policy, Around):
+        if is_for_one_step(policy):
             return Presence.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
         return self.known[policy]
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +85,12 @@ class WidePolicy:
     like: WidePolicy | None = None
     solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
     bounds: dict[tuple[float, bool], Bounded] = field(default_factory=dict, repr=False)
+    on_part: ClassVar[bool] = True
+
+    @property
+    def known(self) -> CostToGo:
+        """The cost-to-go of the whole task."""
+        return self.ground.known
 
     @cached_property
     def pomdp(self) -> AssistPOMDP:
@@ -127,16 +134,16 @@ class WidePolicy:
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return Around(self, self.problem(region), region, len(states), deep)
 
-    def alone(self) -> Estimates:
+    def prepare(self) -> Estimates:
         """Give what the person's problem is worth with a robot that is always there; worked out once."""
         if () not in self.solved:
             with told(None) as tell:
                 tell(SOLVING, 0, None)
-                region, like = self.region, None if self.like is None else self.like.alone()
+                region, like = self.region, None if self.like is None else self.like.prepare()
                 self.solved[()] = Estimates.of(self.problem(region), region, like=like, progress=tell)
         return self.solved[()]
 
-    def visited(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:
+    def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:
         """Give what it is worth with a robot that comes and goes, for each position; worked out once.
 
         Parameters
@@ -149,7 +156,7 @@ class WidePolicy:
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
             region = self.region
-            like = self.alone() if self.like is None else self.like.visited(*key)
+            like = self.prepare() if self.like is None else self.like.prepare_visits(*key)
             visits = Visits.of(self.problem(region), entry, entry_steps, longest=longest)
             rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
             self.solved[key] = Estimates.of(visits.at_price(price), region, rows, like=like)
@@ -193,10 +200,11 @@ class Around:
     count: int
     deep: bool
     solved: dict[tuple[float, ...], tuple[Visits, QMDP]] = field(default_factory=dict, repr=False)
+    for_one_step: ClassVar[bool] = True
 
     @cached_property
     def _policy(self) -> QMDP:
-        estimates = self.wide.alone()
+        estimates = self.wide.prepare()
         value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
         return self._ahead(self.pomdp, value, np.arange(self.count))
 
@@ -204,7 +212,7 @@ class Around:
         """Give the problem with a robot that comes and goes, and the policy there; arguments as in `WidePolicy`."""
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
-            estimates = self.wide.visited(*key)
+            estimates = self.wide.prepare_visits(*key)
             visits = Visits.of(self.pomdp, entry, entry_steps, longest=longest)
             layout = visits.layout
             value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
