@@ -25,7 +25,7 @@ STATUS = "echo $?"
 """Behind a command: it may fail, what it says on stderr is shown as well, and its exit code is the one shown."""
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Cells of notebooks are run where the documentation is built.
-KINDS = {"console", "pycon", "sh", "pddl", "toml", "text", "json", "{toctree}", "{eval-rst}", "{code-cell}"}
+KINDS = {"console", "pycon", "sh", "pddl", "toml", "text", "json", "nginx", "{toctree}", "{eval-rst}", "{code-cell}"}
 BLOCK = re.compile(r"^```([\w{}-]*)\n(.*?)^```", re.M | re.S)
 
 

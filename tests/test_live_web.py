@@ -361,4 +361,4 @@ def test_the_interface_is_described(web: Web) -> None:
     page = web.client.get("/docs").text
     assert "<code>POST /api/people/{name}/actions</code>" in page
     assert "<code>followed</code>, optional: boolean or null" in page
-    assert re.findall(r"(?:src|href)=\"([^\"]*)\"", page) == ["data:,", "/pages/live.css", "/openapi.json"]
+    assert re.findall(r"(?:src|href)=\"([^\"]*)\"", page) == ["data:,", "pages/live.css", "openapi.json"]

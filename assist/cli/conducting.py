@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..userstudy.service import StudyService
 
 PORT = 8000
-OF_STUDIES = {"study", "rehearse", "port", "host", "data"}
+OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "data"}
 """Options that go with a study: the others are in its file."""
 
 
@@ -44,11 +44,27 @@ def live_server() -> ModuleType:
     return server
 
 
-def listen(host: str, port: int | None) -> socket.socket:
+def _public_address(_context: click.Context, _option: click.Parameter, given: str | None) -> str | None:
+    from ..live.access import public_address
+
+    try:
+        return None if given is None else public_address(given)
+    except ValueError as error:
+        raise click.UsageError(f"--public-url {error}") from None
+
+
+public_url_option = click.option(
+    "--public-url", callback=_public_address, metavar="URL",
+    help="Where people reach the service through a proxy, such as https://host.example/kits.",
+)  # fmt: skip
+
+
+def listen(host: str, port: int | None, public_url: str | None) -> socket.socket:
     """Take a port: the usual one, or another if that is taken, unless one is given."""
-    found: socket.socket = live_server().listen(
-        host, PORT if port is None else port, otherwise=0 if port is None else None
-    )
+    server = live_server()
+    found: socket.socket = server.listen(host, PORT if port is None else port, otherwise=0 if port is None else None)
+    if public_url is not None:
+        click.echo(f"listening at {server.address(found)} for a proxy that serves {public_url}", err=True)
     return found
 
 
@@ -57,7 +73,7 @@ def new_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="kitassist-"))
 
 
-def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse: int) -> None:
+def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse: int, public_url: str | None) -> None:
     """Serve a user study; after a rehearsal write its export and report."""
     context = click.get_current_context()
     for name in context.params:
@@ -90,7 +106,8 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
         click.echo(f"the study is kept in {folder}; Ctrl-C ends the service, --data {folder} goes on", err=True)
 
     try:
-        serving.serve(study, tasks, folder, listen(host, port), ready, participants=rehearse)
+        listening = listen(host, port, public_url)
+        serving.serve(study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url)
     except PolicyError as error:
         fail(str(error), EXIT_USAGE)
     if rehearse:

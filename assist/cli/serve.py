@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from planner.errors import DamagedFileError, ResultsExistError
 
-from .conducting import PORT, conduct, listen, live_server
+from .conducting import PORT, conduct, listen, live_server, public_url_option
 from .live import live_options, plan_of
 from .options import INPUT_FILE
 from .policies import policy_errors
@@ -25,17 +26,19 @@ if TYPE_CHECKING:
 @click.option("--rehearse", type=click.IntRange(1, 1000), metavar="N", help="N simulated people take part in it.")
 @click.option("--port", type=click.IntRange(0, 65535), help=f"0 for any.  [default: {PORT}, or another if it is taken]")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen; 0.0.0.0 for all networks.")
+@public_url_option
 @live_options
 def serve(
-    instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str, **team: Any
-) -> None:
+    instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str,
+    public_url: str | None, **team: Any,
+) -> None:  # fmt: skip
     """Run the assistant live: what people do comes in over HTTP, whom to help and how goes out.
 
     Several tasks are given to people in turn.
     """
     server = live_server()
     if study is not None:
-        conduct(study, team["data"], host, port, rehearse or 0)
+        conduct(study, team["data"], host, port, rehearse or 0, public_url)
         return
     if rehearse is not None:
         raise click.UsageError("--rehearse: expected --study FILE.toml as well")
@@ -45,14 +48,14 @@ def serve(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
     with policy_errors():
-        plan = plan_of(instances, **team)
+        plan = replace(plan_of(instances, **team), public_url=public_url)
         try:
             session = plan.session()
         except (ResultsExistError, DamagedFileError):
             raise
         except ValueError as error:
             raise click.UsageError(str(error)) from None
-    listening = listen(host, port)
+    listening = listen(host, port, public_url)
 
     def ready(access: Access, people: tuple[str, ...]) -> None:
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}

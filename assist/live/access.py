@@ -12,12 +12,42 @@ import os
 import secrets
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import quote
+from urllib.parse import quote, unquote, urlsplit
 
 from planner.storage import atomic
 
 SECRET = 32
 """Bytes."""
+
+OWN = frozenset({"api", "docs", "join", "openapi.json", "operator", "pages", "part", "study"})
+"""What the service's own paths begin with."""
+
+
+def public_address(url: str) -> str:
+    """Return the address at which others reach the service, without a slash at the end.
+
+    Its path has none of the service's own names: so it does not matter whether a proxy strips it, and where it ends in
+    a link is clear.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    wrong = ValueError(f"{url[:80]}: expected the address of the service, such as https://host.example/kits")
+    try:
+        parts = urlsplit(url)
+        named = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+    except ValueError:  # a port or a number that is none
+        raise wrong from None
+    names = parts.path.strip("/").split("/") if parts.path.strip("/") else []
+    more = any(sign in url for sign in "?#@\\") or not url.isascii() or not url.isprintable() or " " in url
+    if not named or more or any(unquote(name) in ("", ".", "..") or "/" in unquote(name) for name in names):
+        raise wrong
+    for name in names:
+        if unquote(name) in OWN:
+            raise ValueError(f"{url[:80]}: expected a path without {name!r}, which the service's own pages have")
+    return f"{parts.scheme}://{parts.netloc}{''.join(f'/{name}' for name in names)}"
 
 
 class Caller(NamedTuple):
@@ -54,6 +84,16 @@ class Access:
         if len(secret) != SECRET:
             raise OSError(f"{file}: expected {SECRET} bytes, from which the links' tokens follow; found {len(secret)}")
         return cls(secret, base)
+
+    @property
+    def root(self) -> str:
+        """The path under which the service is: empty, or one that begins with a slash."""
+        return urlsplit(self.base).path
+
+    def within(self, path: str) -> str:
+        """Return a decoded path within the service, whether or not a proxy has stripped what comes before."""
+        root = unquote(self.root)
+        return (path[len(root) :] or "/") if root and f"{path}/".startswith(f"{root}/") else path
 
     def _token(self, what: str) -> str:
         made = hmac.new(self._secret, what.encode(), hashlib.sha256).digest()[:24]

@@ -17,14 +17,18 @@ PAGES = Path(__file__).parent / "pages"
 router = APIRouter(include_in_schema=False)
 
 
-def document(content: str, status: int = 200) -> Response:
-    """Give a page: the head that all of them have, and what follows, from its title on."""
-    return HTMLResponse(_read(PAGES / "head.html") + content, status)
+def document(request: Request, content: str, status: int = 200) -> Response:
+    """Return a page: the head that all of them have, and what follows, from its title on.
+
+    What it loads is named from where the page is, so that it does not matter under which path the service is.
+    """
+    up = "../" * (request.scope["path"].count("/") - 1)
+    return HTMLResponse((_read(PAGES / "head.html") + content).replace('="/', f'="{up}'), status)
 
 
-def page(file: Path, status: int = 200) -> Response:
-    """Give the page whose title and what follows are in a file."""
-    return document(_read(file), status)
+def page(request: Request, file: Path, status: int = 200) -> Response:
+    """Return the page whose title and what follows are in a file."""
+    return document(request, _read(file), status)
 
 
 @cache
@@ -39,36 +43,37 @@ def piece(folder: Path, name: str) -> Response:
     return FileResponse(folder / name)
 
 
-def page_of(access: Access, token: str, person: str | None, file: Path) -> Response:
-    """Give the page of whoever has this token, or the one that says that a link is not right."""
+def page_of(request: Request, token: str, person: str | None, file: Path) -> Response:
+    """Return the page of whoever has this token, or the one that says that a link is not right."""
+    access: Access = request.app.state.service.access
     caller = access.whose(token)
     if caller is None or caller.person != person:
-        return page(PAGES / "nowhere.html", 403)
-    return page(file)
+        return page(request, PAGES / "nowhere.html", 403)
+    return page(request, file)
 
 
 @router.get("/")
-async def nowhere() -> Response:
+async def nowhere(request: Request) -> Response:
     """Say that a link is needed."""
-    return page(PAGES / "nowhere.html", 404)
+    return page(request, PAGES / "nowhere.html", 404)
 
 
 @router.get("/docs")
 async def docs(request: Request) -> Response:
     """Describe the interface."""
-    return document(description.page(request.app.openapi()))
+    return document(request, description.page(request.app.openapi()))
 
 
 @router.get("/join/{name}/{token}")
 async def worker(request: Request, name: str, token: str) -> Response:
     """Give the page of whoever works."""
-    return page_of(request.app.state.service.access, token, name, PAGES / "worker.html")
+    return page_of(request, token, name, PAGES / "worker.html")
 
 
 @router.get("/operator/{token}")
 async def operators(request: Request, token: str) -> Response:
     """Give the page of whoever looks after the team."""
-    return page_of(request.app.state.service.access, token, None, PAGES / "operator.html")
+    return page_of(request, token, None, PAGES / "operator.html")
 
 
 @router.get("/pages/{name}")

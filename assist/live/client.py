@@ -7,6 +7,7 @@ restart of the service does in between.
 from __future__ import annotations
 
 import json
+import re
 import time
 import urllib.error
 import urllib.request
@@ -19,6 +20,9 @@ from planner.errors import MissingExtraError
 
 AGAIN = {429, 503, 507}
 """What passes by itself: too much at once, or a disk that is full."""
+
+LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)/(?P<token>[^/]+)/?")
+"""The path of a link, with that under which the service is, which has none of these names."""
 
 BETWEEN = 0.2
 """Seconds between two attempts."""
@@ -47,18 +51,19 @@ class Client:
     Parameters
     ----------
     link : str
-        A join link, or the operator's, as `kitassist serve` prints them.
+        A join link, or the operator's, as `kitassist serve` prints them; the service may be under a path.
     patience : float
         Seconds for which a service that does not answer is tried again.
     """
 
     def __init__(self, link: str, *, patience: float = 30.0) -> None:
         parts = urlsplit(link)
-        what, *name, self._token = parts.path.strip("/").split("/") if parts.path.count("/") >= 2 else ("", "")
-        if what not in ("join", "operator") or not parts.netloc:
+        found = LINK.fullmatch(parts.path)
+        if found is None or parts.scheme not in ("http", "https") or not parts.netloc:
             raise ValueError(f"{link[:40]!r}: expected the address of a join link or of the operator's")
-        self.url = f"{parts.scheme}://{parts.netloc}"
-        self.name = unquote(name[0]) if name else None
+        self.url = f"{parts.scheme}://{parts.netloc}{found['root']}"
+        self.name = None if found["name"] is None else unquote(found["name"])
+        self._token = found["token"]
         self.patience = patience
 
     def ask(self, method: str, path: str, body: Any = None) -> Any:

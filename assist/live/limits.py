@@ -62,7 +62,7 @@ class Guard:
     """Lets in who has a token, as often and with as much as is allowed, and puts `HEADERS` on every answer.
 
     What may be seen without a token are the pages, which hold no data, the description of the interface, and whether
-    the service is well. Who calls is in the scope's state as `caller`.
+    the service is well. Who calls is in the scope's state as `caller`; the path is that within the service.
     """
 
     def __init__(self, app: ASGIApp, access: Access, allowance: Allowance | None = None) -> None:
@@ -70,6 +70,8 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Take a request, or a connection."""
+        if "path" in scope:
+            scope = {**scope, "path": self._access.within(scope["path"])}
         if scope["type"] == "websocket":
             caller = self._access.whose(token_of(scope))
             scope.setdefault("state", {})["caller"] = caller

@@ -182,6 +182,8 @@ class Plan:
         As in `Seats` and `SimulatedPerson`.
     tick : float
         Seconds without an event after which time is taken to have elapsed.
+    public_url : str or None
+        Where others reach the service, as `public_address` gives it, if it is not where it listens.
     """
 
     tasks: Mapping[str, CostToGo]
@@ -195,6 +197,7 @@ class Plan:
     pace: float
     seed: int
     tick: float
+    public_url: str | None = None
 
     def session(self) -> Session:
         """Open the session; at its very beginning people come.
@@ -247,7 +250,7 @@ def serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) 
 
 
 async def _serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) -> None:
-    access = Access.kept(plan.folder / "secret", address(listening))
+    access = Access.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
     app = make_app(service)

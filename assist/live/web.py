@@ -46,7 +46,8 @@ def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequ
 
     app = FastAPI(
         title="kitassist", summary="The live assistant: whom to help, when, and with which suggestion.",
-        version="1", lifespan=lifespan, docs_url=None, redoc_url=None,
+        version="1", lifespan=lifespan, docs_url=None, redoc_url=None, redirect_slashes=not service.access.root,
+        servers=[{"url": service.access.root}] if service.access.root else None,
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures()
     _says_what_is_wrong(app)

@@ -36,7 +36,7 @@ class SimulatedParticipant:
     Parameters
     ----------
     service : StudyService
-        Of which only addresses and the study's file are looked at.
+        Of which only tokens and the study's file are looked at.
     tasks : mapping of str to CostToGo
     number : int
         From which, with the study's seed, they are drawn.
@@ -44,11 +44,14 @@ class SimulatedParticipant:
         The stage at which they leave.
     lock : lock
         That of the session, since tasks that are asked on demand are one thread's at a time.
+    base : str
+        Where the service listens.
     """
 
     def __init__(
-        self, service: StudyService, tasks: Mapping[str, CostToGo], number: int, leaves: str | None, lock: Any
-    ) -> None:
+        self, service: StudyService, tasks: Mapping[str, CostToGo], number: int, leaves: str | None, lock: Any,
+        base: str,
+    ) -> None:  # fmt: skip
         study = service.study
         self.study, self._tasks, self._leaves, self._lock = study, tasks, leaves, lock
         seed = int(np.random.SeedSequence([study.seed, 1, number]).generate_state(1, np.uint64)[0])
@@ -58,10 +61,10 @@ class SimulatedParticipant:
         )
         self._rng = np.random.default_rng([seed, 2])
         self._lost = 0.0
-        visitor = Client(f"{service.access.base}/operator/{service.join_url().rpartition('/')[2]}")
+        visitor = Client(f"{base}/operator/{service.join_url().rpartition('/')[2]}")
         seat = visitor.ask("POST", "/api/study/seats", {"id": uuid.uuid4().hex, "simulated": True})
         self._name = seat["person"]
-        self._client = Client(service.access.base + seat["part"].replace("/part/", "/join/", 1))
+        self._client = Client(base + seat["part"].replace("/part/", "/join/", 1))
 
     def take_part(self) -> None:
         """Go through the whole study."""
@@ -123,7 +126,7 @@ class SimulatedParticipant:
         return answers
 
 
-def rehearse(service: StudyService, tasks: Mapping[str, CostToGo], participants: int) -> None:
+def rehearse(service: StudyService, tasks: Mapping[str, CostToGo], participants: int, base: str) -> None:
     """Let simulated participants take part until all have done.
 
     Parameters
@@ -133,6 +136,8 @@ def rehearse(service: StudyService, tasks: Mapping[str, CostToGo], participants:
     tasks : mapping of str to CostToGo
     participants : int
         Who stay to the end.
+    base : str
+        Where the service listens, whatever others call it.
     """
     lock: threading.RLock = service.session.lock
     early = [stage.name for stage in service.study.stages if stage.kind in ("consent", "instructions", "practice")]
@@ -148,7 +153,7 @@ def rehearse(service: StudyService, tasks: Mapping[str, CostToGo], participants:
         stays = order[number] is None
         if places.acquire(blocking=stays):
             try:
-                SimulatedParticipant(service, tasks, number, order[number], lock).take_part()
+                SimulatedParticipant(service, tasks, number, order[number], lock, base).take_part()
             finally:
                 if not stays:
                     places.release()

@@ -61,7 +61,7 @@ class Participant(Person):
 
 
 class Seat(BaseModel):
-    """The place of who has come, and the address of their page."""
+    """The place of who has come, and the path of their page within the service."""
 
     person: str
     part: str
@@ -160,9 +160,9 @@ async def _archive(study: StudyService) -> Response:
 
 
 @router.get("/study/operator/{token}", include_in_schema=False)
-async def conduct(token: str, study: Study) -> Response:
+async def conduct(request: Request, token: str) -> Response:
     """Give the page of whoever conducts the study."""
-    return page_of(study.access, token, None, PAGES / "conduct.html")
+    return page_of(request, token, None, PAGES / "conduct.html")
 
 
 @router.get("/study/export/{token}", include_in_schema=False)
@@ -174,15 +174,15 @@ async def export_file(token: str, study: Study) -> Response:
 
 
 @router.get("/study/{token}", include_in_schema=False)
-async def visitors(token: str, study: Study) -> Response:
+async def visitors(request: Request, token: str) -> Response:
     """Give the page at which everybody gets a place."""
-    return page_of(study.access, token, VISITOR, PAGES / "visit.html")
+    return page_of(request, token, VISITOR, PAGES / "visit.html")
 
 
 @router.get("/part/{name}/{token}", include_in_schema=False)
-async def part(name: str, token: str, study: Study) -> Response:
+async def part(request: Request, name: str, token: str) -> Response:
     """Give a participant's page, but for tasks, which have their own."""
-    return page_of(study.access, token, name, PAGES / "part.html")
+    return page_of(request, token, name, PAGES / "part.html")
 
 
 @router.get("/study/pages/{name}", include_in_schema=False)

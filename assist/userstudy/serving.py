@@ -23,7 +23,7 @@ from .session import StudySession
 
 def serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
-    ready: Callable[[StudyService], None], *, participants: int = 0,
+    ready: Callable[[StudyService], None], *, participants: int = 0, public_url: str | None = None,
 ) -> None:  # fmt: skip
     """Serve a study until a signal ends it, or a rehearsal is over.
 
@@ -39,17 +39,19 @@ def serve(
         Called when the first request can come.
     participants : int
         Simulated ones, who rehearse the study; 0 for real ones.
+    public_url : str, optional
+        Where others reach the service, as `public_address` gives it, if it is not where it listens.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    asyncio.run(_serve(study, tasks, folder, listening, ready, participants))
+    asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url))
 
 
 async def _serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
-    ready: Callable[[StudyService], None], participants: int,
+    ready: Callable[[StudyService], None], participants: int, public_url: str | None,
 ) -> None:  # fmt: skip
     session = StudySession(study, tasks, folder)
-    access = Access.kept(folder / "secret", address(listening))
+    access = Access.kept(folder / "secret", public_url or address(listening))
     service = StudyService(session, access, ticks=not participants)
     begun = asyncio.Event()
 
@@ -60,7 +62,7 @@ async def _serve(
     async def rehearsing() -> None:
         await begun.wait()
         if participants:
-            await asyncio.to_thread(rehearse, service, tasks, participants)
+            await asyncio.to_thread(rehearse, service, tasks, participants, address(listening))
 
     # Whoever rehearses is faster than people are.
     allowance = Allowance(rate=1e6, burst=1e6) if participants else None

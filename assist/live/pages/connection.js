@@ -1,7 +1,8 @@
 // The way to the service: one socket that comes back by itself, requests that are repeated under the same name until
 // they are answered, and nothing lost when the page is loaded anew.
 
-const parts = location.pathname.split("/").filter(Boolean);
+const root = new URL("../", import.meta.url); // where the service is, under whatever path
+const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
 export const token = parts.at(-1);
 export const person = parts.length > 2 ? decodeURIComponent(parts[1]) : null;
 
@@ -15,13 +16,16 @@ export class Refused extends Error {
   }
 }
 
+/** The address of a path of the service. */
+export const address = (path) => new URL(path.slice(1), root).href;
+
 export function pathOf(name, rest = "") {
   return `/api/people/${encodeURIComponent(name)}${rest}`;
 }
 
 /** Ask once; throws Refused where the service says no, and anything else where it was not reached. */
 export async function ask(path, { method = "GET", body } = {}) {
-  const answer = await fetch(path, {
+  const answer = await fetch(address(path), {
     method,
     headers: { Authorization: `Bearer ${token}`, ...(body === undefined ? {} : { "Content-Type": "application/json" }) },
     body: body === undefined ? undefined : JSON.stringify(body),
@@ -132,8 +136,7 @@ export class Channel {
 
   open() {
     if (this.socket?.readyState === WebSocket.CONNECTING) return;
-    const address = `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${this.path}`;
-    const socket = new WebSocket(address, ["kitassist", `token.${token}`]);
+    const socket = new WebSocket(address(this.path).replace(/^http/, "ws"), ["kitassist", `token.${token}`]);
     this.socket = socket;
     socket.onopen = () => {
       if (socket !== this.socket) return;

@@ -1,6 +1,6 @@
 // The page of one person at work: the drawing with everything that can be done in it, the suggestion, steps and goal.
 
-import { Channel, Outbox, Refused, askJson, passes, pathOf, person, token } from "./connection.js";
+import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "./connection.js";
 
 const at = (id) => document.getElementById(id);
 const LARGEST = 1.3; // times its natural size, for a drawing
@@ -78,13 +78,13 @@ function show() {
 function showStudy(study) {
   if (!study) return;
   if (!["practice", "task"].includes(study.kind)) {
-    location.replace(`/part/${encodeURIComponent(person)}/${token}`);
+    location.replace(address(`/part/${encodeURIComponent(person)}/${token}`));
     return;
   }
   at("person").textContent = study.kind === "practice" ? "Practice" : "Your task";
   document.title = at("person").textContent;
   at("undo").hidden = at("again").hidden = true;
-  at("leave").querySelector("a").href = `/part/${encodeURIComponent(person)}/${token}?leave`;
+  at("leave").querySelector("a").href = address(`/part/${encodeURIComponent(person)}/${token}?leave`);
   at("onward").hidden = at("leave").hidden = false;
   at("onward").disabled = outbox.busy;
 }

@@ -1,6 +1,6 @@
 // The page of whoever conducts a study: who is where, who has left, how the conditions fill, and the export.
 
-import { Refused, ask, askJson } from "/pages/connection.js";
+import { Refused, ask, askJson } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
 const BETWEEN = 2000; // milliseconds between two looks

@@ -1,6 +1,6 @@
 // A participant's page: consent, instructions, questionnaires, the end. Tasks have their own page, to which this one leads.
 
-import { Channel, Outbox, Refused, askJson, passes, pathOf, person, token } from "/pages/connection.js";
+import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
 const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${rest}`;
@@ -212,7 +212,7 @@ function show() {
   const leaves = new URLSearchParams(location.search).has("leave");
   const under = !["thanks", "declined", "withdrew", "gone", "full"].includes(study.kind);
   if (TASKS.includes(study.kind) && !leaves) {
-    location.replace(`/join/${encodeURIComponent(person)}/${token}`);
+    location.replace(address(`/join/${encodeURIComponent(person)}/${token}`));
     return;
   }
   at("title").textContent = form.title;

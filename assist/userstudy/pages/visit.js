@@ -1,6 +1,6 @@
 // The join link: everybody who opens it gets a place, in one browser always the same one.
 
-import { Refused, askJson, newId, passes, token } from "/pages/connection.js";
+import { Refused, address, askJson, newId, passes, token } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
 const KEY = `kitassist visit ${token}`;
@@ -54,7 +54,7 @@ async function enter(id) {
   keep({ id });
   try {
     const seat = await visit(id);
-    location.replace(seat.part);
+    location.replace(address(seat.part));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     if (error.status !== 409) tell(`This link does not lead to a study: ${error.message}.`);
@@ -75,7 +75,7 @@ async function begin() {
       next(seat);
       return;
     }
-    location.replace(seat.part);
+    location.replace(address(seat.part));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     await enter(id);
@@ -83,7 +83,7 @@ async function begin() {
 }
 
 function next(seat) {
-  tell("Somebody has taken part in this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: seat.part });
+  tell("Somebody has taken part in this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: address(seat.part) });
 }
 
 at("begin").addEventListener("click", () => enter(sent() ?? newId()));
