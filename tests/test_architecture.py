@@ -21,12 +21,12 @@ ROOMS = {
         agreement task replay budget successors statespace astar costtogo verifying early moves compiled atomics
         checkpoint reached kernels relaxing packed mutexes invariants clusters coding candidates trie searches
         listing symmetry canonical orbits sweep saved ondemand methods solving results batch engine""",
-    "assist.people": "choices misconception decision terms memory choice_model own human compiled belief",
+    "assist.people": "arguments choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
         solver""",
     "assist.learning": """actions log_files log recording observations choosing likelihood profiles estimates weighing
         hierarchy misconception diagnostics population record people comparison summary""",
-    "assist.team": "arguments travel state attention subproblem settings bounded wide priority policies pool",
+    "assist.team": "travel state attention subproblem settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts confidence clairvoyant bound",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",

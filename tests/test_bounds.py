@@ -207,7 +207,7 @@ def test_teams_options_that_cannot_be(tmp_path: Path) -> None:
     for options, complaint in (
         (["--distances", str(folder / "far.json")], "distance, shape (2, 2): expected (4, 4)"),
         (["--distances", str(folder / "no.json")], "expected a list of lists of numbers"),
-        (["--travel-time", "-1"], "travel_time -1: expected 0 or more"),
+        (["--travel-time", "-1"], "travel_time -1: expected a number from 0"),
         (["--gamma", "1"], "gamma 1"),
     ):
         result = invoke("bound", tiny, "--humans", "3", *options)

@@ -24,10 +24,10 @@ from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from assist.team.attention import NoAssistance
-from assist.team.pool import Pool, policy_bytes
+from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
-from assist.team.subproblem import AWAY, HERE, Layout, Visits
+from assist.team.subproblem import AWAY, HERE, Layout, Visits, policy_bytes
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)

@@ -230,10 +230,10 @@ def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None
     ("ranges", "message"),
     [
         ({"theta": (0.5, 1.2)}, r"theta range \(0.5, 1.2\): expected 0 <= low <= high <= 1$"),
-        ({"beta": (1.0, float("inf"))}, r"beta range \(1, inf\): expected 0 <= low <= high$"),
+        ({"beta": (1.0, float("inf"))}, r"beta range \(1, inf\): expected 0 <= low <= high <= 1e[+]15$"),
         ({"beta": (float("nan"), 1.0)}, r"beta range \(nan, 1\): expected"),
-        ({"sigma": (-0.1, 1.0)}, r"sigma range \(-0.1, 1\): expected 0 <= low <= high$"),
-        ({"sigma": (0.2, 0.1)}, r"sigma range \(0.2, 0.1\): expected 0 <= low <= high$"),
+        ({"sigma": (-0.1, 1.0)}, r"sigma range \(-0.1, 1\): expected 0 <= low <= high <= 1e[+]15$"),
+        ({"sigma": (0.2, 0.1)}, r"sigma range \(0.2, 0.1\): expected 0 <= low <= high <= 1e[+]15$"),
         ({"noise": "both"}, "noise 'both': expected 'state' or 'action'$"),
     ],
 )
@@ -310,7 +310,7 @@ def test_a_lapse_that_cannot_be(tiny_choices: Choices, lapse: float) -> None:
     [(-0.1, 1.0), (float("inf"), 1.0), (float("nan"), 1.0), (0.2, 0.0), (0.2, -1.0), (0.2, float("inf"))],
 )
 def test_trust_that_cannot_be(tiny_choices: Choices, eta: float, scale: float) -> None:
-    message = f"^eta {eta:g}, utility_scale {scale:g}: expected eta >= 0, scale > 0$"
+    message = f"^eta {eta:g}, utility_scale {scale:g}: expected eta from 0 to "
     with pytest.raises(ValueError, match=message):
         HumanModel.exact(tiny_choices, eta=eta, utility_scale=scale)
 

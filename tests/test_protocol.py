@@ -91,7 +91,7 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         ("c_suggest = 0.2\n", 'c_suggest = "low"\n', 'setting.c_suggest: "low"; expected a number'),
         ("c_suggest = 0.2\n", "c_sugest = 0.2\n", "setting.c_sugest: unknown; did you mean 'c_suggest'?"),
         ("c_suggest = 0.2\n", 'knowledge = "all"\n', 'setting.knowledge: "all"; expected "own" or "exact"'),
-        ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2]: c_move -2: expected 0 or more"),
+        ("c_move = 2.0", "c_move = -2.0", "conditions[2].settings[2]: c_move -2: expected a number from 0"),
         ("beta = [0.1, 0.5]", "beta = [0.5, 0.1]", "populations.novices: beta range (0.5, 0.1)"),
         ("beta = [0.1, 0.5]", "beta = 0.5", "populations.novices.beta: 0.5; expected two numbers"),
         ("beta = [0.1, 0.5]", 'file = "people.json"', "populations.novices.file: "),

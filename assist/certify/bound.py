@@ -37,9 +37,9 @@ from planner.arrays import outline
 from planner.machine import processors
 from planner.progress import Progress, Wanted, shows_progress
 
+from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
-from ..team.arguments import Seed, entropy, positive, whole
 from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.priority import Priority
 from ..team.state import TeamPolicy

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from planner import LimitError
 from planner.progress import Progress
 
+from ..people.arguments import positive
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, ahead, highest, improve
 from ..person.solver import first_bounds_bytes
 from ..simulation.simulate import simulate
-from ..team.arguments import positive
 from ..team.attention import NoAssistance
 from ..team.bounded import Bounded, Outer, likely
-from ..team.pool import Pool, policy_bytes
+from ..team.pool import Pool
 from ..team.state import TeamAction, TeamState
-from ..team.subproblem import HERE, Layout, Visits, backwards
+from ..team.subproblem import HERE, Layout, Visits, backwards, policy_bytes
 from ..team.travel import Travel
 from ..team.wide import WidePolicy
 
@@ -200,6 +200,8 @@ def _allow(problems: list[Bounded], entry_steps: list[int], window: int, limit_m
     for one, steps in zip(problems, entry_steps, strict=True):
         alone = one.problem
         timed = window and one.outer is None
+        if timed:  # each step has a state or more; to list them takes long
+            _refuse_above(limit_mb, policy_bytes(window), len(problems), window, window)
         states = len(Layout.of(alone, 2 + steps, window if timed else 0))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)

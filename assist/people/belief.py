@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.arrays import frozen
+
 from .decision import Floats
 from .human import Mixture, Population
 
@@ -36,14 +38,16 @@ class Grid:
     theta: Floats
 
     def __post_init__(self) -> None:
-        if self.beta.ndim != 1 or len(self.beta) < 1 or (np.diff(self.beta) <= 0).any() or self.beta[0] < 0:
+        for name in ("beta", "theta"):
+            object.__setattr__(self, name, frozen(np.asarray(getattr(self, name), dtype=float)))
+        if self.beta.ndim != 1 or len(self.beta) < 1 or not ((np.diff(self.beta) > 0).all() and self.beta[0] >= 0):
             raise ValueError("beta: expected one or more ascending values from 0 upwards")
-        if self.theta.ndim != 1 or len(self.theta) < 2 or (np.diff(self.theta) <= 0).any():
+        if self.beta[-1] == np.inf:
+            raise ValueError("beta: expected finite values")
+        if self.theta.ndim != 1 or len(self.theta) < 2 or not (np.diff(self.theta) > 0).all():
             raise ValueError("theta: expected two or more ascending values")
         if self.theta[0] != 0 or self.theta[-1] != 1:
             raise ValueError("theta: expected a grid from 0 to 1, because trust can move that far")
-        self.beta.flags.writeable = False
-        self.theta.flags.writeable = False
 
     @classmethod
     def regular(cls, population: Population | Mixture, betas: int = 6, thetas: int = 10) -> Grid:

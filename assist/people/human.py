@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.arrays import frozen, outline
 
+from .arguments import MOST, number, span
 from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value
 from .choices import Choices
 from .decision import Floats, perceived_cost
@@ -46,13 +47,18 @@ class Human:
     chooses: ChoiceModel = boltzmann
 
     def __post_init__(self) -> None:
-        if not (0 <= self.beta < np.inf and 0 <= self.sigma < np.inf and 0 <= self.theta <= 1):
+        for name in ("beta", "theta", "sigma"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
+        if not (0 <= self.beta <= MOST and 0 <= self.sigma <= MOST and 0 <= self.theta <= 1):
             raise ValueError(
-                f"beta {self.beta:g}, theta {self.theta:g}, sigma {self.sigma:g}: expected beta and sigma of 0 or "
-                "more, and theta from 0 to 1"
+                f"beta {self.beta:g}, theta {self.theta:g}, sigma {self.sigma:g}: expected beta and sigma from 0 to "
+                f"{MOST:g}, and theta from 0 to 1"
             )
         if not isinstance(self.h, Misconception):
-            object.__setattr__(self, "h", frozen(self.h))
+            h = frozen(np.asarray(self.h, dtype=float))
+            if h.ndim not in (1, 2) or np.isnan(h).any():
+                raise ValueError(f"h, shape {h.shape}: expected a number for each state, or for each choice in it")
+            object.__setattr__(self, "h", h)
 
     def expects(self, choices: Choices) -> Floats:
         """Give what they take for the cost-to-go in a task or a part of one, shape (n,) or (n, A)."""
@@ -98,21 +104,24 @@ class Population:
     chooses: ChoiceModel | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", dict(self.weights))
+        weights = {name: span(f"weight range of {name}", pair) for name, pair in self.weights.items()}
+        object.__setattr__(self, "weights", weights)
+        for name in ("beta", "theta", "sigma"):
+            object.__setattr__(self, name, span(f"{name} range", getattr(self, name)))
         if self.chooses is not None and self.weights:
             raise ValueError(f"weights of {', '.join(self.weights)}, and a choice model: expected one of them")
         for name, (low, high) in self.weights.items():
-            if not -np.inf < low <= high < np.inf:
-                raise ValueError(f"weight range ({low:g}, {high:g}) of {name}: expected low <= high, both finite")
+            if not -MOST <= low <= high <= MOST:
+                raise ValueError(
+                    f"weight range ({low:g}, {high:g}) of {name}: expected -{MOST:g} <= low <= high <= {MOST:g}"
+                )
         if self.noise not in ("state", "action"):
             raise ValueError(f"noise '{self.noise}': expected 'state' or 'action'")
         for name, (low, high), most in (
-            ("beta", self.beta, np.inf), ("theta", self.theta, 1.0), ("sigma", self.sigma, np.inf),
+            ("beta", self.beta, MOST), ("theta", self.theta, 1.0), ("sigma", self.sigma, MOST),
         ):  # fmt: skip
-            if not (0 <= low <= high <= most and np.isfinite(high)):
-                raise ValueError(
-                    f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high" + f" <= {most:g}" * (most < np.inf)
-                )
+            if not 0 <= low <= high <= most:
+                raise ValueError(f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high <= {most:g}")
 
     def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
         """Draw people for a task; with weights or without, they are otherwise the same.
@@ -166,9 +175,11 @@ class Mixture:
     shares: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "parts", tuple(self.parts))
+        object.__setattr__(self, "shares", tuple(number("share", share) for share in self.shares))
         if not self.parts or len(self.parts) != len(self.shares):
             raise ValueError(f"{len(self.parts)} parts, {len(self.shares)} shares: expected one share for each part")
-        if min(self.shares) < 0 or abs(sum(self.shares) - 1) > 1e-6:
+        if not (min(self.shares) >= 0 and abs(sum(self.shares) - 1) <= 1e-6):
             raise ValueError(
                 f"the shares add up to {sum(self.shares):g}; expected numbers of 0 or more that add up to 1"
             )
@@ -252,10 +263,15 @@ class HumanModel:
     __repr__ = outline
 
     def __post_init__(self) -> None:
+        for name in ("eta", "lapse", "utility_scale"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
         if not 0 <= self.lapse < 1:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
-        if not (0 <= self.eta < np.inf and 0 < self.utility_scale < np.inf):
-            raise ValueError(f"eta {self.eta:g}, utility_scale {self.utility_scale:g}: expected eta >= 0, scale > 0")
+        if not (0 <= self.eta <= MOST and 1 / MOST <= self.utility_scale <= MOST):
+            raise ValueError(
+                f"eta {self.eta:g}, utility_scale {self.utility_scale:g}: expected eta from 0 to {MOST:g}, and a scale "
+                f"from {1 / MOST:g} to {MOST:g}"
+            )
         object.__setattr__(self, "q", frozen(self.q))
 
     @classmethod

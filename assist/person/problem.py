@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner import CostToGo, Table
 from planner.arrays import outline
 
+from ..people.arguments import whole
 from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
 from ..people.memory import choices_of
@@ -110,6 +111,7 @@ class PersonProblem:
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
+        states = None if states is None else whole("states", states, 1)
         if is_whole(known, states):
             people = population or Population()
             choices = choices_of(known, people.weights)

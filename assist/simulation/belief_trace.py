@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ..people.arguments import Seed
 from ..people.belief import Spread
 from ..people.decision import Floats
-from ..team.arguments import Seed
 from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel

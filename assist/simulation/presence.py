@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..team.arguments import wholes
+from ..people.arguments import wholes
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from planner import LimitError
 from planner.progress import Wanted, adding, shows_progress
 
-from ..team.arguments import Seed, entropy, positive, whole, wholes
+from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..team.policies import prepare
 from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamPolicy

@@ -9,19 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, LimitError
-from planner.arrays import outline
+from planner.arrays import frozen, outline
 from planner.progress import Wanted, adding, shows_progress
 
+from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import AssistPOMDP, Later, Policy
 from ..person.problem import WHOLE, is_whole
 from ..person.qmdp import qmdp
-from .arguments import Seed, entropy, positive, whole
 from .policies import named
 from .settings import Setting
 from .state import TeamPolicy
+from .subproblem import policy_bytes
 from .travel import Travel
 from .wide import Ground, WidePolicy
 
@@ -77,7 +78,7 @@ class Pool:
                     f"person {number}: perceived costs-to-go of {len(expected)} states, and the task has "
                     f"{len(self.choices(number))}"
                 )
-        self.model.flags.writeable = False
+        object.__setattr__(self, "model", frozen(self.model))
 
     @classmethod
     @shows_progress
@@ -136,7 +137,8 @@ class Pool:
             People's policies would take more memory than is allowed.
         """
         assert callable(progress)
-        size = whole("size", size, 1)
+        size, states = whole("size", size, 1), whole("states", states)
+        region = None if region is None else whole("region", region, 1)
         setting = setting or Setting()
         population = population or Population()
         prior = prior or population
@@ -222,20 +224,6 @@ class Pool:
         """
         # As all places are equally far, two stand for any number.
         return named(name, self.policies, travel or self.setting.travel(2))
-
-
-def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:
-    """Give the bytes that a person's problem and its QMDP policy take; at least, where only its states are known.
-
-    Parameters
-    ----------
-    slots, robots : int
-        The most choices of a person, and of the robot, in any state.
-    betas, thetas : int
-        The grid's, as `Grid.regular` has it unless given.
-    """
-    hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas  # cost, afterstate, slot; unsuggested; theta's moves
-    return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
 
 
 def _allow(one: int, states: int, models: int, limit_mb: float) -> None:

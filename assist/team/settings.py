@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from ..people.arguments import MOST, number, whole
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Mixture, Population
 from ..person.pomdp import AssistPOMDP, Frontier, Suggestions
-from .arguments import whole
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
@@ -63,21 +63,24 @@ class Setting:
     max_steps: int = 500
 
     def __post_init__(self) -> None:
+        for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
         if not 0 < self.gamma < 1:
             raise ValueError(f"gamma {self.gamma:g}: expected 0 < gamma < 1")
         if not 0 <= self.lapse < 1:
             raise ValueError(f"lapse {self.lapse:g}: expected 0 <= lapse < 1")
-        if not 0 < self.utility_scale < math.inf:
-            raise ValueError(f"utility_scale {self.utility_scale:g}: expected a number above 0")
+        if not 1 / MOST <= self.utility_scale <= MOST:
+            raise ValueError(f"utility_scale {self.utility_scale:g}: expected a number from {1 / MOST:g} to {MOST:g}")
         for cost in ("c_suggest", "c_execute", "eta"):
-            if not 0 <= getattr(self, cost) < math.inf:
-                raise ValueError(f"{cost} {getattr(self, cost):g}: expected a number of 0 or more")
+            if not 0 <= getattr(self, cost) <= MOST:
+                raise ValueError(f"{cost} {getattr(self, cost):g}: expected a number from 0 to {MOST:g}")
         for name, expected in (("knowledge", get_args(Knowledge)), ("suggestions", get_args(Suggestions))):
             if getattr(self, name) not in expected:
                 raise ValueError(f"{name} {getattr(self, name)!r}: expected {' or '.join(map(repr, expected))}")
-        if self.execute not in (True, False):
-            raise ValueError(f"execute {self.execute!r}: expected True or False")
-        whole("max_steps", self.max_steps, 1)
+        if not isinstance(self.execute, bool | np.bool_):
+            raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
+        object.__setattr__(self, "execute", bool(self.execute))
+        object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
         self.travel(1)  # refuses a way that cannot be
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:

@@ -21,7 +21,8 @@ from typing import Any, ClassVar, Protocol, TypeGuard
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo
+from planner import CostToGo, LimitError
+from planner.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
@@ -30,6 +31,9 @@ from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1
 """Positions of the robot. At HERE + s it is on its way, and here after s more steps."""
+
+SMALL = 100e6
+"""Bytes for which no machine is asked whether it has them."""
 
 
 @dataclass(frozen=True)
@@ -219,10 +223,16 @@ class Visits:
         kept : bool array, shape (W + 1, n), optional
             Where the problem goes on at each step; elsewhere it breaks off, with an upper bound of 0. Only where that
             of the person alone breaks off as well, and it is known what a robot gets there that is away.
+
+        Raises
+        ------
+        LimitError
+            There are so many states that the machine has no memory for them: on a way of many steps.
         """
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
         layout = Layout.of(alone, positions, len(price), kept)
+        _require_room(alone, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
         x, position, own = layout.x, layout.position, np.arange(len(layout))
@@ -270,6 +280,33 @@ class Visits:
     def states(self, step: int, position: int) -> NDArray[np.int64]:
         """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
         return self.layout.number(step, position, np.arange(self.layout.states))
+
+
+def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:
+    """Return how many bytes a person's problem and its QMDP policy take; at least, where only its states are known.
+
+    Parameters
+    ----------
+    slots, robots : int
+        The most choices of a person, and of the robot, in any state.
+    betas, thetas : int
+        The grid's, as `Grid.regular` has it unless given.
+    """
+    hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas  # cost, afterstate, slot; unsuggested; theta's moves
+    return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
+
+
+def _require_room(alone: AssistPOMDP, layout: Layout) -> None:
+    """Refuse a problem for which the machine has no memory left."""
+    betas, thetas = alone.grid.shape
+    slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
+    needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=betas, thetas=thetas)
+    if needed > SMALL and needed > (free := available_memory()):
+        raise LimitError(
+            f"a person's problem with a robot that comes and goes has {len(layout):,} states, with ways of up to "
+            f"{layout.positions - 2:,} steps, and takes about {needed / 1e6:,.0f} MB of memory; {free / 1e6:,.0f} MB "
+            "are left; expected shorter ways (travel_time, distance) or fewer prices"
+        )
 
 
 def backwards(visits: Visits, tail: Floats) -> QMDP:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.arrays import frozen
 
+from ..people.arguments import MOST, number, whole
 from ..people.decision import Floats
-from .arguments import whole
+
+LONGEST = 1_000_000_000
+"""Steps that a way takes are fewer than these."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +36,17 @@ class Travel:
     c_move: float
 
     def __post_init__(self) -> None:
-        if not 0 <= self.c_move < math.inf:
-            raise ValueError(f"c_move {self.c_move:g}: expected 0 or more")
+        object.__setattr__(self, "c_move", number("c_move", self.c_move))
+        if not 0 <= self.c_move <= MOST:
+            raise ValueError(f"c_move {self.c_move:g}: expected a number from 0 to {MOST:g}")
         if self.distance.ndim != 2 or self.distance.shape[0] != self.distance.shape[1] or len(self.distance) < 2:
             raise ValueError(
                 f"distance, shape {self.distance.shape}: expected a square, one row for each place and base"
             )
         # No arrays of the matrix's size are made, which for 10,000 people would take a second.
         least, most = self.distance.min(), self.distance.max()
-        if not (least >= 0 and most < math.inf) or self.distance.diagonal().any():
-            raise ValueError("distance: expected 0 from each place to itself, and 0 or more to the others")
+        if not (least >= 0 and most <= MOST) or self.distance.diagonal().any():
+            raise ValueError(f"distance: expected 0 from each place to itself, and from 0 to {MOST:g} to the others")
         if self.steps.shape != self.distance.shape or self.steps.min() < 0 or self.steps.diagonal().any():
             raise ValueError("steps: expected one number of 0 or more for each distance, and 0 to stay")
         object.__setattr__(self, "distance", frozen(self.distance))
@@ -65,8 +68,9 @@ class Travel:
             1 between any two places unless given.
         """
         places = whole("places", places, 1)
-        if not 0 <= travel_time < math.inf:
-            raise ValueError(f"travel_time {travel_time:g}: expected 0 or more")
+        travel_time = number("travel_time", travel_time)
+        if not 0 <= travel_time <= MOST:
+            raise ValueError(f"travel_time {travel_time:g}: expected a number from 0 to {MOST:g}")
         if distance is None:
             row = np.ones(2 * places + 1)
             row[places] = 0.0
@@ -96,6 +100,8 @@ class Travel:
 
 
 def _whole_steps(steps: Floats) -> NDArray[np.int64]:
+    if steps.max() >= LONGEST:
+        raise ValueError(f"travel_time: the longest way takes {steps.max():g} steps; expected less than {LONGEST:,}")
     # 3 times a distance of 0.1 is a little more than 0.3 and yet no further step.
     return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
 

@@ -1,0 +1,131 @@
+"""Numbers that callers give: what is one, what is none, and what is too large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from decimal import Decimal
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from assist.certify.bound import upper_bound
+from assist.people.arguments import number, span
+from assist.people.belief import Grid
+from assist.people.human import Human, Mixture, Population
+from assist.person.problem import PersonProblem
+from assist.simulation.presence import Presence
+from assist.simulation.simulate import simulate
+from assist.team.pool import Pool
+from assist.team.settings import Setting
+from assist.team.travel import Travel
+from planner import LimitError, Table
+
+NAN, INF = float("nan"), float("inf")
+
+NO_NUMBERS: list[Any] = [True, np.True_, "1", None, [1.0], np.array([0.5]), np.array(0.5), 1j, Decimal(1)]
+
+SETTINGS: list[tuple[str, Any]] = [
+    ("gamma", NAN), ("gamma", np.array([0.5])), ("c_suggest", True), ("c_move", "1"), ("lapse", None), ("execute", 1),
+    ("max_steps", 1.0), ("c_execute", 1j), ("utility_scale", Decimal(1)), ("eta", np.True_), ("utility_scale", 1e-320),
+    ("c_move", 1e308), ("c_execute", 1e16), ("travel_time", 1e18), ("c_suggest", 10**400), ("travel_time", 1e12),
+]  # fmt: skip
+
+SAMPLED: list[tuple[str, Any]] = [
+    ("states", NAN), ("states", -1), ("states", True), ("region", 0), ("region", "x"), ("region", 2.5), ("size", True),
+    ("seed", -1), ("memory_limit_mb", None), ("memory_limit_mb", "1"), ("memory_limit_mb", NAN),
+]  # fmt: skip
+
+PEOPLE: dict[str, tuple[Callable[[], Any], str]] = {
+    "shares": (lambda: Mixture((Population(), Population()), (0.5, NAN)), "the shares add up to nan"),
+    "share": (lambda: Mixture((Population(),), (True,)), "share True: expected a number"),
+    "beta": (lambda: Human(True, 0.5, 0, np.zeros(1)), "beta True: expected a number"),
+    "sigma": (lambda: Human(1, 0.5, 1e300, np.zeros(1)), "beta 1, theta 0.5, sigma 1e+300: expected beta and"),
+    "theta": (lambda: Human(1, np.zeros(1), 0, np.zeros(1)), "theta array([0.]): expected a number"),  # type: ignore[arg-type]
+    "h of no number": (lambda: Human(1, 0.5, 0, np.array([0, NAN])), "h, shape (2,): expected a number for each"),
+    "h of one": (lambda: Human(1, 0.5, 0, np.array(3)), "h, shape (): expected a number for each state"),
+    "h of three axes": (lambda: Human(1, 0.5, 0, np.zeros((1, 1, 1))), "h, shape (1, 1, 1): expected a number"),
+    "weight": (lambda: Population(weights={"goals": ("a", 1)}), "weight range of goals 'a': expected a number"),  # type: ignore[dict-item]
+    "grid": (lambda: Grid(np.array([NAN]), np.array([0, 1])), "beta: expected one or more ascending values"),
+    "infinite grid": (lambda: Grid(np.array([0, INF]), np.array([0, 1])), "beta: expected finite values"),
+    "joins": (lambda: Presence.of(1, [2**63]), "joins [9223372036854775808]: expected whole numbers"),
+    "distance": (lambda: Travel.of(1, distance=[[0, 1e300], [1, 0]]), "distance: expected 0 from each place"),
+}  # fmt: skip
+
+
+def said(error: pytest.ExceptionInfo[ValueError]) -> str:
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS, ids=repr)
+def test_what_is_no_number(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"^gamma .*: expected a number$"):
+        number("gamma", value)
+    with pytest.raises(ValueError, match=r"^beta .*: expected a number$"):
+        span("beta", (0.0, value))
+
+
+@pytest.mark.parametrize("value", [5, None, (1,), (1, 2, 3), "01", np.zeros((1, 2)), np.zeros((3, 1))], ids=repr)
+@pytest.mark.parametrize("name", ["beta", "theta", "sigma"])
+def test_what_is_no_range(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=rf"(?s)^{name} range .*: expected"):
+        Population(**{name: value})
+
+
+def test_numbers_of_any_kind_become_pythons_own() -> None:
+    given = Setting(gamma=np.float64(0.5), c_suggest=Fraction(1, 2), eta=np.float32(0.25), max_steps=np.int64(7))  # type: ignore[arg-type]
+    assert given == Setting(gamma=0.5, c_suggest=0.5, eta=0.25, max_steps=7)
+    assert [type(one) for one in (given.gamma, given.c_suggest, given.eta, given.max_steps)] == [float] * 3 + [int]
+    people = Population(beta=np.array([0, 1]), theta=[0, 1])  # type: ignore[arg-type]
+    assert hash(people) == hash(Population(beta=(0.0, 1.0), theta=(0.0, 1.0)))
+    assert Human(np.float32(1), 0, 0, [1, 2]).h.dtype == float  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("name", "value"), SETTINGS, ids=str)
+def test_what_no_setting_has(name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{name}.*: (expected|the longest way takes)") as error:
+        Setting(**{name: value})
+    said(error)
+
+
+@pytest.mark.parametrize(("name", "value"), SAMPLED, ids=str)
+def test_what_no_pool_is_drawn_with(tiny: Table, name: str, value: Any) -> None:
+    with pytest.raises(ValueError, match=f"^{name} {value!r}: expected"):
+        Pool.sample(tiny, **{"size": 2, "seed": 0, name: value})
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_what_no_people_have(name: str) -> None:
+    make, text = PEOPLE[name]
+    with pytest.raises(ValueError) as error:
+        make()
+    assert said(error).startswith(text)
+
+
+def test_a_problem_of_no_states(tiny: Table) -> None:
+    with pytest.raises(ValueError, match=r"^states 0: expected a whole number"):
+        PersonProblem.of(tiny, states=0)
+
+
+def test_a_way_that_memory_does_not_hold(tiny: Table) -> None:
+    pool = Pool.sample(tiny, 2, seed=0, setting=Setting(travel_time=1e8))
+    with pytest.raises(LimitError, match="with ways of up to 100,000,000 steps, and takes about"):
+        simulate(pool, "priority", humans=2, episodes=2, seed=0)
+    with pytest.raises(LimitError, match="MB of memory"):
+        upper_bound(pool, window=0)
+    with pytest.raises(LimitError, match="with 10000000 steps of prices, take about"):  # before they are listed
+        upper_bound(replace(pool, setting=Setting()), window=10**7)
+
+
+def test_arrays_of_the_caller_stay_their_own(pool: Pool) -> None:
+    beta, theta, model = np.array([0.0, 1.0]), np.array([0.0, 1.0]), pool.model.copy()
+    grid, other = Grid(beta, theta), Pool(pool.setting, pool.people, pool.policies, model)
+    beta += 1
+    theta += 1
+    model += 1
+    np.testing.assert_array_equal(grid.beta, [0, 1])
+    np.testing.assert_array_equal(grid.theta, [0, 1])
+    np.testing.assert_array_equal(other.model, pool.model)
