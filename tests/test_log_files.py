@@ -131,8 +131,14 @@ def test_objects_are_read_as_programs_write_them(tmp_path: Path, form: str) -> N
         (json.dumps(BASE)[:-9], "not JSON; expected a list of objects; what comes after it is not read"),
         (json.dumps(BASE) + "\n[]", "there is more after the list; what comes after it is not read"),
         (json.dumps({**BASE[0], "Person": "bob"}) + "\n", "two fields are called person"),
+        ('{"person": "bob", ' + json.dumps(BASE[0])[1:] + "\n", "two fields are called person"),
+        ("[" + json.dumps(BASE[0])[:-1] + ', "step": 3}]', "two fields are called step"),
+        (json.dumps({**BASE[0], "person": " "}) + "\n", "'person' is null; expected a name"),
+        (json.dumps({**BASE[0], "episode": ""}) + "\n", "'episode' is null; expected a name"),
+        ("PK\x03\x04" + HEAD, "this is a spreadsheet's own file, or an archive; expected a text file"),
+        ("PAR1" + HEAD, "this is a Parquet file; expected a text file, CSV or JSON Lines"),
     ],
-    ids=[str(n) for n in range(12)],
+    ids=[str(n) for n in range(18)],
 )
 def test_what_may_mean_two_things_is_not_guessed(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "log.csv"

@@ -32,6 +32,14 @@ MISSING = frozenset(
 )  # fmt: skip
 """What tables have where a value is missing, besides nothing at all; the list of pandas."""
 
+BINARY = {
+    b"\x1f\x8b": "a compressed file",
+    b"PK\x03\x04": "a spreadsheet's own file, or an archive",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet's own file",
+    b"PAR1": "a Parquet file",
+}
+"""What files begin with that are no text."""
+
 SEPARATORS = ",;\t| "
 
 Names = tuple[str, str]
@@ -92,8 +100,11 @@ def read_records(file: Path, columns: Mapping[str, str]) -> tuple[list[Row], str
     ValueError
         `columns` has a name that the file does not have.
     """
-    taken = Taken()
-    lines = _lines(file.read_bytes(), taken)
+    taken, data = Taken(), file.read_bytes()
+    for mark, kind in BINARY.items():
+        if data.startswith(mark):
+            return [(1, Broken(f"this is {kind}; expected a text file, CSV or JSON Lines"))], ""
+    lines = _lines(data, taken)
     texts = [line for line in lines if isinstance(line, str) and line.strip()]
     head = texts[0].strip() if texts else ""
     if re.match(r"\[\s*(\{|$)", head):
@@ -133,7 +144,9 @@ def tidy(rows: Iterable[Row], taken: Taken) -> list[Row]:
             if key in record and _is_missing(record[key], taken):
                 record[key] = None
         for key in NAMES:
-            if isinstance(record.get(key), float) and record[key] == record[key]:
+            if isinstance(record.get(key), str) and not record[key].strip():
+                record[key] = None
+            elif isinstance(record.get(key), float) and record[key] == record[key]:
                 record[key] = str(record[key])
     plain = any(_digits(record.get("step")) for record in records)
     for record in records:
@@ -228,6 +241,15 @@ def _owners_but_damaged(text: str) -> frozenset[Names]:
 # JSON
 
 
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any] | Broken:
+    """Return an object, unless two of its fields have one name."""
+    record = dict(pairs)
+    if len(record) == len(pairs):
+        return record
+    twice = next(name for name, count in Counter(name for name, _ in pairs).items() if count > 1)
+    return Broken(f"two fields are called {twice}")
+
+
 def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
     """Read JSON Lines."""
     for number, line in enumerate(lines, start=1):
@@ -235,7 +257,7 @@ def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
             yield number, line
         elif line.strip():
             try:
-                yield number, json.loads(line)
+                yield number, json.loads(line, object_pairs_hook=_once)
             except (ValueError, RecursionError):
                 if number == len(lines):  # a whole last line ends with a line feed
                     cut = "the last line is cut off; the lines before it are used"
@@ -246,7 +268,7 @@ def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
 
 def _listed(lines: Sequence[str]) -> Iterator[Row]:
     """Read one JSON list of records, as pandas and R write a table that is not in lines."""
-    text, decoder = "\n".join(lines), json.JSONDecoder()
+    text, decoder = "\n".join(lines), json.JSONDecoder(object_pairs_hook=_once)
     at, number, counted = text.index("[") + 1, 1, 0
     blanks = re.compile(r"[\s,]*")
     while True:
