@@ -95,6 +95,10 @@ def tokens(text: str) -> Iterator[tuple[str, Place]]:
             yield match[0], Place(line, match.start() + 1)
 
 
+DEEPEST = 200
+"""Lists may be nested so deep: readers call themselves for each."""
+
+
 def parse(text: str) -> Expression:
     """Read the first list of a text.
 
@@ -109,6 +113,8 @@ def parse(text: str) -> Expression:
     for token, (line, column) in tokens(text):
         if token == "(":
             opened.append((Place(line, column), []))
+            if len(opened) > DEEPEST:
+                raise UnbalancedError(line, f"more than {DEEPEST} parentheses are open here; expected fewer")
         elif token == ")":
             if not opened:
                 raise UnbalancedError(line, "')' without a '(' that it closes")

@@ -62,6 +62,16 @@ class Instance:
         return str(self.problem)
 
 
+MARKS = {  # the longer ones first
+    "UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
+    "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
+}
+"""What files begin with that are no UTF-8."""
+
+STRANGE = re.compile(r"[^\t\v\f -~]")
+"""What stands in comments only."""
+
+
 def text(file: Path, kind: str) -> str:
     """Give the text of a PDDL file in lower case: PDDL does not distinguish case, unified-planning does.
 
@@ -76,8 +86,9 @@ def text(file: Path, kind: str) -> str:
         raise PDDLError(file, None, f"no such {kind} file") from None
     except OSError as error:
         raise PDDLError(file, None, f"cannot be read: {error.strerror}") from None
-    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise PDDLError(file, 1, "this is UTF-16; save it as UTF-8")
+    for name, marks in MARKS.items():
+        if raw.startswith(marks):
+            raise PDDLError(file, 1, f"this is {name}; save it as UTF-8")
     try:
         content = raw.decode("utf-8-sig")
         encoding = "UTF-8"
@@ -89,13 +100,16 @@ def text(file: Path, kind: str) -> str:
         if "\0" in line:
             raise PDDLError(file, number, "not a text file (it has NUL bytes)")
         words = line.partition(";")[0]
-        if not words.isascii():
+        if (found := STRANGE.search(words)) is not None:
             if encoding != "UTF-8":
                 raise PDDLError(file, number, "not a text file in UTF-8")
-            column, strange = next((place, letter) for place, letter in enumerate(words, 1) if not letter.isascii())
-            shown = f"'{strange}'" if strange.isprintable() else unicodedata.name(strange, "a character").lower()
-            where = f"(U+{ord(strange):04X}, column {column})"
-            raise PDDLError(file, number, f"{shown} is not ASCII {where}; only comments may have such characters")
+            strange = found[0]
+            shown = (
+                f"'{strange}'" if strange.isprintable() else unicodedata.name(strange, "a control character").lower()
+            )
+            what = "no PDDL" if strange.isascii() else "not ASCII"
+            where = f"(U+{ord(strange):04X}, column {found.start() + 1})"
+            raise PDDLError(file, number, f"{shown} is {what} {where}; only comments may have such characters")
     if not re.sub(r";[^\n]*", "", content).strip():
         raise PDDLError(file, None, f"the file is empty; expected (define ({kind} ...) ...)")
     return content.lower()

@@ -118,6 +118,10 @@ DERIVED = DOMAIN.replace(":action-costs)", ":action-costs :derived-predicates)")
         ("red blue - tray)", "red blue -tray)", 3, "'-tray'"),
         ("(at red)", "(at\u200b red)", 4, r"zero width space is not ASCII \(U\+200B, column 20\)"),
         ("(at red)", "(at\u00a0red)", 4, r"U\+00A0, column 20"),
+        ("(at red)", "(at\x1cred)", 4, r"a control character is no PDDL \(U\+001C, column 20\)"),
+        ("(at red)", "(at red)\x7f", 4, r"U\+007F, column 25"),
+        ("(at red)", "(at r\u2028ed)", 4, r"line separator is not ASCII \(U\+2028, column 22\)"),
+        ("(on nut blue)", "(and " * 200 + "(on nut blue)" + ")" * 200, 7, "more than 200 parentheses are open here"),
         ("(at red)", "(at réd)", 4, r"'é' is not ASCII \(U\+00E9, column 22\)"),
     ],
 )  # fmt: skip

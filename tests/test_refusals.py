@@ -303,6 +303,10 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: in_bytes(g.folder, "(define)".encode("utf-16")),
         PDDLError, "task.pddl:1: this is UTF-16; save it as UTF-8",
     ),
+    "wide encoding": (
+        lambda g: in_bytes(g.folder, "(define)".encode("utf-32")),
+        PDDLError, "task.pddl:1: this is UTF-32; save it as UTF-8",
+    ),
 }  # fmt: skip
 
 
