@@ -21,9 +21,8 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import IO, Any
 
-from . import fast_downward
 from .checking import InvalidPlanError, Refusal, RefusedError, parsed, validate
-from .fast_downward import NO_LIMITS, Limits
+from .fast_downward import NO_LIMITS, Limits, limit_memory
 from .processes import guarded_group, python
 from .source import Source
 
@@ -110,7 +109,7 @@ class _Process:
         )
         self._limited = limits.memory_mb is not None
         if limits.memory_mb is not None:
-            fast_downward.limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + MAPPED_MB))
+            limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + MAPPED_MB))
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._open = 0  # questions without an answer
         self._instances = 0

@@ -31,7 +31,7 @@ from .successors import Ints, Packing, Successors, Transitions, Words, can_hold,
 from .task import Effect, Fact, Task
 from .trie import trie_of, tries_of
 
-BLOCK = 1 << 12
+STATES_AT_A_TIME = 1 << 12
 """States that are expanded at a time."""
 
 FULL = 0.7
@@ -174,7 +174,7 @@ class Found:
 def expanded(book: Rulebook, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
     stop = 0
-    room = 8 * BLOCK + book.trie.most
+    room = 8 * STATES_AT_A_TIME + book.trie.most
     while stop < len(states):
         counts = np.empty(len(states) - stop, dtype=np.int32)
         actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
@@ -295,7 +295,7 @@ class _Forward:
             try:
                 while done < len(self.met):
                     while given < len(self.met) and len(waiting) <= threads:
-                        block = self.met.states(slice(given, min(given + BLOCK, len(self.met))))
+                        block = self.met.states(slice(given, min(given + STATES_AT_A_TIME, len(self.met))))
                         waiting.append(pool.submit(self._expanded, block))
                         given += len(block)
                     for counts, actions, after in waiting.popleft().result():
@@ -374,7 +374,7 @@ def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) ->
     distance = np.full(states, UNREACHED, dtype=np.int64)
     goal = np.flatnonzero(listing.found.where(task.goal))
     distance[goal] = 0
-    room = max(16 * BLOCK, int(np.diff(into[:-1]).max(initial=1)))
+    room = max(16 * STATES_AT_A_TIME, int(np.diff(into[:-1]).max(initial=1)))
     waiting = {0: [goal]}
     order = [0]
     while order:
@@ -387,7 +387,7 @@ def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) ->
             while stop < len(block):
                 budget.check_time(states)
                 out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
-                stop, filled = packed.relax(into, sources, kinds, costs, distance, block, stop, d, out, through)
+                stop, filled = packed.relax_stored(into, sources, kinds, costs, distance, block, stop, d, out, through)
                 begin, ordered = np.zeros(len(costs) + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
                 relaxing.by_kind(out[:filled], through[:filled], begin, ordered)
                 for kind in np.flatnonzero(np.diff(begin[:-1])).tolist():

@@ -328,7 +328,7 @@ def turn_round(counts, targets, kinds, into, sources, source_kinds):
 
 
 @njit(nogil=True, error_model="numpy")
-def relax(into, sources, kinds, costs, distance, block, start, d, out, through):
+def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
 
     Returns

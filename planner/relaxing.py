@@ -14,7 +14,7 @@ from .reached import ask_for, close_one, is_closed, number_of
 
 
 @njit(nogil=True, error_model="numpy")
-def relax(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
+def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
     """Push the predecessors whose distance falls by way of the states of distance `d`, and the kinds of those moves.
 
     Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which

@@ -30,7 +30,7 @@ from .successors import Ints, Words
 from .task import Fact
 from .threads import on_threads
 
-BLOCK = 1 << 16
+RANKS_AT_A_TIME = 1 << 16
 """Indices in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
 
 MOST_CANDIDATES = 1 << 26
@@ -118,8 +118,8 @@ class Searches:
             members = keys[keys >= 0]
             members.sort()
             numbers = np.empty(len(keys), dtype=np.int64)
-            starts = range(0, len(members), BLOCK)
-            self._share(lambda at: reached.number_members(keys, members[at : at + BLOCK], at, numbers), starts)
+            starts = range(0, len(members), RANKS_AT_A_TIME)
+            self._share(lambda at: reached.number_members(keys, members[at : at + RANKS_AT_A_TIME], at, numbers), starts)
             states = States(bits, nothing, members, keys, numbers)
         return states, transitions
 
@@ -170,11 +170,11 @@ class Searches:
 
         In ascending order, each move's targets ascend as well: far fewer cache and page misses.
         """
-        if len(frontier) == 1 and len(frontier[0]) <= BLOCK:
+        if len(frontier) == 1 and len(frontier[0]) <= RANKS_AT_A_TIME:
             return deque([frontier.pop()])
         indices = sum(map(len, frontier))
         self.budget.check_memory(in_use + 16 * indices)
-        if indices <= BLOCK:  # too few to start threads for
+        if indices <= RANKS_AT_A_TIME:  # too few to start threads for
             layer = np.concatenate(frontier)
             frontier.clear()
             layer.sort()
@@ -186,7 +186,7 @@ class Searches:
             layer = np.concatenate(run)
             run.clear()
             layer.sort()
-            return np.split(layer, range(BLOCK, len(layer), BLOCK))
+            return np.split(layer, range(RANKS_AT_A_TIME, len(layer), RANKS_AT_A_TIME))
 
         # Threads take blocks of different runs in turn: each run is read in its order.
         mixed = zip_longest(*self._share(blocks, runs))
@@ -194,7 +194,7 @@ class Searches:
 
     def _layer(self, push: Push, frontier: list[Ints], in_use: int, found: int) -> tuple[list[Ints], int]:
         """Give the blocks of the next layer, and the transitions to it; empties the list of the present one."""
-        size = max(BLOCK, 4 * self.forward.most, 4 * self.backward.most)
+        size = max(RANKS_AT_A_TIME, 4 * self.forward.most, 4 * self.backward.most)
         in_use += 8 * sum(map(len, frontier))
         waiting = self._ascending(frontier, in_use)
         pushed: list[Ints] = []
@@ -228,7 +228,7 @@ class Searches:
         transitions = new = 0
         pushed: list[Ints] = []
         waiting = self._ascending(frontier, keys.nbytes)
-        size = max(BLOCK, 4 * self.forward.most)
+        size = max(RANKS_AT_A_TIME, 4 * self.forward.most)
         while waiting:
             self.budget.check_states(found + new)
             room = (len(keys) // 2 - found - new) // self.threads
@@ -274,7 +274,7 @@ class Searches:
         """List the indices of all states in ascending order, a block at a time."""
         start, end = 0, len(states.bits) or len(states.members)
         while start < end:
-            out = np.empty(BLOCK, dtype=np.int64)
+            out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
             start, filled = reached.list_members(states, start, out)
             yield out[:filled]
 
@@ -378,7 +378,7 @@ class Searches:
             reached.label(states, distance, 0, block)
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
-        relax = partial(relaxing.relax, self.backward, self.coding.decoder, states, closed, kinds, costs, distance)
+        relax = partial(relaxing.relax_moves, self.backward, self.coding.decoder, states, closed, kinds, costs, distance)
         self.progress("cost-to-go", 0, None)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
@@ -394,7 +394,7 @@ class Searches:
             held -= sum(map(len, blocks))
 
             def settle(_: int, d: int = d, blocks: deque[Ints] = blocks) -> list[tuple[Ints, Ints]]:
-                size = max(BLOCK, 4 * self.backward.most)
+                size = max(RANKS_AT_A_TIME, 4 * self.backward.most)
                 out, through = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
                 pushed: list[tuple[Ints, Ints]] = []
                 while blocks:

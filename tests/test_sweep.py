@@ -134,7 +134,7 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
 @pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))])
 def test_random_tasks(seed, costs, hashed, monkeypatch):
-    monkeypatch.setattr(searches, "BLOCK", 64)  # what is less is left to one thread
+    monkeypatch.setattr(searches, "RANKS_AT_A_TIME", 64)  # what is less is left to one thread
     if hashed:
         monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
         monkeypatch.setattr(searches, "SPARSE", 0)
@@ -199,7 +199,7 @@ def listed(monkeypatch):
 @pytest.mark.usefixtures("listed")
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_without_an_index(costs, monkeypatch):
-    monkeypatch.setattr("planner.listing.BLOCK", 3)
+    monkeypatch.setattr("planner.listing.STATES_AT_A_TIME", 3)
     rng = random.Random(f"listed {costs}")
     for _ in range(20):
         check(random_task(rng, costs=costs))
@@ -255,7 +255,7 @@ def test_the_number_of_threads_does_not_matter(kitting):
 
 
 def test_a_task_of_many_blocks(smaller, monkeypatch):
-    monkeypatch.setattr(searches, "BLOCK", 256)
+    monkeypatch.setattr(searches, "RANKS_AT_A_TIME", 256)
     check(smaller)
 
 
