@@ -17,6 +17,6 @@ cli         the command `kitassist`, a file for each of its commands
 What most users need is imported from here; each folder hands on what it has for those who need more.
 """
 
-from planner.lazy import hand_on
+from planner.system.lazy_imports import hand_on
 
 __getattr__, __dir__, __all__ = hand_on(__name__, __file__)

@@ -35,8 +35,9 @@ import click
 from tables import Columns, cell, record_option, write_record
 
 from planner import Task, find_instances, instance
-from planner.budget import MAX_STATES
-from planner.machine import processors
+from planner.search import forward_search
+from planner.system.limits import MAX_STATES
+from planner.system.machine import processors
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
 GRACE = 30.0  # seconds that a process may take to end by itself
@@ -81,8 +82,8 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
 
 def translated(domain: str, problem: str, seconds: float) -> Task | None:
     """What Fast Downward's translator makes of files as they are; None where it refuses them."""
-    from planner.fast_downward import TRANSLATE_OPTIONS
-    from planner.task import from_sas
+    from planner.grounding.fast_downward import TRANSLATE_OPTIONS
+    from planner.grounding.task import from_sas
 
     with tempfile.TemporaryDirectory() as folder:
         sas = Path(folder) / "output.sas"
@@ -97,8 +98,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
     import numpy as np
 
     from planner import Limits, Table, verify
-    from planner.solving import SolveOptions, solve_instance
-    from planner.verifying import check_successors
+    from planner.batch.solve_instance import SolveOptions, solve_instance
+    from planner.costtogo.verification import check_successors
 
     compared = {"verified": 0, "consistent": 0, "compare_cpu": 0.0}
 
@@ -119,8 +120,8 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
 
 def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
     """Count states, up to as many as `solve` enumerates."""
-    from planner import LimitError, listing, load
-    from planner.budget import Budget
+    from planner import LimitError, load
+    from planner.system.limits import Budget
 
     found, task, why = 1, load(instance(problem, domain)), None
 
@@ -129,7 +130,7 @@ def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
         found = states
 
     try:
-        listing.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), processors(), told)
+        forward_search.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), processors(), told)
     except LimitError as error:
         why = str(error)
     return {"at_least": found, "counted": why is None, "count_said": why}

@@ -35,7 +35,7 @@ from assist.learning import (
 )
 from assist.learning.estimates import largest_beta
 from planner import Cache, OnDemand, Table, Task, load, sweep
-from planner.storage import write_records
+from planner.system.files import write_records
 
 ROOT = Path(__file__).resolve().parent.parent
 KITTING = ROOT / "domains" / "kitting"

@@ -181,11 +181,11 @@ def write(name: str, folder: Path) -> Path:
 def measure(file: Path, sparse: bool) -> dict[str, Any]:
     """Sweep one instance in this process."""
     from planner import load
-    from planner.machine import peak_memory_mb, reset_peak_memory, used_mb
+    from planner.system.machine import peak_memory_mb, reset_peak_memory, used_mb
 
-    module = importlib.import_module("planner.sweep")
+    module = importlib.import_module("planner.costtogo.sweep")
     if sparse:
-        searches = importlib.import_module("planner.searches")
+        searches = importlib.import_module("planner.search.bucket_dijkstra")
         searches.SMALL_BITMAP = searches.SPARSE = 0  # type: ignore[attr-defined]
     for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))

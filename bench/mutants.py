@@ -40,7 +40,7 @@ TESTS = {
     "assist/people/human.py": "test_human test_people",
     "assist/people/belief.py": "test_belief",
     "assist/people/decision.py": "test_human test_equations test_misconception",
-    "planner/costtogo.py": "test_costtogo test_ondemand test_tables",
+    "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
     "assist/person/region.py": "test_region test_frontier",
     "assist/team/attention.py": "test_policies test_assistant",
     "assist/team/subproblem.py": "test_bounds test_policies",

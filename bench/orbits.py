@@ -22,7 +22,7 @@ import numpy as np
 from tables import Columns, record_option, write_record
 
 from planner import LimitError, Limits, OnDemand, astar, load
-from planner.orbits import orbits
+from planner.costtogo.orbits import orbits
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 NAMES = ("kitting/ladder-4x8", "kitting/ladder-4x9", "kitting/ladder-4x10", "kitting/ladder-6x12")

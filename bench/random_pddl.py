@@ -5,7 +5,7 @@
 Each instance has a number, from which everything in it is drawn: a small task (`random_tasks.py`), how its two files
 are written (`random_writing.py`), and in every second one a fault. The task is grounded and solved here by brute force,
 from what was drawn and not from the files. Without a fault the files have to be read, and this project's cost, its
-number of reachable states, and Dijkstra on the translator's grounded task with `planner.replay` have to agree with
+number of reachable states, and Dijkstra on the translator's grounded task with `planner.grounding.semantics` have to agree with
 that. With a fault they have to be refused with file and line, or, where it changes nothing, to have the same answer.
 Anything else is a violation; it is printed, and the exit code is 1.
 """
@@ -31,7 +31,7 @@ from random_tasks import Drawn
 from tables import Columns, cell, record_option, write_record
 
 from planner import Instance, PDDLError, Task, astar, load, sweep
-from planner.replay import derived, replay, successors
+from planner.grounding.semantics import derived, replay, successors
 
 
 @dataclass

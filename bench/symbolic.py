@@ -23,7 +23,7 @@ import numpy as np
 from tables import Columns, record_option, write_record
 
 from planner import load, sweep
-from planner.verifying import sample
+from planner.costtogo.verification import sample
 
 PEER = Path(__file__).parent / "peers" / "symbolic.py"
 

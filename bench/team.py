@@ -45,7 +45,7 @@ from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState
 from planner import load, sweep
-from planner.machine import peak_memory_mb, processors
+from planner.system.machine import peak_memory_mb, processors
 
 KITTING = Path(__file__).resolve().parent.parent / "domains" / "kitting"
 SIZES = (1, 3, 10, 30, 100, 300, 1000)

@@ -31,12 +31,12 @@ from unified_planning.io import PDDLWriter
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
-from .astar import astar
-from .built import with_plain_costs
-from .fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
-from .pddl import PDDLError
-from .sweep import sweep
-from .task import Task, load
+from .costtogo.astar import astar
+from .costtogo.sweep import sweep
+from .grounding.fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
+from .grounding.task import Task, load
+from .pddl.built_problems import with_plain_costs
+from .pddl.instances import PDDLError
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem

@@ -27,8 +27,10 @@ from assist.study.protocol import read
 from assist.study.study import Study
 from assist.team.pool import Pool
 from assist.team.settings import Setting
-from planner import Instance, Limits, Table, fast_downward, find_instances, load, progress, sweep
-from planner.source import Source
+from planner import Instance, Limits, Table, find_instances, load, sweep
+from planner.grounding import fast_downward
+from planner.pddl.source import Source
+from planner.system import progress
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"

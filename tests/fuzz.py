@@ -36,6 +36,7 @@ from broken import ARGUMENTS, Fuzzer, Input
 from click.testing import CliRunner
 
 from assist.cli import main
+from planner.pddl import validation, validation_process
 
 CPU_SECONDS, SECONDS = 30, 400.0  # of one input; the second for a machine that does other things as well
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
@@ -53,7 +54,7 @@ class Figures:
 def here(
     work: Callable[..., Any], items: Sequence[Any], arguments: Sequence[Any] = (), hear: Any = None, **_: Any
 ) -> Iterator[Any]:
-    """`planner.workers.outcomes` in this process."""
+    """`planner.system.workers.outcomes` in this process."""
     if hear is not None:
         arguments = (*arguments, lambda *_: None)
     for item in items:
@@ -68,12 +69,12 @@ def without_processes() -> None:
     import assist.live.server
     import assist.study.report
     import assist.study.runner
-    import planner.batch
-    import planner.solving
-    import planner.task
-    from planner import checker, checking, fast_downward
+    import planner.batch.solve_batch
+    import planner.batch.solve_instance
+    import planner.grounding.task
+    from planner.grounding import fast_downward
 
-    translate, parsed = fast_downward.translate, cache(checking.parsed)
+    translate, parsed = fast_downward.translate, cache(validation.parsed)
     translated: dict[tuple[str, str], str] = {}
 
     def translate_once(source: Any, *limits: Any) -> str:
@@ -82,7 +83,7 @@ def without_processes() -> None:
             translated[texts] = translate(source, *limits)
         return translated[texts]
 
-    class Checker(checker.Checker):
+    class Checker(validation_process.Checker):
         def __init__(self, source: Any, limits: Any = None) -> None:  # noqa: ARG002
             self._source = source
 
@@ -92,12 +93,12 @@ def without_processes() -> None:
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
                 self._problem = parsed(self._source.typed_domain.text, self._source.problem_text)
-            except checking.RefusedError as error:
+            except validation.RefusedError as error:
                 return error.refusal.placed(self._source)
             return None
 
         def check(self, plan: Sequence[str], seconds: float = 0.0) -> None:  # noqa: ARG002
-            checking.validate(self._problem, plan)
+            validation.validate(self._problem, plan)
 
     planner.batch.outcomes = assist.study.runner.outcomes = here
     assist.study.report._draw_all = lambda *_: None
@@ -111,7 +112,7 @@ def load(file: str) -> None:
     from assist.person.archive import ArchiveError
     from assist.person.solver import Solution
     from planner import open_table
-    from planner.errors import DamagedFileError
+    from planner.system.errors import DamagedFileError
 
     try:
         if file == "policy.npz":

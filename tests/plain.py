@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.statespace import StateSpace
-from planner.successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
-from planner.task import Fact, Task
+from planner.grounding.task import Fact, Task
+from planner.states.state_space import StateSpace
+from planner.states.successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
 
 
 @dataclass(frozen=True)

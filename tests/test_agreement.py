@@ -8,9 +8,10 @@ import pytest
 from conftest import write_instance
 from test_reading import DOMAIN, PROBLEM, RULE
 
-from planner import PDDLError, Task, agreement, load
-from planner.reading import Reading
-from planner.source import Source
+from planner import PDDLError, Task, load
+from planner.grounding import cross_check
+from planner.pddl.reader import Reading
+from planner.pddl.source import Source
 
 
 def both(folder: Path, domain: str = DOMAIN, problem: str = PROBLEM) -> tuple[Reading, Task]:
@@ -26,7 +27,7 @@ def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:
 
     facts = [[name(fact) for fact in variable.facts] for variable in task.variables if variable.axiom_layer < 0]
     initial = [value for value, variable in zip(task.initial, task.variables, strict=True) if variable.axiom_layer < 0]
-    agreement.check(reading, [name(action) for action in task.actions], task.costs, facts, initial)
+    cross_check.check(reading, [name(action) for action in task.actions], task.costs, facts, initial)
 
 
 @pytest.mark.parametrize(

@@ -173,7 +173,7 @@ def test_a_package_only_hands_on(package: str) -> None:
 
 
 def test_what_a_package_hands_on_is_not_covered_by_a_module_of_that_name() -> None:
-    script = "import planner.sweep, planner; from planner import sweep; print(sweep.__name__, planner.sweep.__name__)"
+    script = "import planner.costtogo.sweep, planner; from planner import sweep; print(sweep.__name__, planner.costtogo.sweep.__name__)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "sweep sweep\n"
 
@@ -202,11 +202,11 @@ def test_import_direction(module: str) -> None:
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("planner.task", "from .costtogo import Table"),
-        ("planner.pddl", "import assist.people.human"),
+        ("planner.grounding.task", "from .costtogo import Table"),
+        ("planner.pddl.instances", "import assist.people.human"),
         ("assist.people.human", "from ..simulation.episodes import Episode"),
         ("assist.person.pomdp", "from planner import load"),
-        ("assist.person.qmdp", "from planner.checking import read"),
+        ("assist.person.qmdp", "from planner.pddl.validation import read"),
         ("assist.study.runner", "from planner import sweep"),
         ("assist.simulation.simulate", "from ..study.study import Study"),
         ("assist.learning.record", "from ..cli import main"),

@@ -9,7 +9,7 @@ import pytest
 from conftest import KITTING
 
 from planner import Instance, PDDLError, astar, load, sweep
-from planner.checking import read
+from planner.pddl.validation import read
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -12,8 +12,8 @@ from conftest import invoke
 
 from assist.live import Assistant
 from planner import PDDLError, cost_to_go, find_instances, instance, load
-from planner.checking import read
 from planner.engine import Engine
+from planner.pddl.validation import read
 
 DOMAIN = """(define (domain packing)
   (:requirements :strips :typing :action-costs)

@@ -10,9 +10,9 @@ import pytest
 from conftest import KITTING
 
 from planner import Task, load, sweep
-from planner.checkpoint import Checkpoint
-from planner.fast_downward import LimitError
-from planner.task import Effect
+from planner.grounding.fast_downward import LimitError
+from planner.grounding.task import Effect
+from planner.search.checkpoint import Checkpoint
 
 INDICES = (np.arange(3),)
 ARRAYS = {"bits": np.arange(40, dtype=np.uint64), "frontier": np.array([3, 1, 2])}
@@ -82,7 +82,7 @@ def kept_half(file: Path, task: Task) -> None:
 
 
 def test_a_sweep_does_without_what_is_damaged(tmp_path: Path, task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.checkpoint.EVERY", 0.0)
+    monkeypatch.setattr("planner.search.checkpoint.EVERY", 0.0)
     expected, file = sweep(task), tmp_path / "kept"
     kept_half(file, task)
     file.write_bytes(file.read_bytes()[:-1])
@@ -95,7 +95,7 @@ def test_a_sweep_does_without_what_is_damaged(tmp_path: Path, task: Task, monkey
 def test_a_sweep_does_without_what_cannot_be_written(
     tmp_path: Path, task: Task, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planner.checkpoint.EVERY", 0.0)
+    monkeypatch.setattr("planner.search.checkpoint.EVERY", 0.0)
     (tmp_path / "file").touch()
     table = sweep(task, checkpoint=tmp_path / "file" / "kept")
     np.testing.assert_array_equal(table.distance, sweep(task).distance)

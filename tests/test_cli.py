@@ -11,8 +11,8 @@ import pytest
 from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, write_instance
 
 from planner import Packing, Table, load
-from planner.checking import read, validate
-from planner.solving import LEAST, SolveOptions, solve_instance
+from planner.batch.solve_instance import LEAST, SolveOptions, solve_instance
+from planner.pddl.validation import read, validate
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "states", "transitions", "dead_ends", "max_cost_to_go", "method",
@@ -141,7 +141,7 @@ def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.
     def full(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr("planner.methods.cost_to_go", full)
+    monkeypatch.setattr("planner.costtogo.portfolio.cost_to_go", full)
     record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions(memory_limit=3000.0))
     assert (record["status"], record["error"]["message"]) == ("limit", "out of memory (3000 MB)")
     assert record["error"]["file"] == str(KITTING / "tiny.pddl")
@@ -149,7 +149,7 @@ def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.
 
 def test_memory_is_shared_by_those_that_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not by as many as might: three gigabytes are enough for one, and no process begins in a thousandth of them."""
-    monkeypatch.setattr("planner.batch.available_memory", lambda: 3e9)
+    monkeypatch.setattr("planner.batch.solve_batch.available_memory", lambda: 3e9)
     result = invoke("solve", KITTING / "tiny.pddl", "--jobs", 1000, "--json")
     assert [record["status"] for record in json.loads(result.stdout)] == ["solved"]
 
@@ -173,7 +173,7 @@ def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
 
 
 def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    import planner.methods
+    import planner.costtogo.portfolio
 
     def broken(*arguments: object, **options: object) -> Table:
         table = original(*arguments, **options)  # type: ignore[arg-type]

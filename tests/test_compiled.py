@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from planner.compiled import stamp
+from planner.system.jit import stamp
 
 SHARED = """
 from typing import NamedTuple
-from planner.compiled import njit
+from planner.system.jit import njit
 
 LIMIT = 100
 
@@ -31,7 +31,7 @@ def inner(x):
 """
 CONSTANTS = "WEIGHT = 10_000\nOTHER = 1\n"
 BETWEEN = """
-from planner.compiled import njit
+from planner.system.jit import njit
 from .shared import inner
 
 @njit()
@@ -39,7 +39,7 @@ def middle(x):
     return inner(x)
 """
 CALLER = """
-from planner.compiled import njit
+from planner.system.jit import njit
 from . import constants
 from .between import middle
 from .shared import LIMIT, Pair

@@ -9,30 +9,12 @@ import numpy as np
 import pytest
 from conftest import graph_task, kit, write_instance
 
-from planner import (
-    Instance,
-    LimitError,
-    Limits,
-    MismatchError,
-    OnDemand,
-    Table,
-    Task,
-    astar,
-    fast_downward,
-    load,
-    sweep,
-    verify,
-    verifying,
-)
-from planner.costtogo import (
-    UNREACHED,
-    backward,
-    compact,
-    optimal_choices,
-    smallest_type,
-)
-from planner.task import from_sas
-from planner.verifying import check_successors, sample
+from planner import Instance, LimitError, Limits, MismatchError, OnDemand, Table, Task, astar, load, sweep, verify
+from planner.costtogo import verification
+from planner.costtogo.table import UNREACHED, backward, compact, optimal_choices, smallest_type
+from planner.costtogo.verification import check_successors, sample
+from planner.grounding import fast_downward
+from planner.grounding.task import from_sas
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]
@@ -217,7 +199,7 @@ def test_a_state_that_takes_too_long_is_left_out(table: Table, monkeypatch: pyte
             raise LimitError("out of time")
         return H[state[0]], None
 
-    monkeypatch.setattr(verifying, "astar", search)
+    monkeypatch.setattr(verification, "astar", search)
     assert verify(table, 7, np.random.default_rng(0), progress=told.append) == 6
     assert (len(asked), told) == (7, [1, 2, 3, 4, 5, 6])
 
@@ -234,7 +216,7 @@ def test_the_first_answer_ends_the_other_searches(table: Table, monkeypatch: pyt
         stopped.append(limits.stop.wait(10))
         raise LimitError("stopped")
 
-    monkeypatch.setattr(verifying, "astar", search)
+    monkeypatch.setattr(verification, "astar", search)
     assert verify(table, 2, np.random.default_rng(0), limits=Limits(seconds=60), searches=("slow", "quick")) == 2
     assert stopped == [True, True]
 
@@ -357,6 +339,6 @@ def test_a_comparison_without_end_is_given_up() -> None:
         raise LimitError("as if it did not end")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("planner.verifying.astar", asked)
+        patch.setattr("planner.costtogo.verification.astar", asked)
         assert verify(table, 5, np.random.default_rng(0), seconds=3.0) == 0
     assert all(seconds is not None and 0 < seconds <= 3.0 for seconds in given)

@@ -16,11 +16,11 @@ from plain import explore
 from test_sweep import check, module, random_task, searches
 
 from planner import Effect, Operator, Task, Variable, instance, load
-from planner.clusters import clusters
-from planner.coding import Coding
-from planner.invariants import PRIME, determined, invariants
-from planner.moves import split_operators
-from planner.mutexes import Mutexes
+from planner.search.ranking.linear_invariants import PRIME, determined, invariants
+from planner.search.ranking.mutexes import Mutexes
+from planner.search.ranking.state_ranking import Coding
+from planner.search.ranking.transition_normal_form import split_operators
+from planner.search.ranking.variable_clusters import clusters
 
 Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
 """Domain sizes, an initial state, and operators: what must hold, and what then holds."""

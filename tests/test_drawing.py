@@ -30,7 +30,7 @@ from assist.drawing import (
 from assist.drawing.files import page
 from assist.drawing.subject import Subject
 from planner import load
-from planner.fast_downward import optimal_plan
+from planner.grounding.fast_downward import optimal_plan
 
 SVG = "{http://www.w3.org/2000/svg}"
 INSTANCES = [

@@ -15,16 +15,18 @@ import numpy as np
 import pytest
 from conftest import KITTING
 
-import planner.methods
+import planner.costtogo.portfolio
 from assist.cli.solutions import Answers
-from planner import Limits, Table, batch, fast_downward, instance, load, verify
-from planner.batch import solve_batch
-from planner.budget import Budget
-from planner.early import SHARE, Early
-from planner.fast_downward import LimitError, MemoryLimitError
-from planner.results import Results
-from planner.solving import COMPARING, SWEEPING, Record, SolveOptions, saved_files, solve_instance
-from planner.sweep import sweep
+from planner import Limits, Table, instance, load, verify
+from planner.batch import solve_batch as batch
+from planner.batch.results_folder import Results
+from planner.batch.solve_batch import solve_batch
+from planner.batch.solve_instance import COMPARING, SWEEPING, Record, SolveOptions, saved_files, solve_instance
+from planner.costtogo.first_answer import SHARE, Early
+from planner.costtogo.sweep import sweep
+from planner.grounding import fast_downward
+from planner.grounding.fast_downward import LimitError, MemoryLimitError
+from planner.system.limits import Budget
 
 TINY = KITTING / "tiny.pddl"
 Told = list[tuple[Record, bool]]
@@ -49,7 +51,7 @@ def solved_late(
         first.set()
 
     monkeypatch.setattr(planner.methods, "cost_to_go", late)
-    monkeypatch.setattr("planner.early.ALONE", 0.0)
+    monkeypatch.setattr("planner.costtogo.first_answer.ALONE", 0.0)
     return told, solve_instance(instance(TINY), options, place, tell=tell)
 
 
@@ -115,13 +117,13 @@ def test_small_tasks_have_one_answer() -> None:
 
 
 def test_comparing_takes_a_part_of_the_search_unless_more_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.solving.LEAST", 0.0)
-    monkeypatch.setattr("planner.solving.COMPARING_SHARE", 1e-9)
+    monkeypatch.setattr("planner.batch.solve_instance.LEAST", 0.0)
+    monkeypatch.setattr("planner.batch.solve_instance.COMPARING_SHARE", 1e-9)
     short = solve_instance(instance(TINY))
     assert (short["status"], short["verified"], short["consistent"]) == ("solved", 0, 1)
     assert short["note"] is None
     assert solve_instance(instance(TINY), SolveOptions(verify=21))["verified"] == 21
-    monkeypatch.setattr("planner.solving.LEAST", 600.0)
+    monkeypatch.setattr("planner.batch.solve_instance.LEAST", 600.0)
     assert solve_instance(instance(TINY))["verified"] == 20
 
 

@@ -245,7 +245,7 @@ def test_a_time_that_is_too_short_is_said() -> None:
 
 
 def test_a_failure_of_fast_downward_is_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.fast_downward.ASTAR", "astar(of_no_kind())")
+    monkeypatch.setattr("planner.grounding.fast_downward.ASTAR", "astar(of_no_kind())")
     with OneshotPlanner(name="kitassist") as planner:
         result = planner.solve(ways())
     assert (result.status, result.plan) == (PlanGenerationResultStatus.INTERNAL_ERROR, None)

@@ -188,7 +188,7 @@ def test_a_station_is_a_team_of_one_whose_robot_is_there(tiny_choices: Choices) 
 
 
 def test_an_environment_needs_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from planner.errors import MissingExtraError
+    from planner.system.errors import MissingExtraError
 
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     for name in ("assist.interop.gymnasium", "assist.interop.pettingzoo"):

@@ -34,7 +34,8 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from assist.people.human import HumanModel, Mixture, Population
 from assist.person.pomdp import AssistPOMDP
-from planner import Cache, LimitError, Table, Task, load, ondemand
+from planner import Cache, LimitError, Table, Task, load
+from planner.costtogo import on_demand
 
 
 @pytest.fixture(scope="module")
@@ -436,14 +437,14 @@ def test_a_task_too_large_to_enumerate(tmp_path: Path) -> None:
 def test_a_search_out_of_time_costs_the_actions_that_need_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = write_log(tmp_path / "log.jsonl", [*lines(*PLAN), *lines(FETCH, person="bob")])
     command = ["fit", str(KITTING / "tiny.pddl"), str(file), "--json", "--max-states", "1", "--jobs", "1"]
-    astar = ondemand.astar
+    astar = on_demand.astar
 
     def slow(task: Task, values: tuple[int, ...], **rest: Any) -> Any:
         if any("hammer" in fact and "slot-2" in fact for fact in task.facts(list(values))):
             raise LimitError("out of time")
         return astar(task, values, **rest)
 
-    monkeypatch.setattr(ondemand, "astar", slow)
+    monkeypatch.setattr(on_demand, "astar", slow)
     result = CliRunner().invoke(main, [*command, "--cache", str(tmp_path / "first")])
     assert result.exit_code == 1
     assert "out of time; actions that depend on them are left out" in result.stderr

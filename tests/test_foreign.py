@@ -11,9 +11,9 @@ from conftest import KITTING, write_instance
 
 from assist.cli import main
 from planner import PDDLError, load, sweep, verify
-from planner.checking import InvalidPlanError
-from planner.replay import replay
-from planner.solving import solve_instance
+from planner.batch.solve_instance import solve_instance
+from planner.grounding.semantics import replay
+from planner.pddl.validation import InvalidPlanError
 
 # Wires between places, closed and opened; a lamp is lit where power comes to it over closed wires.
 POWER = """(define (domain power) (:requirements :strips :typing :derived-predicates)

@@ -25,7 +25,7 @@ from assist.people.memory import remembered
 from assist.person.pomdp import AssistPOMDP, Frontier
 from assist.person.qmdp import evaluate, qmdp
 from planner import Instance, Table, load, sweep
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 # SARSOP's own output for `make(tiny_choices, h)`, exported by `write_pomdpx`: `pomdpsol -p 0.02 -o tiny.policy
 # tiny.pomdpx` (APPL 0.9) ended with the bounds below. That person's misconceptions were drawn state by state.

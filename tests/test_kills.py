@@ -23,7 +23,7 @@ from kills import (
     uninterrupted,
 )
 
-from planner.processes import guarded_group
+from planner.system.processes import guarded_group
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +44,7 @@ def test_killed_batches_leave_nothing_and_lose_nothing(tmp_path: Path) -> None:
 
 CHILD = """
 import os, subprocess, sys, threading
-from planner.processes import guarded_group
+from planner.system.processes import guarded_group
 
 def start():
     subprocess.Popen(["sleep", "60"], process_group=guarded_group())
@@ -84,7 +84,7 @@ def test_a_fork_does_not_keep_what_its_parent_has_started() -> None:
 
 
 def test_nothing_can_be_started_in_the_group_of_one_that_is_gone() -> None:
-    code = "from planner.processes import guarded_group; print(guarded_group())"
+    code = "from planner.system.processes import guarded_group; print(guarded_group())"
     group = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
     while True:
         try:
@@ -93,7 +93,7 @@ def test_nothing_can_be_started_in_the_group_of_one_that_is_gone() -> None:
             break
     with pytest.raises(PermissionError):
         subprocess.run(["true"], process_group=group, check=True)
-    code = f"from planner.processes import join; join({group}); print('here')"
+    code = f"from planner.system.processes import join; join({group}); print('here')"
     late = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (late.returncode, late.stdout) == (1, "")
     assert guarded_group() == guarded_group() != group
@@ -104,7 +104,7 @@ def test_fast_downward_goes_with_its_parent() -> None:
     code = f"""
 import threading, time
 from planner import load
-from planner.fast_downward import optimal_plan
+from planner.grounding.fast_downward import optimal_plan
 task = load({str(DOMAINS / "kitting" / "ladder-6x12.pddl")!r})
 threading.Thread(target=optimal_plan, args=(task.sas,), kwargs=dict(search="astar(blind())")).start()
 print("started", flush=True)
@@ -133,15 +133,19 @@ slow = pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "other"),
     [
-        pytest.param(["solve", LARGE], "planner.checker", id="solve one"),
+        pytest.param(["solve", LARGE], "planner.pddl.validation_process", id="solve one"),
         pytest.param(["solve", LARGE], "spawn_main", id="solve one, begun", marks=slow),
-        pytest.param(["solve", LARGE, str(TINY), "--jobs", "2"], "planner.checker", id="solve two", marks=slow),
+        pytest.param(
+            ["solve", LARGE, str(TINY), "--jobs", "2"], "planner.pddl.validation_process", id="solve two", marks=slow
+        ),
         pytest.param(
             ["simulate", LARGE, "--humans", "1", "--max-states", "1"], "bin/downward", id="simulate", marks=slow
         ),
-        pytest.param(["bound", LARGE, "--humans", "2"], "planner.checker", id="bound", marks=slow),
-        pytest.param(["policy", LARGE], "planner.checker", id="policy", marks=slow),
-        pytest.param(["serve", LARGE, "--humans", "1", "--port", "0"], "planner.checker", id="serve", marks=slow),
+        pytest.param(["bound", LARGE, "--humans", "2"], "planner.pddl.validation_process", id="bound", marks=slow),
+        pytest.param(["policy", LARGE], "planner.pddl.validation_process", id="policy", marks=slow),
+        pytest.param(
+            ["serve", LARGE, "--humans", "1", "--port", "0"], "planner.pddl.validation_process", id="serve", marks=slow
+        ),
         pytest.param(
             ["study", "--protocol", "PROTOCOL", "--jobs", "2", "--out", "OUT"], "spawn_main", id="study", marks=slow
         ),

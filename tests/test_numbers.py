@@ -16,8 +16,8 @@ from conftest import KITTING, ROOT, kit
 from test_architecture import PACKAGES, handed_on
 
 from planner import Cache, Instance, OnDemand, Table, cost_to_go, load, open_table, save_table, sweep
-from planner.orbits import orbits
-from planner.task import pddl_fact
+from planner.costtogo.orbits import orbits
+from planner.grounding.task import pddl_fact
 
 
 @pytest.fixture(scope="module")

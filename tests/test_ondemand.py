@@ -15,10 +15,10 @@ import pytest
 from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
-from planner.checking import Refusal
-from planner.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
-from planner.methods import _Stop
-from planner.ondemand import fastest_search
+from planner.costtogo.on_demand import fastest_search
+from planner.costtogo.portfolio import _Stop
+from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
+from planner.pddl.validation import Refusal
 
 HUGE = KITTING / "ladder-6x12.pddl"
 
@@ -143,7 +143,7 @@ def test_a_grounded_task_is_kept_by_content(tmp_path: Path, monkeypatch: pytest.
     instance = write_instance(tmp_path / "in", (KITTING / "domain.pddl").read_text(), text)
     first = load(instance, cache=tmp_path / "cache")
     with monkeypatch.context() as patch:
-        patch.setattr("planner.fast_downward.translate", None)  # nothing may be grounded any more
+        patch.setattr("planner.grounding.fast_downward.translate", None)  # nothing may be grounded any more
         assert load(instance, cache=tmp_path / "cache") == first
     instance.problem.write_text(text.replace("(in-slot wrench slot-2)", "(in-slot wrnch slot-2)"))
     with pytest.raises(PDDLError, match="wrnch"):
@@ -158,7 +158,7 @@ def test_a_task_from_the_cache_is_as_one_that_was_read(tmp_path: Path) -> None:
     one, other = (write_instance(tmp_path / name, domain, tiny) for name in ("one", "other"))
     with pytest.MonkeyPatch.context() as patch:
         refusal = Refusal("problem", 3, "it has its reasons")
-        patch.setattr("planner.checker.Checker.refusal", lambda *_: refusal)
+        patch.setattr("planner.pddl.validation_process.Checker.refusal", lambda *_: refusal)
         note = load(one, cache=tmp_path / "cache").note
         assert note is not None
         assert note.endswith("not checked by unified-planning: it has its reasons (line 3 of the problem)")
@@ -231,7 +231,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     assert isinstance(hasty, OnDemand)  # no search answers in a millisecond, so that the sweep had to try
     assert hasty.reason == "more than 100000 states"
     with monkeypatch.context() as patch:  # the sweep would win the race anyway, but for a machine that is busy
-        patch.setattr("planner.methods.FIRST", 60)
+        patch.setattr("planner.costtogo.portfolio.FIRST", 60)
         assert isinstance(cost_to_go(tiny.task, states=tiny.values([0, 1])), Table)
     with pytest.raises(LimitError):
         cost_to_go(load(HUGE), deadline=time.monotonic())
@@ -258,8 +258,8 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
             raise LimitError("out of time")
         return []
 
-    monkeypatch.setattr("planner.ondemand.fast_downward.optimal_plan", optimal_plan)
-    monkeypatch.setattr("planner.ondemand.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("planner.costtogo.on_demand.fast_downward.optimal_plan", optimal_plan)
+    monkeypatch.setattr("planner.costtogo.on_demand.time", SimpleNamespace(monotonic=lambda: clock[0]))
     assert fastest_search(tiny, ["slow", "fast", "between"]).search == "fast"
     assert allowed == [None, 3.0, 1.0]  # nobody gets longer than the best so far
     assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)).search == "between"
@@ -267,7 +267,7 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
 
 def test_the_plan_that_chose_the_search_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     asked, others = OnDemand(load(KITTING / "tiny.pddl")), list[object]()
-    monkeypatch.setattr("planner.ondemand.astar", lambda *args, **_: others.append(args))
+    monkeypatch.setattr("planner.costtogo.on_demand.astar", lambda *args, **_: others.append(args))
     table = table_of(Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl"))
     assert asked.lookup([asked.initial])[0] == table[table.initial]
     assert others == []
@@ -296,7 +296,7 @@ CORRIDOR_PROBLEM = """
 def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_refuse_other_states(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planner.ondemand.UNIT", 4)
+    monkeypatch.setattr("planner.costtogo.on_demand.UNIT", 4)
     asked = OnDemand(load(write_instance(tmp_path, CORRIDOR, CORRIDOR_PROBLEM)))
     state = np.array([asked.initial])
     for _ in range(4):

@@ -10,7 +10,7 @@ from conftest import KITTING, kitassist, write_instance
 
 from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, load
-from planner.checking import InvalidPlanError, read, validate
+from planner.pddl.validation import InvalidPlanError, read, validate
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()

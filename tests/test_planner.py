@@ -15,25 +15,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from planner import (
-    Instance,
-    LimitError,
-    Limits,
-    MismatchError,
-    Packing,
-    Table,
-    astar,
-    instance,
-    load,
-    sweep,
-    verify,
-)
-from planner.budget import Budget
-from planner.checking import read
-from planner.fast_downward import with_initial_state
-from planner.listing import counted
-from planner.solving import SolveOptions, solve_instance
-from planner.task import Task, Variable
+from planner import Instance, LimitError, Limits, MismatchError, Packing, Table, astar, instance, load, sweep, verify
+from planner.batch.solve_instance import SolveOptions, solve_instance
+from planner.grounding.fast_downward import with_initial_state
+from planner.grounding.task import Task, Variable
+from planner.pddl.validation import read
+from planner.search.forward_search import counted
+from planner.system.limits import Budget
 
 WITH_STATES = solvable(SMALL)
 
@@ -292,14 +280,14 @@ def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.Mon
     def slow(*_: object, **__: object) -> None:
         raise LimitError("Fast Downward ran out of time (1 s)")
 
-    monkeypatch.setattr("planner.early.astar", slow)
+    monkeypatch.setattr("planner.costtogo.first_answer.astar", slow)
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(max_states=5))
     assert record["status"] == "limit"
     assert record["error"]["message"] == "Fast Downward ran out of time (1 s); not swept: more than 5 states"
 
 
 def test_where_a_sweep_takes_too_long_there_is_time_left_for_the_initial_state(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("planner.solving.SWEEP_SHARE", 1e-9)  # it is over before the sweep begins
+    monkeypatch.setattr("planner.batch.solve_instance.SWEEP_SHARE", 1e-9)  # it is over before the sweep begins
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(time_limit=600))
     assert (record["status"], record["method"], record["cost"]) == ("solved", "on-demand", 6)
     assert record["note"].startswith("solved on demand: out of time")

@@ -28,9 +28,10 @@ from assist.person import qmdp, solve
 from assist.person.pomdp import work_out
 from assist.study.runner import run_study
 from assist.team.settings import Setting
-from planner import Instance, Table, cost_to_go, progress, sweep
-from planner.compiled import compiling
-from planner.workers import outcomes
+from planner import Instance, Table, cost_to_go, sweep
+from planner.system import progress
+from planner.system.jit import compiling
+from planner.system.workers import outcomes
 
 
 class Heard(io.StringIO):
@@ -139,7 +140,7 @@ def test_compiling_is_said_at_once_and_once(capsys) -> None:
 )
 def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) -> None:
     shown = []
-    monkeypatch.setattr("planner.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
+    monkeypatch.setattr("planner.system.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
     monkeypatch.setattr("assist.cli.solving.compiling_line", progress.compiling_line)
     with solving(count, lambda _: None) as (solved, told):
         told(Instance(Path("p.pddl"), Path("domain.pddl")), "compiling", 0, None)

@@ -13,11 +13,13 @@ from click.testing import CliRunner, Result
 from conftest import KITTING, write_instance
 
 from assist.cli import main
-from planner import Instance, batch, results
-from planner.batch import solve_batch
-from planner.results import Results
-from planner.solving import SolveOptions, begun_sweep, solve_instance
-from planner.workers import WorkerDiedError
+from planner import Instance
+from planner.batch import results_folder as results
+from planner.batch import solve_batch as batch
+from planner.batch.results_folder import Results
+from planner.batch.solve_batch import solve_batch
+from planner.batch.solve_instance import SolveOptions, begun_sweep, solve_instance
+from planner.system.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
 DOMAIN, TINY = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl").read_text()

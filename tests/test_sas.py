@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_sweep import counter, random_task
 
-from planner import Effect, Instance, OnDemand, Operator, Task, astar, fast_downward, load, sweep
-from planner.source import Source
-from planner.task import from_sas
+from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
+from planner.grounding import fast_downward
+from planner.grounding.task import from_sas
+from planner.pddl.source import Source
 
 
 def plain(task: Task) -> Task:

@@ -27,7 +27,7 @@ from assist.live.problem import InapplicableError, UnknownError
 from assist.live.session import Session
 from assist.team.settings import Setting
 from planner import Table
-from planner.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 SETTING = Setting(c_suggest=0.02, c_move=0.01)
 WRONG = "(place hammer slot-2 box-a)"

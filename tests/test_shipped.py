@@ -12,7 +12,7 @@ from conftest import DOMAINS, KITTING, ROOT, SHIPPED, invoke
 
 from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, instance, load
-from planner.shipped import listed
+from planner.pddl.bundled import listed
 
 
 @pytest.fixture(autouse=True)

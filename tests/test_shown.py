@@ -18,8 +18,8 @@ from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Episodes
 from planner import OnDemand, Table
-from planner.arrays import outline
-from planner.errors import MissingExtraError
+from planner.system.arrays import outline
+from planner.system.errors import MissingExtraError
 
 PAPER = kit("paper")
 

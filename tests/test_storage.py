@@ -19,8 +19,8 @@ from conftest import KITTING, ROOT
 
 from assist.cli import main
 from assist.cli.options import separate_files
-from planner.errors import DamagedFileError
-from planner.storage import append, atomic, read_records, remove_unfinished, write_records
+from planner.system.errors import DamagedFileError
+from planner.system.files import append, atomic, read_records, remove_unfinished, write_records
 
 TINY = str(KITTING / "tiny.pddl")
 SIMULATE = ("simulate", TINY, "--humans", "2", "--episodes", "2", "--pool", "2", "--policy", "none")
@@ -94,7 +94,7 @@ def test_what_is_printed_to_is_not_replaced(tmp_path: Path) -> None:
 import os, sys
 sys.path.insert(0, {str(ROOT)!r})
 from pathlib import Path
-from planner.storage import write_records
+from planner.system.files import write_records
 print("before", flush=True)
 write_records(Path("/dev/stdout"), [{{"a": 1}}])
 print("after")

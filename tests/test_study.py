@@ -21,7 +21,7 @@ from assist.study.report import write_report
 from assist.study.runner import load_study, profile, run_study
 from assist.study.study import Study, StudyError
 from assist.team.state import PolicyError
-from planner.errors import DamagedFileError
+from planner.system.errors import DamagedFileError
 
 
 @pytest.fixture

@@ -31,17 +31,17 @@ from planner import (
     cost_to_go,
     instance,
     load,
-    ondemand,
     optimal_choices,
     sweep,
 )
-from planner.canonical import Forms, canonical
-from planner.methods import PER_ORBIT
-from planner.orbits import Orbits, orbits
-from planner.replay import replay
-from planner.solving import SolveOptions, solve_instance
-from planner.symmetry import symmetries
-from planner.verifying import check_successors
+from planner.batch.solve_instance import SolveOptions, solve_instance
+from planner.costtogo import on_demand
+from planner.costtogo.orbits import Orbits, orbits
+from planner.costtogo.portfolio import PER_ORBIT
+from planner.costtogo.verification import check_successors
+from planner.grounding.semantics import replay
+from planner.search.symmetry.automorphisms import symmetries
+from planner.search.symmetry.canonical_states import Forms, canonical
 
 
 def switches(costs: list[int], goal: list[int], initial: list[int] | None = None) -> Task:
@@ -249,7 +249,7 @@ def test_what_is_not_looked_at(kind):
 
 
 def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypatch):
-    module, stop, formed = importlib.import_module("planner.orbits"), threading.Event(), list[int]()
+    module, stop, formed = importlib.import_module("planner.costtogo.orbits"), threading.Event(), list[int]()
 
     def stopped(forms: Forms, states: np.ndarray) -> None:
         formed.append(len(states))
@@ -265,7 +265,7 @@ def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypat
 
 def test_a_guess_that_is_none_does_not_count(monkeypatch):
     """Colours that tell nothing apart lead to wrong guesses, and none of them is taken."""
-    search = importlib.import_module("planner.symmetry")._Search
+    search = importlib.import_module("planner.search.symmetry.automorphisms")._Search
     task = switches([1, 2, 3], [0, 1, 2])
     monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
     marked = lambda _self, colors, fact: np.where(np.arange(len(colors)) == fact, colors.max() + 1, colors)  # noqa: E731
@@ -285,7 +285,9 @@ def test_a_guess_that_is_none_does_not_count(monkeypatch):
     ],
 )
 def test_symmetries_are_proven(costs, goal, symmetry, proven):
-    search = importlib.import_module("planner.symmetry")._Search(switches(costs, goal), 1000, lambda: None)
+    search = importlib.import_module("planner.search.symmetry.automorphisms")._Search(
+        switches(costs, goal), 1000, lambda: None
+    )
     assert search.proven(np.array(symmetry)) == proven
 
 
@@ -308,7 +310,7 @@ def test_too_many_orbits_are_none(monkeypatch):
     with pytest.raises(LimitError, match="more than 100 states"):
         orbits(task, max_orbits=100)
     # 4 symmetries: 836 states are 209 orbits at least, which is known before they are listed.
-    module = importlib.import_module("planner.orbits")
+    module = importlib.import_module("planner.costtogo.orbits")
     monkeypatch.setattr(module, "enumerated", None)
     with pytest.raises(LimitError, match="more than 208 orbits of 4 symmetries"):
         orbits(task, max_orbits=208, states=836)
@@ -317,7 +319,7 @@ def test_too_many_orbits_are_none(monkeypatch):
 def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
     at = instance(KITTING / "ladder-3x5.pddl")
     table, task = table_of(at), load(at)
-    monkeypatch.setattr(ondemand, "astar", None)
+    monkeypatch.setattr(on_demand, "astar", None)
     known = cost_to_go(task, max_states=len(table) - 1)
     assert isinstance(known, OnDemand)
     assert (known.method, known.searches, known.reason) == ("on-demand", False, "more than 6183 states")
@@ -340,7 +342,7 @@ def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
 def test_where_few_states_are_wanted_orbits_may_be_first(monkeypatch):
     at = instance(KITTING / "ladder-3x5.pddl")
     table = table_of(at)
-    monkeypatch.setattr(importlib.import_module("planner.methods"), "FIRST", 60)
+    monkeypatch.setattr(importlib.import_module("planner.costtogo.portfolio"), "FIRST", 60)
     known = cost_to_go(load(at), table.values(np.arange(50)), max_states=len(table) - 1)
     assert not known.searches
     np.testing.assert_array_equal(known.lookup(known.numbers(table.values(np.arange(50)))), table.h[:50])
@@ -377,11 +379,13 @@ def test_a_record_tells_of_orbits():
 
 def test_what_goes_beyond_the_effort_is_given_up(monkeypatch):
     task = switches([1] * 4, range(4))
-    monkeypatch.setattr(importlib.import_module("planner.orbits"), "EFFORT", 4 * 9)  # facts of a state, symmetries
+    monkeypatch.setattr(
+        importlib.import_module("planner.costtogo.orbits"), "EFFORT", 4 * 9
+    )  # facts of a state, symmetries
     with pytest.raises(LimitError, match="1 transitions or more between orbits of 24 symmetries"):
         orbits(task, max_orbits=100)
     for limit in ("DEEP", "LARGE"):
-        monkeypatch.setattr(importlib.import_module("planner.symmetry"), limit, 2)
+        monkeypatch.setattr(importlib.import_module("planner.search.symmetry.automorphisms"), limit, 2)
         assert symmetries(task) is None
 
 
@@ -414,7 +418,7 @@ def test_policies_are_worked_out_on_more_states_where_none_takes_a_search(tiny):
 
 def test_a_team_at_a_task_of_which_orbits_were_swept_does_as_at_its_table(monkeypatch):
     """People and policies are functions of the state, however its cost-to-go is come by and whatever its number is."""
-    monkeypatch.setattr(ondemand, "astar", None)
+    monkeypatch.setattr(on_demand, "astar", None)
     at = instance(KITTING / "paper.pddl")
     table = table_of(at)
     known = OnDemand(table.task, orbits=orbits(table.task, max_orbits=1000))

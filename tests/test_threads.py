@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import pytest
 
-from planner import threads
-from planner.threads import on_threads
+from planner.system import threads
+from planner.system.threads import on_threads
 
 
 def test_every_part_is_done_once_and_in_order() -> None:

@@ -30,7 +30,7 @@ from assist.userstudy.session import JOURNAL, StudySession
 from assist.userstudy.summary import summarise
 from assist.userstudy.tables import tables
 from planner import Instance, Table
-from planner.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 Open = Callable[..., StudySession]
 

@@ -31,7 +31,7 @@ from assist.userstudy.effects import (
 )
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
-from planner.errors import DamagedFileError
+from planner.system.errors import DamagedFileError
 
 
 def run(*words: object) -> Any:

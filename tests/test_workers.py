@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from planner.processes import python
+from planner.system.processes import python
 
 ENDS = """
 import os, signal, sys, threading, time
-from planner.workers import WorkerDiedError, outcomes
+from planner.system.workers import WorkerDiedError, outcomes
 
 class Twofold(Exception):
     def __init__(self, a, b):  # pickle calls it with one argument
@@ -69,7 +69,7 @@ def test_however_work_ends_there_is_an_outcome(tmp_path: Path) -> None:
 
 SEVERAL = """
 import signal
-from planner.workers import outcomes
+from planner.system.workers import outcomes
 
 def deaf(item, report):
     report("begun", item * item)

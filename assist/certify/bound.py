@@ -33,9 +33,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
-from planner.arrays import outline
-from planner.machine import processors
-from planner.progress import Progress, Wanted, shows_progress
+from planner.system.arrays import outline
+from planner.system.machine import processors
+from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
@@ -230,7 +230,7 @@ def upper_bound(
     jobs : int, optional
         Problems that are solved, and lucks that are looked at, at a time; as many as there are processors unless given.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`.
+        Who is told how far it is, as in `planner.system.progress`.
 
     Raises
     ------

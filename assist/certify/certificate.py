@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people.decision import Floats
 from ..simulation.simulate import simulate

@@ -69,7 +69,7 @@ import numpy as np
 from numba.typed import Dict
 from numpy.typing import NDArray
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .confidence import Sampled

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
-from planner.progress import Progress
+from planner.system.progress import Progress
 
 from ..people.arguments import positive
 from ..people.decision import Floats

@@ -9,8 +9,8 @@ from typing import Any
 import click
 from rich.table import Column, Table
 
-from planner.progress import stages
-from planner.solving import versions
+from planner.batch.solve_instance import versions
+from planner.system.progress import stages
 
 from .console import print_json, print_table
 from .options import JOBS, gap_option, instance_argument, json_option, seconds_option

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from planner.errors import expected
+from planner.system.errors import expected
 
 COMMANDS = {
     "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",

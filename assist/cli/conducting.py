@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from planner.errors import MissingExtraError
-from planner.solving import SolveOptions
+from planner.batch.solve_instance import SolveOptions
+from planner.system.errors import MissingExtraError
 
 from .console import EXIT_USAGE, fail
 from .options import is_given
@@ -134,7 +134,7 @@ def _tasks(study: UserStudy) -> dict[str, CostToGo]:
 
 def _report(folder: Path) -> None:
     """Write what a rehearsal has shown."""
-    from planner.storage import atomic
+    from planner.system.files import atomic
 
     from ..userstudy.export import archive
     from ..userstudy.report import write_report

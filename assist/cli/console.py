@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 
 from planner import InstanceError, LimitError, PDDLError
-from planner.errors import DamagedFileError, MissingExtraError, ResultsExistError
-from planner.fast_downward import FastDownwardError
-from planner.threads import NO_MORE_THREADS
+from planner.grounding.fast_downward import FastDownwardError
+from planner.system.errors import DamagedFileError, MissingExtraError, ResultsExistError
+from planner.system.threads import NO_MORE_THREADS
 
 if TYPE_CHECKING:
     from rich.table import Table

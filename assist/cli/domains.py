@@ -7,7 +7,7 @@ from dataclasses import asdict
 import click
 from rich.table import Table
 
-from planner.shipped import listed
+from planner.pddl.bundled import listed
 
 from .console import print_json, print_table
 from .options import json_option

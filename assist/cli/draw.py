@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from planner import load
-from planner.storage import each_record
+from planner.system.files import each_record
 
 from .console import EXIT_FAILED, fail, print_json
 from .options import INPUT_FILE, OUTPUT_FILE, apart, domain_option, instance_argument, json_option, separate_files

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from planner import storage
-from planner.progress import stages
+from planner.system import files
+from planner.system.progress import stages
 
 from .console import print_json, print_table
 from .log import Replayed, comparison_of
@@ -30,13 +30,13 @@ def show_people(
 
     records = people.as_dicts()
     if out:  # first: a population takes a while, and whoever has it has the people, too
-        storage.write_records(out, records)
+        files.write_records(out, records)
     general = None
     if population or (not as_json and len(people) >= FEWEST):
         with stages() as show:
             general = people.distribution(family=family, progress=show)
     if population and general:
-        with storage.atomic(population) as path:
+        with files.atomic(population) as path:
             path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")
     if figures:
         pictures.draw([record.fit for record in people.values()], figures)
@@ -56,7 +56,7 @@ def show_comparison(known: Replayed, folds: int, out: Path | None, figures: Path
     comparison = comparison_of(known, folds)
     document = comparison.as_dict()
     if out:
-        storage.write_records(out, document["people"])
+        files.write_records(out, document["people"])
     if figures:
         pictures.draw_comparison(comparison, figures)
     if as_json:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planner import Instance, InstanceError, find_instances
-from planner.solving import SolveOptions
+from planner.batch.solve_instance import SolveOptions
 
 from .options import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .person import model_options

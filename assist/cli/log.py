@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, load
-from planner.machine import processors
-from planner.progress import progress_bar, stages
+from planner.system.machine import processors
+from planner.system.progress import progress_bar, stages
 
 from .console import EXIT_FAILED, fail
 from .options import (

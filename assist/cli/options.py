@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from planner import storage
-from planner.solving import SolveOptions
+from planner.batch.solve_instance import SolveOptions
+from planner.system import files
 
 Range = tuple[float, float]
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -56,7 +56,7 @@ class Output(click.Path):
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
         if self.file_okay:
             try:
-                storage.writable(path)
+                files.writable(path)
             except OSError as error:
                 self.fail(f"{path}: {error.strerror}.", param, ctx)
         return path

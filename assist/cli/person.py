@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planner import CostToGo, Instance
-from planner.progress import progress_bar
+from planner.system.progress import progress_bar
 
 from .options import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
 from .population import people_option, population_of, population_options

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from planner.errors import expected
+from planner.system.errors import expected
 
 from ..people.own import parse
 from ..team.policies import POLICIES, OwnPolicy

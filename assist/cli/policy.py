@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from planner.progress import status_line
-from planner.solving import versions
+from planner.batch.solve_instance import versions
+from planner.system.progress import status_line
 
 from .bounds import line_of, show_bounds
 from .console import one_line_errors, print_json

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planner.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 from .conducting import PORT, conduct, listen, live_server, public_url_option
 from .live import live_options, plan_of

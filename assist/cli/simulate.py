@@ -8,8 +8,9 @@ from typing import Any
 
 import click
 
-from planner.progress import stages
-from planner.solving import versions
+from planner.batch.solve_instance import versions
+from planner.system import files
+from planner.system.progress import stages
 
 from .console import print_json
 from .options import OUTPUT_FILE, instance_argument, json_option, separate_files
@@ -36,8 +37,6 @@ def simulate(
     figure: Path | None, as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
     """Simulate a team of people and a robot that assists them."""
-    from planner import storage
-
     from ..plots import style
     from ..plots.episode import episode_figure
     from ..simulation.illustration import Illustration
@@ -65,9 +64,9 @@ def simulate(
             shown = Illustration.of(made.pool, ready, results[-1], **options)
             style.save(episode_figure(shown.episode, shown.trace, None if name == "none" else shown.alone), figure)
     if out:
-        storage.write_records(out, (episode.record() for result in results for episode in result))
+        files.write_records(out, (episode.record() for result in results for episode in result))
     if trace:
-        storage.write_records(trace, steps)
+        files.write_records(trace, steps)
     summaries, drawn = [result.summary() for result in results], len(set(results[0].people.ravel().tolist()))
     if as_json:
         print_json({

@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from planner.solving import SWEEPING, Record
+from planner.batch.solve_instance import SWEEPING, Record
 
 from .console import print_json, print_table
 

@@ -9,9 +9,9 @@ from typing import Any
 import click
 
 from planner import find_instances
-from planner.batch import solve_batch
-from planner.results import DONE
-from planner.solving import SolveOptions
+from planner.batch.results_folder import DONE
+from planner.batch.solve_batch import solve_batch
+from planner.batch.solve_instance import SolveOptions
 
 from .console import EXIT_FAILED, one_line_errors
 from .options import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from planner import Instance
-from planner.progress import compiling_line, stages
-from planner.solving import COMPILING, Record
+from planner.batch.solve_instance import COMPILING, Record
+from planner.system.progress import compiling_line, stages
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from planner.progress import stages
+from planner.system.progress import stages
 
 from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
 from .options import JOBS, OUTPUT_FOLDER

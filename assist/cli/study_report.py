@@ -20,7 +20,7 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
 
     DIR is the folder of `serve --study ... --data DIR`, while it runs or afterwards, or an unpacked export of it.
     """
-    from planner.errors import DamagedFileError
+    from planner.system.errors import DamagedFileError
 
     from ..study.study import StudyError
     from ..userstudy.report import headline, require, write_report

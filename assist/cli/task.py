@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
-from planner.progress import compiling_line, stages
+from planner.system.progress import compiling_line, stages
 
 from .console import EXIT_FAILED, fail
 
@@ -21,7 +21,7 @@ def one_instance(instance: str, domain: str | None) -> Instance:
 
 def tell_of_compiling() -> None:
     """Let this command say so if something has to be compiled before it ends."""
-    from planner.compiled import compiling
+    from planner.system.jit import compiling
 
     context = click.get_current_context(silent=True)
     if context is not None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from planner.storage import atomic
+from planner.system.files import atomic
 
 from . import svg
 from .frames import Row, draw_frames, draw_strip

@@ -9,7 +9,7 @@ from os import PathLike
 from pathlib import Path
 
 from planner import Task
-from planner.storage import atomic
+from planner.system.files import atomic
 
 from ..learning.actions import words_of
 from . import svg

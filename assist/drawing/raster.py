@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 from pathlib import Path
 
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 SCALE = 1.5  # pixels of a PNG for each of the drawing
 

@@ -8,8 +8,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from planner.expressions import Expression, UnbalancedError, parse
-from planner.replay import derived
+from planner.grounding.semantics import derived
+from planner.pddl.s_expressions import Expression, UnbalancedError, parse
 
 from .subject import Atom, Subject, atom
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from planner import Packing, Successors, Task
-from planner.expressions import Expression
-from planner.pddl import PDDLError
-from planner.replay import derived
-from planner.source import Source
+from planner.grounding.semantics import derived
+from planner.pddl.instances import PDDLError
+from planner.pddl.s_expressions import Expression
+from planner.pddl.source import Source
 
 from ..learning.actions import Matcher, words_of
 from ..people.choices import STAND_STILL

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Mixture, Population

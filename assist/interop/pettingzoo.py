@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 from ..people.human import Mixture, Population
 from ..simulation.ground import World

@@ -8,7 +8,7 @@ from typing import TextIO
 import numpy as np
 
 from planner import Table
-from planner.storage import atomic
+from planner.system.files import atomic
 
 from ..person.pomdp import AssistPOMDP
 from .observed import Observed, action_names, numbers

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP

@@ -10,7 +10,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from planner import Table
-from planner.storage import atomic
+from planner.system.files import atomic
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.arrays import read_only
-from planner.progress import Wanted, adding, shows_progress
+from planner.system.arrays import read_only
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from ..people.terms import TERMS, Term
@@ -140,7 +140,7 @@ def compare(
     folds : int
         Groups of people that are left out in turn.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: how many models have been compared.
+        Who is told how far it is, as in `planner.system.progress`: how many models have been compared.
 
     Raises
     ------

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from planner.arrays import read_only
+from planner.system.arrays import read_only
 
 from ..people.decision import NOTHING, Floats
 from .estimates import Estimate, Fit

@@ -20,7 +20,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from .actions import words_of, wrong_form
 from .log_files import NEEDED, Broken, Names, Row, Taken, is_hidden, own_names, read_records, tidy

@@ -27,7 +27,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.special import chdtri
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from .estimates import Fit

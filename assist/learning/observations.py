@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline, read_only
+from planner.system.arrays import outline, read_only
 
 from ..people.decision import NOTHING, Floats
 from .recording import Recording

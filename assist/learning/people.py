@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from planner import CostToGo, LimitError, Table
-from planner.arrays import outline
-from planner.progress import Wanted, adding, shows_progress
+from planner.system.arrays import outline
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
 from ..people.decision import Floats
@@ -176,7 +176,7 @@ def fit(
     jobs : int
         Threads.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: states are evaluated, then people are fitted.
+        Who is told how far it is, as in `planner.system.progress`: states are evaluated, then people are fitted.
 
     Raises
     ------

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from .likelihood import Data, Method, alone, on_grid, with_trust

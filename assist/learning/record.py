@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people.decision import NOTHING
 from .diagnostics import Check

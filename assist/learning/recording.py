@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.arrays import outline, read_only
+from planner.system.arrays import outline, read_only
 
 from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit, logit
 
-from planner.arrays import read_only
-from planner.compiled import njit
+from planner.system.arrays import read_only
+from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
 from .estimates import largest_beta

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
-from planner.storage import atomic
+from planner.system.files import atomic
 
 SECRET = 32
 """Bytes."""

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
-from planner.errors import MissingExtraError
+from planner.system.errors import MissingExtraError
 
 AGAIN = {429, 503, 507}
 """What passes by itself: too much at once, or a disk that is full."""

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from planner.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 PROBE = 1 << 16
 """Bytes that have to find room after a disk was full, before anything is written again."""

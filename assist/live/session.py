@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planner import CostToGo, LimitError
-from planner.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, ResultsExistError
 
 from ..people.belief import Grid
 from ..people.choice_model import chances

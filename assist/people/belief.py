@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arrays import frozen
+from planner.system.arrays import frozen
 
 from .decision import Floats
 from .human import Mixture, Population

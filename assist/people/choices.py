@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, Table, Transitions
-from planner.arrays import outline, read_only
+from planner.system.arrays import outline, read_only
 
 T = TypeVar("T", bound=np.generic)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from .decision import Floats
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.arrays import frozen, outline
+from planner.system.arrays import frozen, outline
 
 from .arguments import MOST, number, span
 from .choice_model import ChoiceModel, Weighted, boltzmann, chances, value

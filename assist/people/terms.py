@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo
-from planner.arrays import read_only
+from planner.system.arrays import read_only
 
 from .decision import Floats
 

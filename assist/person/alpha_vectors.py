@@ -15,8 +15,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline
-from planner.compiled import njit
+from planner.system.arrays import outline
+from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP

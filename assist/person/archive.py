@@ -16,7 +16,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import storage
+from planner.system import files
 
 T = TypeVar("T")
 
@@ -27,7 +27,7 @@ class ArchiveError(ValueError):
 
 def save(file: Path, value: Any, **more: Any) -> None:
     """Save a dataclass, and further arrays, at once or not at all."""
-    with storage.atomic(file) as path, path.open("wb") as stream:  # given a name, numpy would add an ending to it
+    with files.atomic(file) as path, path.open("wb") as stream:  # given a name, numpy would add an ending to it
         np.savez_compressed(stream, **_pack(value, ""), **more)
 
 

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import Table
-from planner.compiled import njit
-from planner.machine import processors
+from planner.system.jit import njit
+from planner.system.machine import processors
 
 from ..people.decision import Floats
 from ..people.human import Human

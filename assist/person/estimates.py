@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline, read_only
-from planner.progress import Progress
+from planner.system.arrays import outline, read_only
+from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from ..people.compiled import answer
 from ..people.decision import Floats

@@ -19,7 +19,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people import belief as beliefs
 from ..people.belief import Grid

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, Table
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people.arguments import whole
 from ..people.decision import perceived_cost, perceived_cost_to_go

@@ -26,10 +26,10 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg as sparse_linalg
 from numpy.typing import NDArray
 
-from planner.arrays import outline
-from planner.compiled import njit
-from planner.machine import processors
-from planner.progress import Progress, Wanted, shows_progress
+from planner.system.arrays import outline
+from planner.system.jit import njit
+from planner.system.machine import processors
+from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
@@ -129,7 +129,7 @@ def qmdp(
         A time on `time.perf_counter()`'s clock after which no sweep begins. Every sweep leaves upper bounds, so that
         those that there are by then hold.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: how many sweeps have been done.
+        Who is told how far it is, as in `planner.system.progress`: how many sweeps have been done.
 
     Raises
     ------

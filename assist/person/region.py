@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, Table, Transitions, optimal_choices
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people.belief import Grid
 from ..people.choices import Choices, keys_of

@@ -34,8 +34,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import LimitError
-from planner.arrays import outline
-from planner.progress import Wanted, shows_progress
+from planner.system.arrays import outline
+from planner.system.progress import Wanted, shows_progress
 
 from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
@@ -220,7 +220,7 @@ def solve(
     bounds : callable, optional
         Called with seconds, lower and upper bound, about every tenth of a second.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: how many backups have been done.
+        Who is told how far it is, as in `planner.system.progress`: how many backups have been done.
 
     Raises
     ------

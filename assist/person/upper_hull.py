@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit
+from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .qmdp import ROUNDING

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 from zlib import crc32
 
-from planner.errors import MissingExtraError
-from planner.storage import atomic
+from planner.system.errors import MissingExtraError
+from planner.system.files import atomic
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline
-from planner.errors import MissingExtraError
+from planner.system.arrays import outline
+from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.storage import finite
+from planner.system.files import finite
 
 from ..people.decision import NOTHING, Floats
 from ..team.pool import Pool

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import LimitError
-from planner.progress import Wanted, adding, shows_progress
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..team.policies import prepare
@@ -83,7 +83,7 @@ def simulate(
     memory_limit_mb : float
         What the records of all episodes may take, in megabytes.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: people's problems are solved, then episodes are simulated.
+        Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are simulated.
 
     Raises
     ------

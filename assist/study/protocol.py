@@ -11,8 +11,8 @@ from typing import Any
 from msgspec import Struct
 
 from planner import Instance, InstanceError, find_instances
-from planner import shipped as tasks
-from planner.errors import expected as meant
+from planner.pddl import bundled
+from planner.system.errors import expected as meant
 
 from ..learning import population as populations
 from ..people.human import Mixture, Population
@@ -21,7 +21,7 @@ from ..people.terms import TERMS
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyError
-from .toml import (
+from .toml import (  # fmt: skip
     AnyTable,
     Number,
     Pair,
@@ -40,7 +40,7 @@ from .toml import (
     located,
     partial_of,
     shown,
-)  # fmt: skip
+)
 
 PROTOCOLS = Path(__file__).parent / "protocols"
 
@@ -234,7 +234,7 @@ class Reader:
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
         """Find the tasks; each is called by its file's name, or by its path where two have the same."""
         folder = self.file.parent
-        known = {name: tasks.files(name) for name in self.table.instances if not (folder / name).exists()}
+        known = {name: bundled.files(name) for name in self.table.instances if not (folder / name).exists()}
         try:
             found = [find_instances(known.get(n) or [folder / n]) for n in dict.fromkeys(self.table.instances)]
         except InstanceError as error:

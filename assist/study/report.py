@@ -15,9 +15,9 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from planner.errors import MissingExtraError
-from planner.storage import atomic, remove_unfinished
-from planner.workers import outcomes
+from planner.system.errors import MissingExtraError
+from planner.system.files import atomic, remove_unfinished
+from planner.system.workers import outcomes
 
 from ..plots import style
 from . import claims

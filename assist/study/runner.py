@@ -15,9 +15,8 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.errors import DamagedFileError, MissingExtraError
-from planner.progress import Wanted, adding, shows_progress
-from planner.storage import (
+from planner.system.errors import DamagedFileError, MissingExtraError
+from planner.system.files import (
     append,
     append_record,
     atomic,
@@ -26,7 +25,8 @@ from planner.storage import (
     remove_unfinished,
     write_records,
 )
-from planner.workers import outcomes
+from planner.system.progress import Wanted, adding, shows_progress
+from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
 from .study import SCHEMA, Cell, Study, StudyError
@@ -68,7 +68,7 @@ def run_study(
     resume : bool
         Keep the cells that are in the folder, and run the rest. A cell of which a line is damaged is run again.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.progress`: how many episodes there are.
+        Who is told how far it is, as in `planner.system.progress`: how many episodes there are.
     warn : callable, optional
         Called with a line for each file of which something is damaged, with the number of the first such line.
 

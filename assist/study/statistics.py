@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats
 
-from planner.storage import finite
+from planner.system.files import finite
 
 Floats = NDArray[np.float64]
 

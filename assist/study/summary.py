@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from planner.storage import finite
+from planner.system.files import finite
 
 from ..team.settings import Setting
 from . import statistics

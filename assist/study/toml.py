@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from planner.errors import expected as meant
+from planner.system.errors import expected as meant
 
 from .study import StudyError
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from planner.errors import expected
+from planner.system.errors import expected
 
 from ..people import own
 from ..person.pomdp import Policy

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo, LimitError
-from planner.arrays import frozen, outline
-from planner.progress import Wanted, adding, shows_progress
+from planner.system.arrays import frozen, outline
+from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
@@ -126,7 +126,7 @@ class Pool:
         region : int, optional
             States that policies are worked out on where the task is not; `assist.team.wide.REGION` unless given.
         progress : callable or bool, optional
-            Who is told how far it is, as in `planner.progress`: how many people's POMDPs have been set up.
+            Who is told how far it is, as in `planner.system.progress`: how many people's POMDPs have been set up.
 
         Raises
         ------

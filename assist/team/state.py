@@ -15,7 +15,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.arrays import outline
+from planner.system.arrays import outline
 
 from ..people.decision import Floats
 from ..person.pomdp import Policy

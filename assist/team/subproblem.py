@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo, LimitError
-from planner.machine import available_memory
+from planner.system.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats

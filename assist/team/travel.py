@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 
-from planner.arrays import frozen
+from planner.system.arrays import frozen
 
 from ..people.arguments import MOST, number, whole
 from ..people.decision import Floats

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner import CostToGo
-from planner.progress import told
+from planner.system.progress import told
 
 from ..people.belief import Grid
 from ..people.decision import Floats

@@ -14,8 +14,9 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
-from planner import Instance, InstanceError, find_instances, shipped
-from planner.errors import expected as meant
+from planner import Instance, InstanceError, find_instances
+from planner.pddl import bundled
+from planner.system.errors import expected as meant
 
 from ..people.human import Population
 from ..people.own import parse
@@ -341,7 +342,7 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     problem = file.parent / name
     if carried_out:
         return Instance(problem, problem.with_name("domain.pddl"))
-    known = [] if problem.exists() else shipped.files(name)
+    known = [] if problem.exists() else bundled.files(name)
     try:
         found = find_instances(known or [problem])
     except InstanceError as error:

@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.errors import DamagedFileError
-from planner.storage import atomic
+from planner.system.errors import DamagedFileError
+from planner.system.files import atomic
 
 from ..plots import style
 from ..plots import userstudy as draw

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from planner import CostToGo
-from planner.errors import ResultsExistError
-from planner.storage import atomic
+from planner.system.errors import ResultsExistError
+from planner.system.files import atomic
 
 from ..live.course import Course
 from ..live.problem import Problem, digest

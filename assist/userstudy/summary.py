@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.storage import finite
+from planner.system.files import finite
 
 from ..study.statistics import mean
 from .effects import (

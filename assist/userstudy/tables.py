@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from planner.errors import DamagedFileError
+from planner.system.errors import DamagedFileError
 
 from .plan import Stage, UserStudy
 from .session import FORMAT

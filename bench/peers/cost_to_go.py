@@ -282,7 +282,7 @@ class StateByState(Peer):
 
 
 class Astar(StateByState):
-    """Fast Downward's binary on a task that is translated once: `planner.astar`."""
+    """Fast Downward's binary on a task that is translated once: `planner.costtogo.astar`."""
 
     package = "up-fast-downward"
 

@@ -1,0 +1,1 @@
+"""Many instances: each solved, recorded and resumed."""

@@ -1,0 +1,193 @@
+"""A folder of results: the records of instances, their tables and plans, and what these were made from.
+
+Beside `results.jsonl` stands `fingerprints`, with a line of JSON for each record: the `fingerprint` of what the answer
+depends on (both files' contents, the options that matter, the programs that search and check), the `place` of the
+instance's table and plan, the size of each, and a digest of the `record` itself. A record is kept by a later run only
+while all of that is as it was.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ..grounding import fast_downward
+from ..pddl.instances import Instance
+from ..system.errors import DamagedFileError, ResultsExistError
+from ..system.files import append_record, read_records, remove_unfinished, write_records
+from .solve_instance import Record, SolveOptions, begun_sweep, saved_files
+
+RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
+Key = tuple[str, str]
+"""What tells instances apart: the paths of the problem and of the domain. One problem may have several domains."""
+
+DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
+
+
+class Results:
+    """The results of a run, as they come in.
+
+    Attributes
+    ----------
+    records : dict of Key to Record
+        What is known by now, by instance (`key`).
+    """
+
+    def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
+        """Prepare the folder for a run.
+
+        Parameters
+        ----------
+        folder : Path
+        instances : sequence of Instance
+            All that the run is about.
+        options : SolveOptions
+        resume : bool
+            Keep what is in the folder and still holds.
+
+        Raises
+        ------
+        ResultsExistError
+            There are results already, and `resume` is not set.
+        DamagedFileError
+            They are none of this program's.
+        """
+        self._folder = folder
+        results, prints = folder / RESULTS, folder / FINGERPRINTS
+        if results.exists() and not resume:
+            raise ResultsExistError(f"{results} exists; resume it, or choose another folder")
+        before = {_key_of(record): record for record in _records(results) if record["status"] in DONE}
+        named = {"instance", "domain", "place"}
+        lines = {_key_of(line): line for line in read_records(prints) if named <= line.keys()}
+        current = {key(instance): fingerprint(instance, options) for instance in instances}
+        self.records: dict[Key, Record] = {
+            name: record
+            for name, record in before.items()
+            if name not in current or (name in lines and self._holds(record, lines[name], current[name]))
+        }
+        self._lines: dict[Key, dict[str, Any]] = {name: lines[name] for name in self.records if name in lines}
+        taken = {line["place"] for line in self._lines.values()}
+        for instance in instances:
+            name = key(instance)
+            if name not in self._lines:
+                place = _free_place(instance, taken)
+                taken.add(place)
+                self._lines[name] = {
+                    "instance": name[0], "domain": name[1], "fingerprint": current[name], "place": place,
+                }  # fmt: skip
+                if resume:  # what an earlier run made from other files
+                    for file in saved_files(folder / place):
+                        file.unlink(missing_ok=True)
+        self.remove_unfinished()
+        write_records(results, self.records.values())
+        write_records(prints, [self._lines[name] for name in self.records if name in self._lines])
+
+    def place(self, instance: Instance) -> Path:
+        """Where the table and the plan of an instance belong, without their endings."""
+        return self._folder / self._lines[key(instance)]["place"]
+
+    def add(self, record: Record, *, lasting: bool = True) -> None:
+        """Add a record, which takes the place of an earlier one of the instance.
+
+        A later run keeps it if it is `lasting`: its table and plan have been saved.
+        """
+        if not lasting:
+            append_record(self._folder / RESULTS, record)
+            return
+        line = self._lines[_key_of(record)]
+        line |= {"files": self._sizes(line), "record": _digest(record)}
+        append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept
+        append_record(self._folder / RESULTS, record)
+        self.records[_key_of(record)] = record
+
+    def finish(self, instances: Sequence[Instance]) -> None:
+        """Put the records into the order of the instances; those of other instances come last."""
+        ordered = {key(instance): self.records[key(instance)] for instance in instances}
+        write_records(self._folder / RESULTS, {**ordered, **self.records}.values())
+        known = [self._lines[name] for name in {**ordered, **self.records} if name in self._lines]
+        write_records(self._folder / FINGERPRINTS, known)
+
+    def remove_unfinished(self) -> None:
+        """Remove what stopped processes have left half-written."""
+        remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
+
+    def _holds(self, record: Record, line: dict[str, Any], current: str | None) -> bool:
+        if begun_sweep(self._folder / line["place"]).exists():
+            return False  # it was solved on demand for lack of time, and the sweep can go on
+        is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
+        return current is not None and all(line.get(name) == value for name, value in is_now.items())
+
+    def _sizes(self, line: dict[str, Any]) -> dict[str, int]:
+        files = saved_files(self._folder / line["place"])
+        return {file.name: file.stat().st_size for file in files if file.is_file()}
+
+
+def key(instance: Instance) -> Key:
+    """Return what tells an instance from others."""
+    return str(instance.problem), str(instance.domain)
+
+
+def _key_of(record: Mapping[str, Any]) -> Key:
+    return record["instance"], record["domain"]
+
+
+def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
+    """Name what the answer for an instance depends on; None if its files cannot be read.
+
+    Limits of time and memory are not among it: they decide whether there is an answer, not which.
+    """
+    try:
+        files = fast_downward.digest(instance)
+    except OSError:
+        return None
+    what = (files, _programs(), str(instance.domain), options.max_states, options.verify)
+    return hashlib.sha256(repr(what).encode()).hexdigest()
+
+
+@cache
+def _programs() -> str:
+    """Name the programs that find an answer: a search that was changed has another name without being given one."""
+    found = hashlib.sha256()
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        found.update(hashlib.sha256(file.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def _digest(record: Record) -> str:
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _records(file: Path) -> list[Record]:
+    records = read_records(file)
+    for number, record in enumerate(records, start=1):
+        if not _is_record(record):
+            raise DamagedFileError(file, number, "expected a record of `kitassist solve`; choose another folder")
+    return records
+
+
+def _is_record(record: Mapping[str, Any]) -> bool:
+    """Whether what stands in a file has the form of what `solve` wrote, so that it can be shown."""
+    error, plan = record.get("error", 0), record.get("plan", 0)
+    return (
+        all(isinstance(record.get(field), str) for field in ("instance", "domain", "status"))
+        and all(record.get(field, "") is None or isinstance(record.get(field), int | float)
+                for field in ("cost", "states", "transitions", "dead_ends", "max_cost_to_go", "verified"))
+        and isinstance(record.get("seconds"), dict)
+        and (error is None or (isinstance(error, dict) and {"file", "line", "message"} <= set(error)))
+        and (plan is None or (isinstance(plan, list) and all(isinstance(action, str) for action in plan)))
+    )  # fmt: skip
+
+
+def _free_place(instance: Instance, taken: set[str]) -> str:
+    """Give the path of an instance's files in the folder: its own path, with a number where that is taken."""
+    parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
+    place = str(Path(*parts).with_suffix(""))
+    numbers = iter(range(2, len(taken) + 3))
+    free = place
+    while free in taken:
+        free = f"{place}-{next(numbers)}"
+    return free

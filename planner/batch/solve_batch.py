@@ -1,0 +1,224 @@
+"""Many instances: in parallel, on this machine or on a cluster, resumable.
+
+`solve_batch` runs `solve_instance` on each and keeps what is finished in a folder of results: a record is added as
+soon as it is there. The records do not depend on where they were made.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..pddl.instances import Instance
+from ..system.machine import available_memory, processors
+from ..system.progress_reports import Progress
+from ..system.workers import WorkerDiedError, outcomes
+from .results_folder import Key, Results, key
+from .solve_instance import Record, SolveOptions, solve_instance, unfinished, unsolved
+
+GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
+
+TOLD = "told"
+"""What a worker reports when more is known of its instance than before."""
+
+Work = tuple[Instance, Path | None, Path | None]
+"""An instance, the place of its table and plan, and the file for what is known of it meanwhile."""
+
+
+def solve_batch(
+    instances: Sequence[Instance],
+    options: SolveOptions | None = None,
+    *,
+    out: Path | None = None,
+    jobs: int = 1,
+    resume: bool = False,
+    scheduler: str | None = None,
+    progress: Callable[[Record], None] | None = None,
+    stages: Callable[..., None] | None = None,
+    tell: Callable[[Record], None] | None = None,
+) -> list[Record]:
+    """Solve many instances.
+
+    Parameters
+    ----------
+    instances : sequence of Instance
+    options : SolveOptions, optional
+    out : Path, optional
+        A folder for `results.jsonl`, to which each record is added as soon as it is there, and for
+        tables and plans.
+    jobs : int
+        Worker processes, at most; those that run share the machine's memory and processors.
+    resume : bool
+        Keep what the folder holds as solved or unsolvable and was made from the same files, and run the rest.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers solve the instances instead of processes of this machine. They
+        have to see the same files at the same paths, and run one thread each.
+    progress : callable, optional
+        Called with each record as it comes in.
+    stages : callable, optional
+        Called, in a thread, with an instance and with what `solve_instance` calls its `progress` with.
+    tell : callable, optional
+        Called, in a thread, with the record of what is known of an instance on which work goes on, whenever that is
+        more than before, and with the latest one of each where the work is interrupted; not of a cluster's.
+
+    Returns
+    -------
+    list of Record
+        In the order of `instances`.
+
+    Raises
+    ------
+    ResultsExistError
+        There are results in `out` already, and `resume` is not set.
+    DamagedFileError
+        What is in `out` is none of this program's.
+    MissingExtraError
+        A cluster is asked for, and the extra `cluster` is not installed.
+    """
+    options = options or SolveOptions()
+    results = None if out is None else Results(out, instances, options, resume=resume)
+    records = {} if results is None else dict(results.records)
+    todo = [instance for instance in instances if key(instance) not in records]
+    if progress is not None:
+        for instance in instances:
+            if key(instance) in records:
+                progress(records[key(instance)])
+    jobs = min(jobs, len(todo))
+    timeout = None if options.time_limit is None else options.time_limit + GRACE
+    shared = options if scheduler is not None else _shared(options, jobs)
+    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
+        ongoing = _Ongoing(Path(folder), records, results, tell)
+        work: list[Work] = [
+            (
+                instance,
+                None if results is None else results.place(instance),
+                None if scheduler is not None else ongoing.file(instance),
+            )
+            for instance in todo
+        ]
+
+        def hear(item: Work, what: str, *stage: Any) -> None:
+            if what == TOLD:
+                with suppress(OSError):  # which the end of the instance will say, if it lasts
+                    ongoing.hear(item[0])
+            elif stages is not None:
+                stages(item[0], what, *stage)
+
+        if results is not None and scheduler is None:
+            at_the_end.callback(results.remove_unfinished)  # by workers that were stopped
+        ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
+        coming = at_the_end.enter_context(closing(outcomes(_solve, work, (shared,), **ways)))
+        try:
+            for (instance, *_), outcome in coming:
+                if isinstance(outcome, Exception):
+                    record = _ended(instance, outcome, options, ongoing.latest(instance))
+                else:
+                    record = outcome
+                ongoing.end(instance, record)
+                if progress is not None:
+                    progress(record)
+        except BaseException:
+            for instance in todo:
+                with suppress(OSError):
+                    ongoing.hear(instance)
+            raise
+    if results is not None:
+        results.finish(instances)
+    return [records[key(instance)] for instance in instances]
+
+
+def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
+    """Share the machine between workers."""
+    if jobs <= 1:
+        return options
+    memory = available_memory() / 1e6 / jobs
+    limit = memory if options.memory_limit is None else min(memory, options.memory_limit)
+    threads = max(1, processors() // jobs)
+    return replace(options, memory_limit=limit, threads=options.threads or threads)
+
+
+def _solve(work: Work, options: SolveOptions, progress: Progress) -> Record:
+    instance, place, file = work
+    heard: bool | None = None
+
+    def tell(record: Record, saved: bool) -> None:
+        nonlocal heard
+        if file is not None:
+            part = file.with_suffix(".part")
+            part.write_text(json.dumps([record, saved]), encoding="utf-8")
+            part.replace(file)
+            if saved != heard:  # otherwise only more states have been compared
+                progress(TOLD, 0, None)
+            heard = saved
+
+    return solve_instance(instance, options, place, progress=progress, tell=tell)
+
+
+class _Ongoing:
+    """What is known of instances on which work goes on: each has a file for it, which its worker writes."""
+
+    def __init__(
+        self,
+        folder: Path,
+        records: dict[Key, Record],
+        results: Results | None,
+        tell: Callable[[Record], None] | None,
+    ) -> None:
+        self._folder, self._records, self._results, self._tell = folder, records, results, tell
+        self._files: dict[Key, Path] = {}
+        self._heard: dict[Key, Record] = {}
+        self._lock = threading.Lock()  # a thread hears of instances, another of their end
+
+    def file(self, instance: Instance) -> Path:
+        """Name the file of an instance."""
+        return self._files.setdefault(key(instance), self._folder / f"{len(self._files)}.json")
+
+    def latest(self, instance: Instance) -> tuple[Record, bool] | None:
+        """Give what is known of an instance, and whether its table and plan are saved; None while nothing is."""
+        try:
+            record, saved = json.loads(self.file(instance).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        return record, saved
+
+    def hear(self, instance: Instance) -> None:
+        """Keep what is known of an instance, and pass it on."""
+        with self._lock:
+            latest = self.latest(instance)
+            if latest is None or key(instance) in self._records or latest[0] == self._heard.get(key(instance)):
+                return
+            self._heard[key(instance)] = latest[0]
+            if self._results is not None:
+                self._results.add(latest[0], lasting=latest[1])
+        if self._tell is not None:
+            self._tell(latest[0])
+
+    def end(self, instance: Instance, record: Record) -> None:
+        """Keep the record of an instance on which no work goes on."""
+        with self._lock:
+            self._records[key(instance)] = record
+            if self._results is not None:
+                self._results.add(record)
+
+
+def _ended(instance: Instance, error: Exception, options: SolveOptions, latest: tuple[Record, bool] | None) -> Record:
+    """Give what is known of an instance whose worker has ended early."""
+    record = _unsolved(instance, error, options)
+    if latest is None or record["status"] != "limit":
+        return record
+    return unfinished(latest[0], record["error"]["message"])
+
+
+def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> Record:
+    """Say why there is no result; a fault of this program stops one instance, not all."""
+    if isinstance(error, TimeoutError):
+        return unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
+    if isinstance(error, WorkerDiedError):
+        return unsolved(instance, "limit", str(error))
+    return unsolved(instance, "invalid", f"internal error: {error!r}")

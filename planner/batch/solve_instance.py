@@ -1,0 +1,488 @@
+"""One instance, from its files to its record.
+
+`solve_instance` solves an instance within its limits of time and memory and describes the outcome; on request it
+saves the cost-to-go table as `.npz` and the plan. The records' fields are a contract that scripts depend on;
+`docs/commands.md` lists them.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..costtogo.first_answer import Answer, Early
+from ..grounding import fast_downward
+from ..grounding.fast_downward import FastDownwardError, LimitError, Limits
+from ..grounding.semantics import replay
+from ..grounding.task import Effect, Operator, Task, Variable, ground
+from ..pddl.instances import Instance, PDDLError
+from ..pddl.source import Source
+from ..pddl.validation import InvalidPlanError
+from ..pddl.validation_process import PATIENCE, Checker
+from ..system.errors import MismatchError
+from ..system.files import atomic
+from ..system.limits import MAX_STATES
+from ..system.machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
+from ..system.progress_reports import Progress
+from ..system.threads import NO_MORE_THREADS
+
+if TYPE_CHECKING:
+    from ..costtogo.on_demand import OnDemand
+    from ..costtogo.table import Table
+
+Record = dict[str, Any]
+
+SWEEP_SHARE = 0.75
+"""Share of an instance's time in which all states are to be swept; what is left is for the initial one alone."""
+
+COMPARED = 20
+"""States that are compared with A*, unless a number is given."""
+
+COMPARING_SHARE, LEAST = 0.25, 1.0
+"""Their comparison takes at most this share of the time that the search took, or so many seconds if that is more."""
+
+COMPARISON = 300.0
+"""Seconds that the comparison of one state may take, whatever else is allowed."""
+
+SWEEPING = "solved on demand: the sweep had not ended"
+COMPARING = "the comparison with A* had not ended"
+"""Notes in the records of instances on which work goes on."""
+
+DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """How an instance is solved.
+
+    Attributes
+    ----------
+    time_limit : float or None
+        Seconds of wall-clock time for one instance.
+    memory_limit : float or None
+        MB for one instance.
+    max_states : int
+        A task with more states is solved on demand: from its initial state only.
+    verify : int, optional
+        States that are compared with Fast Downward's A*, the initial one first, however long it takes within the
+        limits; none if 0. Unless given, they are as many of `COMPARED` as a part of the search's time allows.
+    threads : int, optional
+        Threads of one instance's sweep.
+    """
+
+    time_limit: float | None = None
+    memory_limit: float | None = None
+    max_states: int = MAX_STATES
+    verify: int | None = None
+    threads: int | None = None
+
+
+COMPILING = "compiling"
+"""What is under way while code is compiled that is in no cache yet."""
+
+
+class _Phases:
+    """Seconds spent in each named phase, the deadline of all of them, and what has been told."""
+
+    def __init__(
+        self,
+        limit: float | None,
+        memory_mb: float | None,
+        progress: Progress,
+        tell: Callable[[Record, bool], None] | None = None,
+    ) -> None:
+        self.seconds: dict[str, float] = {}
+        self.memory_mb = memory_mb
+        self.progress = progress
+        self.told: Record | None = None
+        self._tell = tell
+        self.start = time.monotonic()
+        self.deadline = None if limit is None else self.start + limit
+
+    @contextmanager
+    def phase(self, name: str, doing: str | None = None) -> Iterator[None]:
+        start = time.monotonic()
+        if self.deadline is not None and start > self.deadline:
+            raise LimitError(f"out of time before the phase '{name}'")
+        if doing is not None:
+            self.progress(doing, 0, None)
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
+
+    def part(self, share: float) -> float | None:
+        """Give when a share of all the time is over."""
+        return None if self.deadline is None else self.start + share * (self.deadline - self.start)
+
+    def left(self) -> float:
+        """Give how many seconds are left."""
+        return math.inf if self.deadline is None else self.deadline - time.monotonic()
+
+    def limits(self) -> Limits:
+        return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
+
+    def tell(self, record: Record, *, saved: bool) -> None:
+        """Tell what is known by now."""
+        self.told = self.measured(record)
+        if self._tell is not None:
+            self._tell(self.told, saved)
+
+    def measured(self, record: Record) -> Record:
+        """Give a record with the time and the memory that it took."""
+        seconds = {name: round(seconds, 6) for name, seconds in self.seconds.copy().items()}
+        seconds["total"] = round(time.monotonic() - self.start, 6)
+        return {**record, "seconds": seconds, "peak_memory_mb": round(peak_memory_mb(), 1)}
+
+
+def versions() -> dict[str, str]:
+    """Name the versions that a result depends on."""
+    import importlib.metadata  # takes its time
+
+    packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
+    found = {key: importlib.metadata.version(package) for key, package in packages.items()}
+    return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
+
+
+def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> Record:
+    """Give the record of an instance of which nothing is known."""
+    return {
+        "instance": str(instance.problem),
+        "domain": str(instance.domain),
+        "status": status,
+        "cost": None,
+        "plan": None,
+        "states": None,
+        "transitions": None,
+        "dead_ends": None,
+        "max_cost_to_go": None,
+        "method": None,
+        "verified": 0,
+        "consistent": 0,
+        "seconds": {},
+        "peak_memory_mb": None,
+        "versions": versions(),
+        "error": error,
+        "note": None,
+    }
+
+
+def solve_instance(
+    instance: Instance,
+    options: SolveOptions | None = None,
+    place: Path | None = None,
+    *,
+    progress: Progress | None = None,
+    tell: Callable[[Record, bool], None] | None = None,
+    use: Callable[[Table], None] | None = None,
+) -> Record:
+    """Solve one instance and describe the outcome.
+
+    Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
+    `status` and `error`. A table that contradicts Fast Downward and a plan that its validator rejects are
+    such errors.
+
+    Parameters
+    ----------
+    instance : Instance
+    options : SolveOptions, optional
+    place : Path, optional
+        Where the cost-to-go table and the plan are saved, without their endings `.npz` and `.plan`.
+    progress : callable, optional
+        Called with what is under way, how much of it is done, and of how much; None where nobody knows.
+    tell : callable, optional
+        Called, in a thread as well, with the record of what is known by now, and whether all is saved: with the cost
+        and the plan where they are there before all states are, and before and in the comparison of states with A*.
+        A later one takes the place of an earlier one, and the result that of all.
+    use : callable, optional
+        Called in the end with the table of all states, if they were swept; no limit is on its time.
+    """
+    options = options or SolveOptions()
+    phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None), tell)
+    reset_peak_memory()
+    try:
+        with phases.phase("read"):
+            source = Source.of(instance)
+        with Checker(source, phases.limits()) as checker, ExitStack() as until_solved:
+            task = _grounded(source, checker, phases, until_solved)
+            record = _solve(task, checker, options, place, phases, use)
+    except PDDLError as error:
+        record = empty_record(instance, "invalid", _error(error.file, error.line, error.message))
+    except LimitError as error:
+        record = unsolved(instance, "limit", str(error))
+    except MemoryError:
+        record = _out_of_memory(instance, options)
+    except (FastDownwardError, MismatchError, InvalidPlanError) as error:
+        record = unsolved(instance, "invalid", str(error))
+    except RuntimeError as error:
+        if str(error) != NO_MORE_THREADS:
+            raise
+        record = _out_of_memory(instance, options)
+    except OSError as error:
+        if error.errno == errno.ENOMEM:  # another program found no room to begin
+            record = _out_of_memory(instance, options)
+        else:
+            status = "limit" if error.errno in DISK_IS_FULL else "invalid"
+            file = instance.problem if error.filename is None else Path(os.fsdecode(error.filename))
+            record = empty_record(instance, status, _error(file, None, error.strerror or str(error)))
+    if phases.told is not None and record["status"] == "limit":
+        record = unfinished(phases.told, record["error"]["message"])
+    elif phases.told is not None and record["status"] == "invalid" and place is not None:
+        for file in saved_files(place):
+            file.unlink(missing_ok=True)
+    return phases.measured(record)
+
+
+def unfinished(record: Record, why: str) -> Record:
+    """Give the record of what was known when the work on an instance ended early, with the reason."""
+    return {**record, "note": f"{record['note']}; {why}"}
+
+
+def _out_of_memory(instance: Instance, options: SolveOptions) -> Record:
+    limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
+    return unsolved(instance, "limit", f"out of memory{limit}")
+
+
+def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: ExitStack) -> Task:
+    """Ground an instance; while other programs are at it, load what is needed until it is solved."""
+    with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
+        grounding = thread.submit(ground, source, checker, phases.limits())
+        from ..system.jit import compiling
+
+        until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
+        from ..costtogo.sweep import sweep
+
+        # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
+        switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
+        sweep(Task(source.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
+        return grounding.result()
+
+
+class _Swept(NamedTuple):
+    """What could be swept.
+
+    Attributes
+    ----------
+    known : Table, OnDemand or None
+        The cost-to-go of all states.
+    table : Table or None
+        The states that were swept: all, or one of each orbit.
+    why : str or None
+        Why not all of them were.
+    """
+
+    known: Table | OnDemand | None
+    table: Table | None
+    why: str | None
+
+
+def _solve(
+    task: Task,
+    checker: Checker,
+    options: SolveOptions,
+    place: Path | None,
+    phases: _Phases,
+    use: Callable[[Table], None] | None,
+) -> Record:
+    def answered(answer: Answer) -> None:
+        if place is not None and answer[1] is not None:
+            save_plan(saved_files(place)[1], task, answer[1])
+        found = {"method": "on-demand", "verified": 1, "note": _joined(task.note, SWEEPING)}
+        phases.tell(empty_record(task.instance, "solved", None) | _outcome(*answer) | found, saved=False)
+
+    # Only now is memory limited: loading libraries maps far more than is ever used.
+    with Early(task, phases.limits(), answered) as early, memory_limit(options.memory_limit):
+        swept = _Swept(None, None, None)
+        if not task.decided_by_translator:
+            swept = _sweep(task, options, place, phases, early)
+        record = _found(task, swept, early, options, phases)
+        whole = swept.table if swept.known is swept.table else None
+        if place is not None:
+            _save(place, task, whole, record["plan"], phases)
+        phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
+        if task.note is None and record["plan"] is not None:
+            with phases.phase("validate", "checking the plan"):
+                unchecked = checker.check(record["plan"], min(PATIENCE, max(0.01, phases.left())))
+            if unchecked:
+                words = f"the plan was replayed, but not checked by unified-planning: {unchecked}"
+                record["note"] = _joined(record["note"], words)
+        if swept.table is not None:
+            _compare(swept.table, options, phases, record, early.answer)
+        if whole is not None and use is not None:
+            use(whole)
+    return record
+
+
+def _sweep(task: Task, options: SolveOptions, place: Path | None, phases: _Phases, early: Early) -> _Swept:
+    """Look for the cost-to-go of all states, or of one of each orbit."""
+    from ..costtogo.portfolio import cost_to_go
+    from ..costtogo.table import Table
+
+    memory = None if options.memory_limit is None else max(1.0, options.memory_limit - (used_mb() or 0.0))
+    with phases.phase("search"):
+        try:
+            known = cost_to_go(
+                task,
+                max_states=options.max_states,
+                memory_limit_mb=memory,
+                deadline=phases.part(SWEEP_SHARE),
+                jobs=options.threads,
+                progress=phases.progress,
+                checkpoint=None if place is None else begun_sweep(place),
+                lent=early.lent,
+            )
+        except LimitError as error:
+            return _Swept(None, None, str(error))
+        if isinstance(known, Table):
+            return _Swept(known, known, None)
+        if known.orbits is None:
+            return _Swept(None, None, known.reason)
+        return _Swept(known, known.orbits.table(task), f"{known.reason}; swept are {known.orbits.described}")
+
+
+def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> Record:
+    """Give the record of what has been found, compared with what costs no time.
+
+    Raises
+    ------
+    MismatchError
+        Table, A* and plan contradict each other.
+    LimitError
+        Nothing was swept, and A* has found nothing.
+    """
+    record = empty_record(task.instance, "solved", None)
+    known, table, why = swept
+    notes = [task.note, f"solved on demand: {why}" if why else None]
+    if known is not None and table is not None:
+        import numpy as np
+
+        from ..costtogo.verification import check_successors, mismatch
+
+        early.end()
+        cost = table[table.initial]
+        if early.answer is not None and early.answer[0] != cost:
+            raise mismatch(table, table.initial, early.answer[0])
+        count, seconds = _allowed(table, options, phases)
+        if count:
+            with phases.phase("verify", "comparing states with their successors"):
+                record["consistent"] = check_successors(table, count, np.random.default_rng(0), seconds=seconds / 2)
+        finite = table.distance[~table.dead_end]
+        record.update(
+            method=known.method,
+            max_cost_to_go=int(finite.max()) if len(finite) else None,
+            verified=int(early.answer is not None),
+        )
+        if known is table:
+            notes.append(table.note)
+            counts = len(table), table.space.transition_count, int(table.dead_end.sum())
+            record.update(zip(("states", "transitions", "dead_ends"), counts, strict=True))
+        with phases.phase("plan"):
+            plan = known.optimal_plan()
+    else:
+        with phases.phase("search", "A* from the initial state"):
+            try:
+                cost, plan = early.wait(phases.limits())
+            except LimitError as error:
+                raise type(error)(f"{error}; not swept: {why}" if why else str(error)) from None
+        record.update(method="on-demand", verified=1)
+    if plan is not None:
+        with phases.phase("validate"):
+            if task.plan_cost(plan) != cost:
+                raise MismatchError(f"{task.instance}: the plan costs {task.plan_cost(plan)}, not {cost:g}")
+            if not task.decided_by_translator and replay(task, plan) != cost:
+                raise MismatchError(f"{task.instance}: the plan does not cost {cost:g} when it is replayed")
+    return record | _outcome(cost, plan) | {"note": _joined(*notes)}
+
+
+def _outcome(cost: float, plan: list[str] | None) -> Record:
+    return {"status": "unsolvable"} if plan is None else {"cost": int(cost), "plan": plan}
+
+
+def _joined(*notes: str | None) -> str | None:
+    return "; ".join(filter(None, notes)) or None
+
+
+def _save(place: Path, task: Task, table: Table | None, plan: list[str] | None, phases: _Phases) -> None:
+    """Save the table of all states and the plan, if there are any."""
+    table_file, plan_file = saved_files(place)
+    with phases.phase("save", "saving"):
+        if table is not None:
+            from ..costtogo.table_file import save_table
+
+            save_table(table_file, table)
+        if plan is not None:
+            save_plan(plan_file, task, plan)
+
+
+def _allowed(table: Table, options: SolveOptions, phases: _Phases) -> tuple[int, float]:
+    """Say how many states of a table are to be compared, and in how many seconds."""
+    if options.verify is not None:
+        return min(options.verify, len(table)), phases.left()
+    seconds = max(LEAST, COMPARING_SHARE * phases.seconds["search"]) - phases.seconds.get("verify", 0.0)
+    return min(COMPARED, len(table)), min(phases.left(), seconds)
+
+
+def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Record, answer: Answer | None) -> None:
+    """Compare states of a table with A*; note in the record how many."""
+    import numpy as np
+
+    from ..costtogo.verification import verify
+
+    what, each = "comparing states with A*", phases.limits().seconds
+    count, seconds = _allowed(table, options, phases)
+    if count == 0 or seconds <= 0:
+        return
+
+    def compared(done: int) -> None:
+        record["verified"] = done
+        phases.tell({**record, "note": _joined(record["note"], COMPARING)}, saved=True)
+        phases.progress(what, done, count)
+
+    with phases.phase("verify", what):
+        record["verified"] = verify(
+            table, count, np.random.default_rng(0), seconds=seconds,
+            limits=Limits(COMPARISON if each is None else min(COMPARISON, each), options.memory_limit),
+            # Each search may take the memory that is allowed.
+            jobs=1 if options.memory_limit is not None else options.threads or processors(),
+            known={} if answer is None else {table.initial: answer[0]},
+            progress=compared,
+        )  # fmt: skip
+
+
+def unsolved(instance: Instance, status: str, message: str) -> Record:
+    """Give the record of an instance that was not solved, with the reason."""
+    return empty_record(instance, status, _error(instance.problem, None, message))
+
+
+def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
+    return {"file": str(file), "line": line, "message": message}
+
+
+def saved_files(place: Path) -> tuple[Path, Path]:
+    """Name the files of an instance's table and plan."""
+    return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
+
+
+def begun_sweep(place: Path) -> Path:
+    """Return the file of what a long sweep has found that is not over."""
+    return place.with_name(f"{place.name}.sweep")
+
+
+def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
+    """Save a plan in the planners' format: an action a line, then its cost in a comment."""
+    unit = all(cost == 1 for cost in task.costs)
+    text = (
+        "".join(f"{action}\n" for action in plan)
+        + f"; cost = {task.plan_cost(plan)} ({'unit' if unit else 'general'} cost)\n"
+    )
+    with atomic(file) as path:
+        path.write_text(text, encoding="utf-8")

@@ -1,0 +1,163 @@
+"""Cost-to-go tables in files: written a block at a time, and opened without being read.
+
+A file is numpy's `.npz`, an uncompressed archive of arrays, so that `numpy.load` reads it too; `docs/commands.md`
+describes the arrays. Tables of a billion states are larger than the memory, and of most only some states are wanted:
+`open_table` maps the file into memory, and only what is looked at is read.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import ArrayLike, NDArray
+
+from ..grounding.task import pddl_fact
+from ..states.state_space import state_numbers
+from ..states.successors import Ints, Packing, Words
+from ..system.arrays import outline
+from ..system.errors import DamagedFileError
+from ..system.files import atomic
+from .table import Table
+
+BLOCK = 1 << 16
+"""States that are unpacked at a time."""
+
+LOCAL_HEADER = 30
+"""Bytes of an archive's header of one file, before the file's name."""
+
+
+@dataclass(frozen=True)
+class SavedTable:
+    """A table in a file.
+
+    Attributes
+    ----------
+    packing : Packing
+    states : uint64 array, shape (n, words)
+    distance : unsigned integer array, shape (n,)
+        The type's largest value marks a dead end.
+    initial : int
+        The initial state's place.
+    facts : text array, shape (variables, values)
+        What a value of a variable means: `(on a b)`, `(not (on a b))`, or `<none of those>`; empty where it has no
+        such value.
+    """
+
+    packing: Packing
+    states: Words
+    distance: NDArray[np.unsignedinteger]
+    initial: int
+    facts: NDArray[np.str_]
+
+    __repr__ = outline
+
+    def __len__(self) -> int:
+        return len(self.distance)
+
+    def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
+        """Give h* of states, shape (N,), infinite at dead ends."""
+        distance = self.distance[state_numbers(states, len(self))]
+        return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
+
+    def values(self, states: ArrayLike) -> Ints:
+        """Give the values, shape (N, variables), of states of shape (N,)."""
+        return self.packing.unpack(self.states[state_numbers(states, len(self))])
+
+
+def save_table(file: str | Path, table: Table) -> None:
+    """Save a cost-to-go table as `.npz`, at once or not at all.
+
+    Parameters
+    ----------
+    table : Table
+    file : path
+    """
+    task = table.task
+    packing = Packing.of(task)
+    width = max(len(variable.facts) for variable in task.variables)
+    arrays = {
+        "cost_to_go": table.distance,
+        "initial": np.asanyarray(table.initial),
+        "word": packing.word,
+        "shift": packing.shift,
+        "bits": packing.bits,
+        "facts": np.array([[*map(pddl_fact, v.facts), *[""] * (width - len(v.facts))] for v in task.variables]),
+    }
+    with atomic(Path(file)) as path, path.open("wb") as stream, zipfile.ZipFile(stream, "w") as archive:
+        with archive.open("states.npy", "w", force_zip64=True) as target:
+            shape = {"descr": npy.dtype_to_descr(np.dtype(np.uint64)), "fortran_order": False}
+            npy.write_array_header_1_0(target, {**shape, "shape": (len(table), packing.words)})
+            for start in range(0, len(table), BLOCK):
+                rows = np.arange(start, min(start + BLOCK, len(table)))
+                target.write(packing.pack(table.values(rows)).tobytes())
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as target:
+                npy.write_array(target, array, allow_pickle=False)
+
+
+def open_table(file: str | Path) -> SavedTable:
+    """Open a table that `save_table` has written; what is not looked at is not read.
+
+    Parameters
+    ----------
+    file : path
+
+    Raises
+    ------
+    DamagedFileError
+        It is no such file, not all of it, or one whose arrays do not belong together.
+    """
+    file = Path(file)
+    try:
+        with zipfile.ZipFile(file) as archive, file.open("rb") as stream:
+            members = archive.infolist()
+            arrays = {member.filename.removesuffix(".npy"): _mapped(file, stream, member) for member in members}
+        return _table(arrays)
+    except (zipfile.BadZipFile, KeyError, ValueError, IndexError) as error:
+        raise DamagedFileError(file, None, f"no table of costs-to-go ({error})") from None
+
+
+def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
+    """Put a table together whose arrays fit each other: what they hold of single states is not looked at."""
+    states, distance, facts = arrays["states"], arrays["cost_to_go"], arrays["facts"]
+    for name, kinds, dimensions in (
+        ("states", "u", 2),
+        ("cost_to_go", "u", 1),
+        ("facts", "U", 2),
+        ("initial", "iu", 0),
+    ):
+        array = arrays[name]
+        if array.dtype.kind not in kinds or array.ndim != dimensions:
+            raise ValueError(f"{name} is of the kind {array.dtype} and has {array.ndim} dimensions")
+    packing, initial = Packing.of_sizes((facts != "").sum(axis=1).tolist()), int(arrays["initial"])
+    if states.dtype != np.uint64 or states.shape != (len(distance), packing.words) or not 0 <= initial < len(distance):
+        raise ValueError(
+            f"states, {states.dtype} {states.shape}, are not those of {len(distance)} costs-to-go and of the facts"
+        )
+    for name in ("word", "shift", "bits"):
+        if not np.array_equal(arrays[name], getattr(packing, name)):
+            raise ValueError(f"{name} is not where this version puts the variables")
+    return SavedTable(packing, states, distance, initial, facts)
+
+
+def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:
+    """Map an array of an archive."""
+    stream.seek(member.header_offset)
+    header = stream.read(LOCAL_HEADER)
+    # What follows are the file's name and more about it, the lengths of both are the header's last numbers.
+    lengths = np.frombuffer(header[-4:], dtype="<u2")
+    stream.seek(member.header_offset + LOCAL_HEADER + int(lengths.sum()))
+    if npy.read_magic(stream) != (1, 0):
+        raise ValueError(f"{member.filename} is written in another way")
+    shape, fortran_order, dtype = npy.read_array_header_1_0(stream)
+    if not shape or 0 in shape:
+        return np.fromfile(stream, dtype=dtype, count=1 if not shape else 0).reshape(shape)
+    order: Literal["C", "F"] = "F" if fortran_order else "C"
+    return np.memmap(file, dtype=dtype, mode="r", offset=stream.tell(), shape=shape, order=order)

@@ -1,0 +1,1 @@
+"""The grounded task: what Fast Downward's translator makes of PDDL files."""

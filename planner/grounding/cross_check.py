@@ -1,0 +1,94 @@
+"""What the translator has grounded, compared with what has been read.
+
+A ground action has to be one of an action that was read, with objects of the right types, and has to cost what the
+files say. So has each fact to be one of a predicate with as many arguments, and what holds initially to be stated. The
+two readings are made by different programs; a difference is an error, and is told with its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from ..pddl.declarations import Typed, refuse
+from ..pddl.reader import Action, Reading
+
+TRANSLATOR = "Fast Downward's translator"
+
+
+def check(
+    reading: Reading,
+    actions: Sequence[str],
+    costs: Sequence[int],
+    facts: Sequence[Sequence[str]],
+    values: Sequence[int],
+) -> None:
+    """Compare a grounded task with what has been read.
+
+    Parameters
+    ----------
+    reading : Reading
+    actions : sequence of str
+        As `(name arg ...)`.
+    costs : sequence of int
+        Of each action.
+    facts : sequence of sequence of str
+        For each variable that is not derived, what its values mean.
+    values : sequence of int
+        The initial value of each of these variables.
+
+    Raises
+    ------
+    PDDLError
+        They differ.
+    """
+    objects = {**reading.domain.constants, **reading.problem.objects}
+    known = reading.domain.actions
+    for ground, cost in zip(actions, costs, strict=True):
+        name, *arguments = ground[1:-1].split()
+        action = known.get(name)
+        if action is None:
+            refuse(reading.instance.domain, None, f"{TRANSLATOR} has an action {ground}, which is not in the files")
+        _check_arguments(reading, action, ground, arguments, objects)
+        if (stated := _cost(reading, action, arguments)) != cost:
+            refuse(reading.instance.domain, action.place, f"{ground} costs {stated}, and {cost} for {TRANSLATOR}")
+    if any("dummy(" in fact for variable in facts for fact in variable):  # it has decided the task by itself
+        return
+    for variable, initial in zip(facts, values, strict=True):
+        for number, fact in enumerate(variable):
+            if fact.startswith("Atom "):
+                _check_fact(reading, fact.removeprefix("Atom "), number == initial, objects)
+
+
+def _check_arguments(
+    reading: Reading, action: Action, ground: str, arguments: Sequence[str], objects: Mapping[str, Typed]
+) -> None:
+    types = reading.domain.types
+    wrong = len(arguments) != len(action.parameters)
+    for argument, parameter in zip(arguments, action.parameters, strict=False):
+        known = objects.get(argument)
+        wrong = wrong or known is None or not types.fits(known.kinds[0], parameter.kinds)
+    if wrong:
+        refuse(reading.instance.domain, action.place, f"{TRANSLATOR} has {ground}, with other arguments than declared")
+
+
+def _cost(reading: Reading, action: Action, arguments: Sequence[str]) -> int | None:
+    if reading.problem.metric is None:
+        return 1
+    if action.cost is None:
+        return 0
+    bound = dict(zip((each.name for each in action.parameters), arguments, strict=True))
+    return action.cost.of(bound, reading.problem.values)
+
+
+def _check_fact(reading: Reading, fact: str, holds: bool, objects: Mapping[str, Typed]) -> None:
+    name, _, inner = fact.removesuffix(")").partition("(")
+    if "@" in name:  # the translator's own
+        return
+    atom = (name, *(inner.split(", ") if inner else ()))
+    symbol = reading.domain.predicates.get(name)
+    if symbol is None or len(symbol.parameters) != len(atom) - 1 or not objects.keys() >= set(atom[1:]):
+        refuse(reading.instance.problem, None, f"{TRANSLATOR} has a fact {fact}, which is none of the files")
+    if holds != (atom in reading.problem.facts):
+        at = reading.problem.facts.get(atom, reading.problem.init)
+        other = "holds" if holds else "does not hold"
+        refuse(reading.instance.problem, at, f"({' '.join(atom)}) {other} initially for {TRANSLATOR}")

@@ -1,0 +1,312 @@
+"""The one place that runs Fast Downward.
+
+Its translator grounds an instance into a finite-domain task (the SAS text that `task` reads), its A*
+finds an optimal plan from the initial state or from any other state. Both run as subprocesses: Fast
+Downward is GPL-3.0-only and is never imported.
+
+Handed on: SAS text, and plans as lists of ground action names; `None` where there is provably no plan.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import math
+import os
+import re
+import resource
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from ..pddl.instances import Instance, PDDLError
+from ..pddl.source import Source
+from ..system.processes import guarded_group, python
+
+TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
+
+# The fastest admissible configuration on kitting, and the only kind that supports derived variables.
+ASTAR = "astar(landmark_cost_partitioning(lm_rhw()))"
+ASTAR_WITH_AXIOMS = "astar(blind())"
+
+EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
+EXIT_OUT_OF_MEMORY = {20, 22}
+EXIT_OUT_OF_TIME = {21, 23}
+EXIT_NOT_LOADED = 127  # the system's loader did not bring the program to its beginning
+NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # what it says then
+
+
+class FastDownwardError(RuntimeError):
+    """Fast Downward ended in a way that says nothing about the task."""
+
+
+class LimitError(RuntimeError):
+    """A limit of time, memory or states was reached before the answer was known."""
+
+
+class CostLimitError(LimitError):
+    """Costs are so large that Fast Downward's sums, of 32 bits, may overflow."""
+
+
+class MemoryLimitError(LimitError):
+    """More memory would be needed than is allowed."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one call may use; `None` for no limit.
+
+    Attributes
+    ----------
+    seconds : float or None
+        Of wall-clock time.
+    memory_mb : float or None
+        Megabytes.
+    stop : threading.Event or None
+        It ends as well once this is set.
+    first : float or None
+        Seconds after which it lets all other work on the machine go first.
+    """
+
+    seconds: float | None = None
+    memory_mb: float | None = None
+    stop: threading.Event | None = None
+    first: float | None = None
+
+
+LAST = 19
+"""The lowest priority."""
+
+LONGEST_WAIT = 2_000_000.0
+"""Seconds that one call of the system can wait, about: it counts milliseconds in 32 bits."""
+
+NO_LIMITS = Limits()
+
+
+def version() -> str:
+    """Name the version of Fast Downward that the installed package bundles."""
+    import importlib.metadata  # takes its time
+
+    return importlib.metadata.version("fast-downward.translate")
+
+
+def digest(instance: Instance) -> str:
+    """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
+    import importlib.metadata
+
+    found = hashlib.sha256(f"4 {version()} {importlib.metadata.version('unified-planning')}".encode())
+    for file in (instance.domain, instance.problem):
+        found.update(hashlib.sha256(file.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
+    """Ground an instance and return its finite-domain task as SAS text.
+
+    A goal that cannot be reached even if nothing is ever deleted, or that always holds, gives a dummy task
+    without operators (`Task.decided_by_translator`).
+
+    Raises
+    ------
+    PDDLError
+        The translator refuses the input.
+    LimitError
+        Out of time or memory.
+    """
+    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
+        sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
+        # The texts as all other readers have them, without marks of the encoding.
+        domain.write_text(source.domain_text, encoding="utf-8")
+        problem.write_text(source.problem_text, encoding="utf-8")
+        command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
+        code, output = _run([*command, str(domain), str(problem)], folder, None, limits)
+        _check_limits("translation", code, output, limits)
+        if code != 0 or not sas.is_file():
+            raise _refused(source, code, output)
+        return sas.read_text(encoding="utf-8")
+
+
+def optimal_plan(
+    sas: str, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
+) -> list[str] | None:
+    """Find an optimal plan with A*, from the initial state or from `state`.
+
+    Parameters
+    ----------
+    sas : str
+        The task, as `translate` returns it.
+    state : sequence of int, shape (variables,), optional
+        The value of every variable. It has to be reachable from the initial state: the translator has
+        dropped all that is not.
+    search : str, optional
+        Fast Downward's search configuration; an admissible default is chosen.
+    limits : Limits
+        Time and memory of the search.
+
+    Returns
+    -------
+    list of str or None
+        Ground actions as `(name arg ...)`; None where no plan exists, proven.
+
+    Raises
+    ------
+    LimitError
+        Out of time or memory: nothing is known about the state.
+    FastDownwardError
+        Any other end of the search.
+    """
+    if state is not None:
+        sas = with_initial_state(sas, state)
+    if search is None:
+        search = ASTAR_WITH_AXIOMS if has_axioms(sas) else ASTAR
+    with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
+        plan = Path(folder) / "plan"
+        command = [str(_binary()), "--internal-plan-file", str(plan), "--search", search]
+        code, output = _run(command, folder, sas, limits)
+        if code == 0 and plan.is_file():
+            # An action without arguments is written with a space before the bracket.
+            lines = plan.read_text(encoding="utf-8").splitlines()
+            return [f"({line[1:-1].strip()})" for line in lines if line.startswith("(")]
+    if code in EXIT_UNSOLVABLE:
+        return None
+    _check_limits("A*", code, output, limits)
+    raise FastDownwardError(f"Fast Downward's search failed (exit {code}): {_last_line(output)}")
+
+
+@cache
+def _binary() -> Path:
+    """Find the search program, without importing the package that holds it: that imports much."""
+    package = importlib.util.find_spec("up_fast_downward")
+    if package is None or not package.submodule_search_locations:
+        raise FastDownwardError("the package up-fast-downward is not installed")
+    return Path(package.submodule_search_locations[0], "downward", "builds", "release", "bin", "downward")
+
+
+def with_initial_state(sas: str, state: Sequence[int]) -> str:
+    """Write another initial state into a SAS text."""
+    before, after = sas.split("begin_state\n", 1)
+    old, after = after.split("\nend_state", 1)
+    if len(state) != len(old.split("\n")):
+        raise ValueError(f"the state has {len(state)} values, the task {len(old.split(chr(10)))} variables")
+    return before + "begin_state\n" + "\n".join(str(int(value)) for value in state) + "\nend_state" + after
+
+
+def has_axioms(sas: str) -> bool:
+    """Whether a SAS text has derived variables."""
+    return sas.rsplit("end_operator" if "end_operator" in sas else "end_goal", 1)[1].split()[-1:] != ["0"]
+
+
+def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
+    """Run a program in a folder of its own; return its exit code and all it printed.
+
+    It ends with this process, however that ends.
+    """
+    process = subprocess.Popen(
+        command,
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        process_group=guarded_group(),
+    )
+    try:
+        if hasattr(resource, "prlimit") and limits.seconds is not None:
+            _limit(process.pid, resource.RLIMIT_CPU, int(limits.seconds) + 1)
+        limit_memory(process.pid, limits)
+        _give(process, text or "")
+        output = _output(process, limits)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(BrokenPipeError):
+                    pipe.close()
+    return process.returncode, output
+
+
+def _give(process: subprocess.Popen[str], text: str) -> None:
+    """Write what a program reads, once it is limited.
+
+    All of it at once, since `communicate` forgets what a pipe has not taken when it is called again: these programs
+    read everything before they do anything, or end.
+    """
+    given, process.stdin = process.stdin, None
+    assert given is not None
+    with suppress(BrokenPipeError), given:
+        given.write(text)
+
+
+def _output(process: subprocess.Popen[str], limits: Limits) -> str:
+    """Wait for all that a program prints."""
+    begun = time.monotonic()
+    end = math.inf if limits.seconds is None else begun + limits.seconds
+    first = math.inf if limits.first is None else begun + limits.first
+    while True:
+        now = time.monotonic()
+        if now >= first:
+            first = math.inf
+            with suppress(OSError):  # it has ended
+                os.setpriority(os.PRIO_PROCESS, process.pid, LAST)
+        wait = min(end - now, first - now, math.inf if limits.stop is None else 0.02)
+        try:
+            return process.communicate(timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
+        except subprocess.TimeoutExpired:
+            if limits.stop is not None and limits.stop.is_set():
+                raise LimitError("Fast Downward was stopped") from None
+            if time.monotonic() >= end:
+                raise LimitError(f"Fast Downward ran out of time ({limits.seconds:g} s)") from None
+
+
+def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
+    """Raise if a program ended because of a limit; one that a signal ended under a memory limit did as well."""
+    if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
+        raise LimitError(f"{what} ran out of time")
+    unloaded = code == EXIT_NOT_LOADED and any(word in output for word in NO_ROOM_TO_LOAD)
+    if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded)):
+        raise MemoryLimitError(f"{what} ran out of memory")
+
+
+def limit_memory(pid: int, limits: Limits) -> None:
+    """Limit the memory of a process that has just been started."""
+    if hasattr(resource, "prlimit") and limits.memory_mb is not None:
+        _limit(pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
+
+
+def _limit(pid: int, what: int, value: int) -> None:
+    try:
+        _, hard = resource.prlimit(pid, what)
+        resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+    except ProcessLookupError:
+        pass  # it has ended already
+
+
+def _last_line(output: str) -> str:
+    """The last line that says why a program ended."""
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    lines = [line for line in lines if not line.startswith(("Peak memory", "Remove intermediate", "["))]
+    return " ".join(lines[-2:]) if lines else "no output"
+
+
+def _refused(source: Source, code: int, output: str) -> PDDLError:
+    """Say why the translator refuses what has been read and checked: only a few faults are left for it to find."""
+    reading = source.reading
+    if "not stratifiable" in output:
+        line = next((rule.head.place.line for rule in reading.domain.rules), None)
+        return PDDLError(reading.instance.domain, line, "derived predicates depend on their own negation")
+    fault = re.search(r"^(\w+(?:Error|Exception))\b", output, re.M)
+    kind = f" ({fault[1]})" if fault else ""
+    return PDDLError(
+        reading.instance.problem, None, f"Fast Downward's translator fails at this task, exit code {code}{kind}"
+    )

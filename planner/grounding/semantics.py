@@ -1,0 +1,84 @@
+"""Plans and successors by what the grounded task says, one action after the other.
+
+Independent of all that computes costs-to-go: neither packed states nor moves, only the operators and axioms as the
+translator wrote them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from ..pddl.validation import InvalidPlanError
+from .task import Effect, Fact, Operator, Task
+
+
+def replay(task: Task, plan: Sequence[str]) -> int:
+    """Follow a plan, ground actions as `(name arg ...)`, from the initial state to the goal; give its cost.
+
+    Raises
+    ------
+    InvalidPlanError
+        An action is unknown or not applicable where its turn comes, or the goal does not hold at the end.
+    """
+    state, cost = derived(task, task.initial), 0
+    for step, name in enumerate(plan):
+        if name not in task.action_index:
+            raise InvalidPlanError(f"step {step}: {name} is no action of the task")
+        action = task.action_index[name]
+        operator = next((o for o in task.operators if o.action == action and _hold(o.preconditions, state)), None)
+        if operator is None:
+            raise InvalidPlanError(f"step {step}: {name} is not applicable")
+        state = derived(task, _applied(operator, state))
+        cost += task.costs[action]
+    missing = [task.variables[variable].facts[value] for variable, value in task.goal if state[variable] != value]
+    if missing:
+        raise InvalidPlanError(f"the goal does not hold after the plan: {', '.join(missing)}")
+    return cost
+
+
+def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
+    """Give the cost of each applicable action and the state after it; actions that were split come once for each part.
+
+    Parameters
+    ----------
+    task : Task
+    state : sequence of int, shape (variables,)
+        With its derived variables.
+    """
+    return [
+        (task.costs[operator.action], derived(task, _applied(operator, state)))
+        for operator in task.operators
+        if _hold(operator.preconditions, state)
+    ]
+
+
+def derived(task: Task, state: Sequence[int]) -> list[int]:
+    """Give a state with its derived variables: layer by layer, each to its least fixed point."""
+    values = [
+        value if variable.axiom_layer < 0 else default
+        for value, default, variable in zip(state, task.initial, task.variables, strict=True)
+    ]
+    layers: dict[int, list[Effect]] = {}
+    for axiom in task.axioms:
+        layers.setdefault(task.variables[axiom.variable].axiom_layer, []).append(axiom)
+    for layer in sorted(layers):
+        changed = True
+        while changed:
+            changed = False
+            for axiom in layers[layer]:
+                if values[axiom.variable] != axiom.value and _hold(axiom.conditions, values):
+                    values[axiom.variable] = axiom.value
+                    changed = True
+    return values
+
+
+def _hold(facts: Iterable[Fact], state: Sequence[int]) -> bool:
+    return all(state[variable] == value for variable, value in facts)
+
+
+def _applied(operator: Operator, state: Sequence[int]) -> list[int]:
+    after = list(state)
+    for effect in operator.effects:
+        if _hold(effect.conditions, state):
+            after[effect.variable] = effect.value
+    return after

@@ -1,0 +1,1 @@
+"""PDDL files: found, read, checked against the supported fragment, and validated."""

@@ -1,0 +1,139 @@
+"""Tasks that were built in Python: from a unified-planning `Problem` to the files that everything else reads.
+
+unified-planning allows names that PDDL does not (capitals, dots), and writes others in their place. `write` hands on
+which, so that `restore_names` can give the grounded task the names of the problem again. Costs that are sums or
+products, which Fast Downward does not read, are worked out for all objects before.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .instances import Instance, PDDLError
+from .validation import clear_walkers
+
+if TYPE_CHECKING:
+    from unified_planning.model import Action, FNode, Problem
+
+MOST_COSTS = 100_000
+"""Values of one action's cost that are worked out."""
+
+
+def named(problem: Problem) -> Instance:
+    """Name an instance that has no files: after its problem."""
+    name = problem.name or "problem"
+    return Instance(Path(name), Path(f"{name} (domain)"))
+
+
+def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
+    """Write a problem as PDDL.
+
+    Returns
+    -------
+    instance : Instance
+        The two files, in `folder`.
+    names : dict of str to str
+        For each PDDL name that differs from the problem's own, the latter. A name that a ground action could not be
+        written with, one with spaces, commas or parentheses, is left out: it stays as it is in PDDL.
+
+    Raises
+    ------
+    PDDLError
+        The problem is more than classical planning with action costs.
+    """
+    from unified_planning.exceptions import UPException
+    from unified_planning.io import PDDLWriter
+
+    instance = Instance(folder / "problem.pddl", folder / "domain.pddl")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            writer = PDDLWriter(with_plain_costs(problem))
+            writer.write_domain(str(instance.domain))
+            writer.write_problem(str(instance.problem))
+    except PDDLError:
+        raise
+    except Exception as error:  # noqa: BLE001  it raises whatever comes, its own internal errors included
+        clear_walkers()
+        reason = " ".join(str(error).split()) if isinstance(error, UPException) else "unified-planning fails at it"
+        raise PDDLError(named(problem).problem, None, f"not to be written as classical PDDL: {reason}") from None
+    renamed = {name: item.name for name, item in writer.nto_renamings.items() if name != item.name}
+    return instance, {name: own for name, own in renamed.items() if own and not re.search(r"[\s(),]", own)}
+
+
+def with_plain_costs(problem: Problem) -> Problem:
+    """Return a problem with costs as Fast Downward reads them: numbers, or functions of arguments, and 0 for none.
+
+    Raises
+    ------
+    PDDLError
+        A cost is negative, no whole number, unknown for some objects, or has very many values.
+    """
+    metric = problem.quality_metrics[0] if len(problem.quality_metrics) == 1 else None
+    if metric is None or not metric.is_minimize_action_costs():
+        return problem
+    plain = problem.clone()
+    plain.clear_quality_metrics()
+    costs = {action: metric.get_action_cost(problem.action(action.name)) for action in plain.actions}
+    for action, cost in costs.items():
+        if cost is None:
+            costs[action] = problem.environment.expression_manager.Int(0)
+        elif not cost.is_constant() and not (cost.is_fluent_exp() and cost.type.is_int_type()):
+            costs[action] = _tabulated(plain, action, cost)
+    plain.add_quality_metric(type(metric)(costs))
+    return plain
+
+
+def _tabulated(problem: Problem, action: Action, cost: FNode) -> FNode:
+    """Return an action's cost as a function of its arguments, whose values are added to the problem."""
+    from unified_planning.model import Fluent
+    from unified_planning.model.walkers import Simplifier
+
+    def refuse(message: str) -> PDDLError:
+        return PDDLError(named(problem).problem, None, f"action '{action.name}' costs {cost}: {message}")
+
+    variables = problem.environment.expression_manager
+    used = [one for one in action.parameters if variables.ParameterExp(one) in _parts(cost)]
+    objects = [list(problem.objects(one.type)) for one in used]
+    if (many := math.prod(map(len, objects))) > MOST_COSTS:
+        raise refuse(f"it has {many} values; expected at most {MOST_COSTS}, or a fluent of its own")
+    name = next(f"costs{n}" for n in itertools.count() if not problem.has_name(f"costs{n}"))
+    table = Fluent(name, problem.environment.type_manager.IntType(), used, problem.environment)
+    problem.add_fluent(table)
+    simplifier = Simplifier(problem.environment, problem)
+    for arguments in itertools.product(*objects):
+        given = dict(zip(map(variables.ParameterExp, used), map(variables.ObjectExp, arguments), strict=True))
+        value = simplifier.simplify(cost.substitute(given))
+        if not value.is_int_constant() or value.int_constant_value() < 0:
+            at = f" for ({', '.join(one.name for one in arguments)})" if arguments else ""
+            raise refuse(f"that is {value}{at}; expected a whole number of 0 or more")
+        problem.set_initial_value(table(*arguments), value)
+    return table(*used)
+
+
+def _parts(expression: FNode) -> set[FNode]:
+    """Return all that an expression consists of."""
+    found, waiting = set(), [expression]
+    while waiting:
+        found.add(one := waiting.pop())
+        waiting += one.args
+    return found
+
+
+def restore_names(sas: str, names: Mapping[str, str]) -> str:
+    """Give the facts and operators of a SAS text the problem's own names."""
+    if not names:
+        return sas
+
+    def restored(match: re.Match[str]) -> str:
+        return re.sub(r"[^\s(),]+", lambda word: names.get(word[0], word[0]), match[0])
+
+    sas = re.sub(r"(?<=^Atom ).*", restored, sas, flags=re.M)
+    sas = re.sub(r"(?<=^NegatedAtom ).*", restored, sas, flags=re.M)
+    return re.sub(r"(?<=^begin_operator\n).*", restored, sas, flags=re.M)

@@ -1,0 +1,335 @@
+"""What a PDDL file declares: types, objects, predicates and functions, each with its place.
+
+All other files of this project know these names from here only. A name that is declared in no sensible way is refused
+with its place.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import NoReturn
+
+from .instances import PDDLError
+from .s_expressions import Expression, Place
+
+OBJECT = "object"
+"""The type of everything."""
+
+RESERVED = frozenset(
+    ("and", "or", "not", "imply", "forall", "exists", "when", "either", "increase", "decrease", "assign", "scale-up",
+     "scale-down", "<", ">", "<=", ">=", "-", "+", "*", "/")
+)  # fmt: skip
+"""Words that begin a condition, an effect or a number, and are no names of predicates and functions."""
+
+
+@dataclass(frozen=True)
+class Typed:
+    """A name of a typed list: of an object, a variable, or a type.
+
+    Attributes
+    ----------
+    name : str
+    kinds : tuple of str
+        Its type, or the several of `(either ...)`.
+    place : Place
+    """
+
+    name: str
+    kinds: tuple[str, ...]
+    place: Place
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A predicate or a function.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of Typed
+    place : Place
+    """
+
+    name: str
+    parameters: tuple[Typed, ...]
+    place: Place
+
+
+@dataclass(frozen=True)
+class Types:
+    """The types of a domain.
+
+    Attributes
+    ----------
+    parents : mapping of str to tuple of str
+        The types right above each type, none for `object`, which is above all others.
+    places : mapping of str to Place
+        Where each type is named first.
+    """
+
+    parents: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {OBJECT: ()})
+    places: Mapping[str, Place] = field(default_factory=dict)
+
+    @cached_property
+    def _above(self) -> dict[str, frozenset[str]]:
+        found: dict[str, frozenset[str]] = {}
+        for name in self.ordered:
+            found[name] = frozenset((name,)).union(*(found[parent] for parent in self.parents[name]))
+        return found
+
+    @cached_property
+    def _below(self) -> dict[str, frozenset[str]]:
+        found: dict[str, set[str]] = {name: set() for name in self.parents}
+        for name, above in self._above.items():
+            for each in above:
+                found[each].add(name)
+        return {name: frozenset(names) for name, names in found.items()}
+
+    @cached_property
+    def ordered(self) -> tuple[str, ...]:
+        """All types, each after those above it."""
+        found: dict[str, None] = {}
+        for name in self.parents:
+            waiting = [name]
+            while waiting:
+                missing = [parent for parent in self.parents[waiting[-1]] if parent not in found]
+                if missing:
+                    waiting += missing
+                else:
+                    found[waiting.pop()] = None
+        return tuple(found)
+
+    def fits(self, kind: str, wanted: Iterable[str]) -> bool:
+        """Whether an object of one type is one of the others as well."""
+        return not self._above[kind].isdisjoint(wanted)
+
+    def overlap(self, kinds: Iterable[str], others: Iterable[str]) -> bool:
+        """Whether an object may be of one of some types and of one of some others."""
+        below = frozenset[str]().union(*(self._below[kind] for kind in others))
+        return any(not below.isdisjoint(self._below[kind]) for kind in kinds)
+
+    def reduced(self, kinds: Iterable[str]) -> tuple[str, ...]:
+        """Leave out what is below another of some types."""
+        return tuple(sorted(a for a in kinds if not any(a != b and self.fits(a, (b,)) for b in kinds)))
+
+    def common(self, kinds: Iterable[str]) -> str:
+        """The lowest type that is above all of some, where there is one such type."""
+        shared = frozenset.intersection(*(self._above[kind] for kind in kinds))
+        return next((name for name in shared if all(other in self._above[name] for other in shared)), OBJECT)
+
+
+@dataclass(frozen=True)
+class Names:
+    """What may be named in conditions and effects."""
+
+    types: Types
+    predicates: Mapping[str, Symbol]
+    functions: Mapping[str, Symbol]
+    objects: Mapping[str, Typed]
+
+
+def meant(name: str, words: Iterable[str]) -> str:
+    """Offer the nearest of some other words."""
+    near = difflib.get_close_matches(name.lstrip("?"), sorted({word.lstrip("?") for word in words} - {name}), n=1)
+    return f"; did you mean '{'?' if name.startswith('?') else ''}{near[0]}'?" if near else ""
+
+
+def refuse(file: Path, at: Expression | Place | None, message: str) -> NoReturn:
+    """Raise an error with its place."""
+    line, column = (None, None) if at is None else (at.line, at.column)
+    raise PDDLError(file, line, message, column)
+
+
+def shown(expression: Expression, longest: int = 60) -> str:
+    """Give an expression as a message shows it."""
+    text = str(expression)
+    return text if len(text) <= longest else f"{text[:longest]} ..."
+
+
+def types(file: Path, section: Expression | None) -> Types:
+    """Read the types of a domain.
+
+    A type that is its own parent, or that is named after a hyphen only, is a root; `object` needs no mention.
+    """
+    if section is None:
+        return Types()
+    parents: dict[str, list[str]] = {OBJECT: []}
+    places: dict[str, Place] = {}
+    for each in typed(file, section.parts[1:], "a type"):
+        if len(each.kinds) > 1:
+            refuse(file, each.place, f"type '{each.name}' is under (either ...); expected one type")
+        parent = each.kinds[0]
+        if "number" in (each.name, parent):
+            refuse(file, each.place, "'number' is no type of objects")
+        if each.name == OBJECT and parent != OBJECT:
+            refuse(file, each.place, f"'{OBJECT}' is above all types, and cannot be under '{parent}'")
+        if each.name == OBJECT:
+            continue
+        for name in (each.name, parent):
+            places.setdefault(name, each.place)
+            parents.setdefault(name, [])
+        if parent not in (each.name, *parents[each.name]):
+            parents[each.name].append(parent)
+    for name, above in parents.items():
+        if name != OBJECT and not above:
+            above.append(OBJECT)
+        elif len(above) > 1 and OBJECT in above:
+            above.remove(OBJECT)
+    _check_circles(file, parents, places)
+    return Types({name: tuple(above) for name, above in parents.items()}, places)
+
+
+def _check_circles(file: Path, parents: Mapping[str, Sequence[str]], places: Mapping[str, Place]) -> None:
+    done: set[str] = set()
+    for name in parents:
+        way, waiting = [name], [list(parents[name])]
+        while waiting:
+            if not waiting[-1]:
+                waiting.pop()
+                done.add(way.pop())
+                continue
+            above = waiting[-1].pop(0)
+            if above in way:
+                circle = [*way[way.index(above) :], above]
+                refuse(file, places[above], f"circular types: {' - '.join(circle)}")
+            if above not in done:
+                way.append(above)
+                waiting.append(list(parents[above]))
+
+
+def typed(
+    file: Path, parts: Iterable[Expression], what: str, *, variables: bool = False, known: Types | None = None
+) -> list[Typed]:
+    """Read a typed list, `a b - t c`; what has no type is of type `object`.
+
+    Parameters
+    ----------
+    file : Path
+    parts : iterable of Expression
+    what : str
+        What it lists, for messages.
+    variables : bool
+        Whether it lists variables.
+    known : Types, optional
+        Those that may be named.
+    """
+    names: list[Expression] = []
+    found: list[Typed] = []
+    words = iter(parts)
+    for part in words:
+        if part.word == "-":
+            kind = next(words, None)
+            if kind is None or kind.word == "-":
+                refuse(file, part, "expected a type after '-'")
+            if not names:
+                refuse(file, part, f"expected {what} before '-'")
+            kinds = _kinds(file, kind, known)
+            found += [Typed(name.word, kinds, name.place) for name in names]
+            names = []
+        elif not part.word:
+            refuse(file, part, f"'{shown(part)}' is not expected here: expected {what}")
+        elif part.word.startswith("?") is not variables or part.word == "?":
+            refuse(file, part, f"'{part}' is not {what}{', which begins with a question mark' if variables else ''}")
+        else:
+            names.append(part)
+    return found + [Typed(name.word, (OBJECT,), name.place) for name in names]
+
+
+def _kinds(file: Path, kind: Expression, known: Types | None) -> tuple[str, ...]:
+    if kind.parts and (kind.head != "either" or len(kind.parts) == 1 or not all(part.word for part in kind.parts)):
+        refuse(file, kind, f"'{shown(kind)}' is no type; expected TYPE or (either TYPE ...)")
+    if not kind.word and not kind.parts:
+        refuse(file, kind, "'()' is no type")
+    names = kind.parts[1:] or (kind,)
+    for name in names:
+        if known is not None and name.word not in known.parents:
+            refuse(file, name, f"unknown type '{name}'{meant(name.word, known.parents)}")
+    return tuple(dict.fromkeys(name.word for name in names))
+
+
+def parameters(file: Path, parts: Iterable[Expression], known: Types) -> tuple[Typed, ...]:
+    """Read a list of variables that all differ."""
+    found = typed(file, parts, "a variable", variables=True, known=known)
+    names: set[str] = set()
+    for each in found:
+        if each.name in names:
+            refuse(file, each.place, f"'{each.name}' stands twice in one list of variables")
+        names.add(each.name)
+    return tuple(found)
+
+
+def objects(
+    file: Path, section: Expression | None, known: Types, before: Mapping[str, Typed], where: str
+) -> dict[str, Typed]:
+    """Read the objects of a section.
+
+    Parameters
+    ----------
+    file : Path
+    section : Expression or None
+    known : Types
+    before : mapping of str to Typed
+        Those that have been declared already, and may not be again.
+    where : str
+        Where these were.
+    """
+    found: dict[str, Typed] = {}
+    for each in typed(file, () if section is None else section.parts[1:], "an object", known=known):
+        if len(each.kinds) > 1:
+            refuse(file, each.place, f"object '{each.name}' is of (either ...); expected the one type that it has")
+        if (other := found.get(each.name)) is not None:
+            refuse(file, each.place, f"'{each.name}' is defined twice, on line {other.place.line} as well")
+        if (other := before.get(each.name)) is not None:
+            refuse(file, each.place, f"'{each.name}' is defined twice, on line {other.place.line} of {where} as well")
+        found[each.name] = each
+    return found
+
+
+def _symbol(file: Path, part: Expression, known: Types, what: str) -> Symbol:
+    if not part.head:
+        refuse(file, part, f"'{shown(part)}' declares no {what}; expected ({what.upper()} ?VARIABLE - TYPE ...)")
+    if part.head in RESERVED or part.head.startswith(("?", ":")):
+        refuse(file, part, f"'{part.head}' cannot be the name of a {what}")
+    found = typed(file, part.parts[1:], "a variable", variables=True, known=known)  # whose names do not matter
+    return Symbol(part.head, tuple(found), part.place)
+
+
+def predicates(file: Path, section: Expression | None, known: Types) -> dict[str, Symbol]:
+    """Read the predicates; one that is declared twice may have arguments of either's types."""
+    found: dict[str, Symbol] = {}
+    for part in () if section is None else section.parts[1:]:
+        new = _symbol(file, part, known, "predicate")
+        if new.name == "=":  # some domains declare it
+            continue
+        if (old := found.get(new.name)) is not None:
+            if len(old.parameters) != len(new.parameters):
+                refuse(
+                    file, part, f"'{new.name}' is declared with {len(new.parameters)} arguments, and with "
+                    f"{len(old.parameters)} on line {old.place.line}",
+                )  # fmt: skip
+            both = zip(old.parameters, new.parameters, strict=True)
+            merged = (Typed(a.name, tuple(dict.fromkeys(a.kinds + b.kinds)), a.place) for a, b in both)
+            new = Symbol(new.name, tuple(merged), old.place)
+        found[new.name] = new
+    return found
+
+
+def functions(file: Path, section: Expression | None, known: Types) -> dict[str, Symbol]:
+    """Read the functions; all give numbers."""
+    found: dict[str, Symbol] = {}
+    words = iter(() if section is None else section.parts[1:])
+    for part in words:
+        if part.word == "-":
+            kind = next(words, None)
+            if kind is None or kind.word != "number" or not found:
+                refuse(file, part, "functions give numbers: expected (FUNCTION ?VARIABLE - TYPE ...) - number")
+            continue
+        new = _symbol(file, part, known, "function")
+        if (old := found.get(new.name)) is not None:
+            refuse(file, part, f"'{new.name}' is declared twice, on line {old.place.line} as well")
+        found[new.name] = new
+    return found

@@ -1,0 +1,329 @@
+"""Conditions, effects and costs: checked in the scopes of their variables, and written as all readers understand them.
+
+An argument has to be declared, and its type may not be disjoint from the one that the predicate declares: what is of a
+supertype may be of that type. The same formula is given back without what readers of PDDL treat differently:
+
+- no two quantifiers of an action have variables of the same name, nor of those of its parameters;
+- `(either ...)` has become a type;
+- `()` is `(and)`, and a cost is a whole number or a function;
+- `when` stands within `forall`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
+from .s_expressions import Expression, Place
+
+NUMERIC_EFFECTS = ("increase", "decrease", "assign", "scale-up", "scale-down")
+COMPARISONS = ("<", ">", "<=", ">=")
+SUMS = ("+", "-", "*", "/")
+CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
+EFFECTS = ("and", "not", "when", "forall", "increase")
+
+Scope = Mapping[str, Typed]
+"""What each variable stands for, by the name that it has in the file: its own name, and its types."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What an action costs.
+
+    Attributes
+    ----------
+    number : int or None
+        None where it is a function's value.
+    function : tuple of str
+        The function with its arguments.
+    place : Place
+    """
+
+    number: int | None
+    function: tuple[str, ...]
+    place: Place
+
+    def of(self, bound: Mapping[str, str], values: Mapping[tuple[str, ...], int]) -> int | None:
+        """Give the cost of a ground action; None where the function has no value.
+
+        Parameters
+        ----------
+        bound : mapping of str to str
+            What its parameters stand for.
+        values : mapping of tuple of str to int
+            Those of functions with their arguments.
+        """
+        if self.number is not None:
+            return self.number
+        return values.get(tuple(bound.get(word, word) for word in self.function))
+
+
+def word(at: Expression | Place, text: str) -> Expression:
+    """Give a word that stands where something else did."""
+    return Expression(at.line, text, (), at.column)
+
+
+def listed(at: Expression | Place, *parts: Expression) -> Expression:
+    """Give a list that stands where something else did."""
+    return Expression(at.line, "", parts, at.column)
+
+
+def whole_number(expression: Expression) -> int | None:
+    """Give the whole number, of 0 or more, that an expression is."""
+    found = re.fullmatch(r"(\d+)(\.0*)?", expression.word)
+    return int(found[1]) if found else None
+
+
+class Formulas:
+    """Reads the formulas of one file.
+
+    Parameters
+    ----------
+    file : Path
+    names : Names
+    derived : mapping of str to Place
+        The predicates that rules define, with the place of the first rule.
+    unions : dict of tuple of str to str
+        Gets a name for each set of types of which `(either ...)` consists.
+    """
+
+    def __init__(self, file: Path, names: Names, derived: Mapping[str, Place], unions: dict[tuple[str, ...], str]):
+        self.file = file
+        self.names = names
+        self.derived = derived
+        self.unions = unions
+        self._used: set[str] = set()
+        self._bound: set[str] = set()
+
+    def scope(self, variables: Iterable[Typed], whole: Expression) -> Scope:
+        """Begin a scope with parameters, for the formulas within an expression."""
+        found = {each.name: each for each in variables}
+        self._used = {each for each in whole.words if each.startswith("?")}
+        self._bound = set(found)
+        return found
+
+    def kind(self, kinds: tuple[str, ...]) -> str:
+        """Give one type for several: there is a type for each `(either ...)`."""
+        types = self.names.types
+        kept = types.reduced(kinds)
+        if len(kept) == 1:
+            return kept[0]
+        if kept not in self.unions:
+            name = "-or-".join(kept)
+            while name in types.parents or name in self.unions.values():
+                name += "x"
+            self.unions[kept] = name
+        return self.unions[kept]
+
+    def variables(self, found: Iterable[Typed]) -> tuple[Expression, ...]:
+        """Write a list of variables."""
+        return tuple(
+            part
+            for each in found
+            for part in (word(each.place, each.name), word(each.place, "-"), word(each.place, self.kind(each.kinds)))
+        )
+
+    def _quantified(self, part: Expression, scope: Scope) -> tuple[tuple[Expression, ...], Scope]:
+        """Read the variables of a quantifier; give them as they are written, and the scope that they open."""
+        if part.word:
+            refuse(self.file, part, f"'{part}' is no list of variables; expected (?VARIABLE - TYPE ...)")
+        inner, written = dict(scope), []
+        for each in parameters(self.file, part.parts, self.names.types):
+            name, number = each.name, 2
+            while name in self._bound or (name != each.name and name in self._used):
+                name, number = f"{each.name}-{number}", number + 1
+            self._bound.add(name)
+            own = Typed(name, each.kinds, each.place)
+            inner[each.name] = own
+            written.append(own)
+        return self.variables(written), inner
+
+    def _expect(self, formula: Expression, number: int, syntax: str) -> None:
+        if len(formula.parts) != number + 1:
+            much = {1: "exactly one argument", 2: "exactly two arguments"}[number]
+            refuse(self.file, formula, f"'{formula.head}' expects {much}; expected {syntax}")
+
+    def _headed(self, formula: Expression, what: str, heads: Iterable[str]) -> None:
+        if formula.word:
+            refuse(self.file, formula, f"'{formula}' is not expected here: expected {what}")
+        if formula.parts and not formula.head:
+            near = ", ".join(heads)
+            refuse(self.file, formula, f"'{shown(formula)}' is no {what}: expected a predicate, or one of {near}")
+
+    def condition(self, formula: Expression, scope: Scope) -> Expression:
+        """Check a condition, and write it."""
+        self._headed(formula, "condition", CONDITIONS)
+        head, parts = formula.head, formula.parts[1:]
+        if not head:
+            return listed(formula, word(formula, "and"))
+        if head in ("and", "or", "not", "imply"):
+            if head == "not":
+                self._expect(formula, 1, "(not CONDITION)")
+            if head == "imply":
+                self._expect(formula, 2, "(imply CONDITION CONDITION)")
+            return listed(formula, formula.parts[0], *(self.condition(part, scope) for part in parts))
+        if head in ("forall", "exists"):
+            self._expect(formula, 2, f"({head} (?VARIABLE - TYPE ...) CONDITION)")
+            variables, inner = self._quantified(parts[0], scope)
+            body = self.condition(parts[1], inner)
+            return listed(formula, formula.parts[0], listed(parts[0], *variables), body) if variables else body
+        if head in COMPARISONS or (head == "=" and any(self._is_number(part) for part in parts)):
+            refuse(self.file, formula, f"numeric conditions are not supported: {shown(formula)}")
+        if head == "=":
+            self._expect(formula, 2, "(= TERM TERM)")
+            return listed(formula, formula.parts[0], *(self._term(part, scope)[0] for part in parts))
+        return self.atom(formula, scope, CONDITIONS)
+
+    def _is_number(self, part: Expression) -> bool:
+        return bool(part.parts) or (whole_number(part) is not None and part.word not in self.names.objects)
+
+    def atom(self, formula: Expression, scope: Scope, besides: Iterable[str] = ()) -> Expression:
+        """Check a predicate with its arguments, and write it."""
+        symbol = self.names.predicates.get(formula.head)
+        if symbol is None and formula.head == "preference":
+            refuse(self.file, formula, "preferences are not supported")
+        if symbol is None:
+            near = meant(formula.head, {*self.names.predicates, *besides})
+            refuse(self.file, formula, f"unknown predicate '{formula.head}'{near}")
+        return listed(formula, formula.parts[0], *self.arguments(formula, symbol, scope))
+
+    def _term(self, part: Expression, scope: Scope) -> tuple[Expression, Typed]:
+        """Give an argument as it is written, and what it is."""
+        if not part.word:
+            refuse(self.file, part, f"'{shown(part)}' is not expected here: expected an object or a variable")
+        if (known := scope.get(part.word)) is not None:
+            return word(part, known.name), known
+        if (known := self.names.objects.get(part.word)) is not None:
+            return part, known
+        what = "variable" if part.word.startswith("?") else "object"
+        near = meant(part.word, scope if what == "variable" else self.names.objects)
+        refuse(self.file, part, f"unknown {what} '{part}'{near}")
+
+    def arguments(self, formula: Expression, symbol: Symbol, scope: Scope) -> list[Expression]:
+        """Check the arguments of a predicate or a function, and write them."""
+        wanted, given = len(symbol.parameters), len(formula.parts) - 1
+        if wanted != given:
+            refuse(self.file, formula, f"'{symbol.name}' takes {wanted} argument{'s' * (wanted != 1)}, not {given}")
+        written = []
+        for part, parameter in zip(formula.parts[1:], symbol.parameters, strict=True):
+            as_written, found = self._term(part, scope)
+            written.append(as_written)
+            if part.word in scope:
+                fits = self.names.types.overlap(found.kinds, parameter.kinds)
+            else:
+                fits = self.names.types.fits(found.kinds[0], parameter.kinds)
+            if not fits:
+                refuse(
+                    self.file, part, f"{symbol.name} has an argument of the wrong type: '{part}' is of type "
+                    f"{' or '.join(found.kinds)}, and {' or '.join(parameter.kinds)} is expected",
+                )  # fmt: skip
+        return written
+
+    def effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost]) -> Expression:
+        """Check an effect, and write it; its costs are added to a list."""
+        found = self._effect(formula, scope, action, costs, "")
+        return listed(formula, word(formula, "and"), found) if found.head == "increase" else found
+
+    def _effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost], within: str) -> Expression:
+        self._headed(formula, "effect", EFFECTS)
+        head, parts = formula.head, formula.parts[1:]
+        if not head:
+            return listed(formula, word(formula, "and"))
+        if head == "and":
+            within_it = (self._effect(part, scope, action, costs, within) for part in parts)
+            return listed(formula, formula.parts[0], *within_it)
+        if head == "forall":
+            self._expect(formula, 2, "(forall (?VARIABLE - TYPE ...) EFFECT)")
+            variables, inner = self._quantified(parts[0], scope)
+            body = self._effect(parts[1], inner, action, costs, within or "forall")
+            return listed(formula, formula.parts[0], listed(parts[0], *variables), body) if variables else body
+        if head == "when":
+            self._expect(formula, 2, "(when CONDITION EFFECT)")
+            condition = self.condition(parts[0], scope)
+            return _when(formula, condition, self._effect(parts[1], scope, action, costs, "when"))
+        if head in NUMERIC_EFFECTS:
+            written, cost = self._cost(formula, scope, action, within)
+            if costs:
+                other = costs[0].place.line
+                refuse(self.file, formula, f"action '{action}' has two costs, on line {other} as well; expected one")
+            costs.append(cost)
+            return written
+        changed = formula
+        if head == "not":
+            self._expect(formula, 1, "(not (PREDICATE ARGUMENT ...))")
+            changed = parts[0]
+            self._headed(changed, "predicate", ())
+        if changed.head in ("=", *CONDITIONS, *COMPARISONS):
+            refuse(
+                self.file, formula,
+                f"'{shown(formula)}' is no effect: expected (PREDICATE ARGUMENT ...), or one of {', '.join(EFFECTS)}",
+            )  # fmt: skip
+        atom = self.atom(changed, scope, EFFECTS)
+        if (rule := self.derived.get(changed.head)) is not None:
+            refuse(
+                self.file, formula, f"action '{action}' changes '{changed.head}', which is derived (line {rule.line})"
+            )
+        return listed(formula, formula.parts[0], atom) if head == "not" else atom
+
+    def _cost(self, formula: Expression, scope: Scope, action: str, within: str) -> tuple[Expression, Cost]:
+        parts = formula.parts[1:]
+        changed = parts[0].head or str(parts[0]) if parts else "nothing"
+        if formula.head != "increase" or changed != "total-cost":
+            refuse(
+                self.file, formula, f"numeric fluents are not supported: action '{action}' changes '{changed}' "
+                f"({formula.head}); only (increase (total-cost) ...) may be used",
+            )  # fmt: skip
+        if within == "when":
+            refuse(self.file, formula, f"action '{action}' has a conditional cost; costs depend on arguments only")
+        if within:
+            refuse(self.file, formula, f"action '{action}' has a cost within (forall ...); expected it outside, once")
+        if len(parts) != 2 or not parts[0].parts:
+            refuse(self.file, formula, f"action '{action}': expected (increase (total-cost) COST)")
+        if len(parts[0].parts) > 1:
+            refuse(self.file, formula, f"'total-cost' takes 0 arguments, not {len(parts[0].parts) - 1}")
+        amount = parts[1]
+        written = self._amount(amount, scope, action)
+        cost = Cost(whole_number(written), tuple(written.words), formula.place)
+        return listed(formula, formula.parts[0], parts[0], written), cost
+
+    def _amount(self, amount: Expression, scope: Scope, action: str) -> Expression:
+        """Check what an action costs: a whole number, or a declared function of as many arguments as it takes."""
+        if (number := whole_number(amount)) is not None:
+            return word(amount, str(number))
+        if re.fullmatch(r"-[\d.]+", amount.word) or (amount.head == "-" and len(amount.parts) == 2):
+            refuse(self.file, amount, f"action '{action}' costs '{amount}'; costs may not be negative")
+        if not amount.head:
+            refuse(
+                self.file, amount,
+                f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)",
+            )  # fmt: skip
+        if amount.head in SUMS:
+            refuse(
+                self.file, amount,
+                f"action '{action}' costs a sum or product, which is not supported: {shown(amount)}",
+            )  # fmt: skip
+        function = self.names.functions.get(amount.head)
+        if amount.head == "total-cost":
+            refuse(self.file, amount, f"action '{action}' costs '{amount}', which changes; expected another function")
+        if function is None:
+            near = meant(amount.head, self.names.functions)
+            refuse(
+                self.file, amount,
+                f"action '{action}' costs '{shown(amount)}': no such function in (:functions ...){near}",
+            )  # fmt: skip
+        return listed(amount, amount.parts[0], *self.arguments(amount, function, scope))
+
+
+def _when(at: Expression, condition: Expression, effect: Expression) -> Expression:
+    """Write a conditional effect; `forall` comes before `when`."""
+    if not any(part.head == "forall" for part in effect.walk()):
+        return listed(at, word(at, "when"), condition, effect)
+    if effect.head == "and":
+        return listed(effect, effect.parts[0], *(_when(at, condition, part) for part in effect.parts[1:]))
+    if effect.head == "forall":
+        return listed(effect, *effect.parts[:2], _when(at, condition, effect.parts[2]))
+    both = listed(condition, word(condition, "and"), condition, effect.parts[1])
+    return _when(at, both, effect.parts[2])

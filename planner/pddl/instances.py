@@ -1,0 +1,129 @@
+"""The PDDL files of instances, read as text.
+
+A fault of a file is a `PDDLError`: one line that says what is wrong, in which file and on which line.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import s_expressions
+from .s_expressions import Expression, UnbalancedError
+
+
+class PDDLError(ValueError):
+    """A PDDL file that cannot be used.
+
+    Attributes
+    ----------
+    file : Path
+        The file at fault.
+    line : int or None
+        Its line, counted from 1, where one can be named.
+    message : str
+        What is wrong, and what would be right.
+    column : int or None
+        Where on that line, counted from 1.
+    """
+
+    def __init__(self, file: Path, line: int | None, message: str, column: int | None = None) -> None:
+        self.file = file
+        self.line = line
+        self.message = message
+        self.column = column
+        super().__init__(f"{file}:{line}: {message}" if line else f"{file}: {message}")
+
+    def __reduce__(self) -> tuple[type[PDDLError], tuple[Path, int | None, str, int | None]]:
+        """Keep all fields when the error crosses a process boundary."""
+        return type(self), (self.file, self.line, self.message, self.column)
+
+
+@dataclass(frozen=True, order=True)
+class Instance:
+    """The two files of a planning instance.
+
+    Attributes
+    ----------
+    problem, domain : Path
+    """
+
+    problem: Path
+    domain: Path
+
+    def __post_init__(self) -> None:
+        for name in ("problem", "domain"):
+            object.__setattr__(self, name, Path(getattr(self, name)))
+
+    def __str__(self) -> str:
+        return str(self.problem)
+
+
+MARKS = {  # the longer ones first
+    "UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
+    "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
+}
+"""What files begin with that are no UTF-8."""
+
+STRANGE = re.compile(r"[^\t\v\f -~]")
+"""What stands in comments only."""
+
+
+def text(file: Path, kind: str) -> str:
+    """Give the text of a PDDL file in lower case: PDDL does not distinguish case, unified-planning does.
+
+    Raises
+    ------
+    PDDLError
+        There is no such file, or it is no PDDL text: letters outside ASCII may stand in comments only.
+    """
+    try:
+        raw = file.read_bytes()
+    except FileNotFoundError:
+        raise PDDLError(file, None, f"no such {kind} file") from None
+    except OSError as error:
+        raise PDDLError(file, None, f"cannot be read: {error.strerror}") from None
+    for name, marks in MARKS.items():
+        if raw.startswith(marks):
+            raise PDDLError(file, 1, f"this is {name}; save it as UTF-8")
+    try:
+        content = raw.decode("utf-8-sig")
+        encoding = "UTF-8"
+    except UnicodeDecodeError:
+        content = raw.decode("latin-1")  # as old files have it, in comments
+        encoding = "unknown encoding"
+    content = content.replace("\r\n", "\n").replace("\r", "\n")
+    for number, line in enumerate(content.split("\n"), start=1):
+        if "\0" in line:
+            raise PDDLError(file, number, "not a text file (it has NUL bytes)")
+        words = line.partition(";")[0]
+        if (found := STRANGE.search(words)) is not None:
+            if encoding != "UTF-8":
+                raise PDDLError(file, number, "not a text file in UTF-8")
+            strange = found[0]
+            shown = (
+                f"'{strange}'" if strange.isprintable() else unicodedata.name(strange, "a control character").lower()
+            )
+            what = "no PDDL" if strange.isascii() else "not ASCII"
+            where = f"(U+{ord(strange):04X}, column {found.start() + 1})"
+            raise PDDLError(file, number, f"{shown} is {what} {where}; only comments may have such characters")
+    if not re.sub(r";[^\n]*", "", content).strip():
+        raise PDDLError(file, None, f"the file is empty; expected (define ({kind} ...) ...)")
+    return content.lower()
+
+
+def parse(file: Path, content: str) -> Expression:
+    """Read a file's text as nested lists.
+
+    Raises
+    ------
+    PDDLError
+        A parenthesis is missing or too many; with its line, which a parser would see only at the end.
+    """
+    try:
+        return s_expressions.parse(content)
+    except UnbalancedError as error:
+        raise PDDLError(file, error.line, str(error)) from None

@@ -1,0 +1,343 @@
+"""A domain and a problem, as this project reads them: the one reading that all others are compared with.
+
+`read` checks names, numbers of arguments and types everywhere, and gives what the two files say in frozen types.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from . import declarations
+from .declarations import Names, Symbol, Typed, Types, meant, refuse, shown
+from .formulas import Cost, Formulas, listed, whole_number, word
+from .instances import Instance
+from .s_expressions import Expression, Place
+
+ACTION_PARTS = (":parameters", ":precondition", ":effect")
+
+
+@dataclass(frozen=True)
+class Action:
+    """An action.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of Typed
+    precondition, effect : Expression
+        As all readers understand them; the effect has the cost.
+    cost : Cost or None
+    place : Place
+    """
+
+    name: str
+    parameters: tuple[Typed, ...]
+    precondition: Expression
+    effect: Expression
+    cost: Cost | None
+    place: Place
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What makes a derived predicate hold.
+
+    Attributes
+    ----------
+    head : Symbol
+        The predicate with variables.
+    condition : Expression
+    """
+
+    head: Symbol
+    condition: Expression
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A domain.
+
+    Attributes
+    ----------
+    name : str
+    requirements : tuple of Expression
+    types : Types
+    constants : mapping of str to Typed
+    predicates, functions : mapping of str to Symbol
+    entries : tuple of Action or Rule
+        In the order of the file.
+    """
+
+    name: str
+    requirements: tuple[Expression, ...]
+    types: Types
+    constants: Mapping[str, Typed]
+    predicates: Mapping[str, Symbol]
+    functions: Mapping[str, Symbol]
+    entries: tuple[Action | Rule, ...]
+
+    @property
+    def actions(self) -> dict[str, Action]:
+        """The actions by their names."""
+        return {each.name: each for each in self.entries if isinstance(each, Action)}
+
+    @property
+    def rules(self) -> list[Rule]:
+        """What makes derived predicates hold."""
+        return [each for each in self.entries if isinstance(each, Rule)]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A problem.
+
+    Attributes
+    ----------
+    name : str
+    requirements : tuple of Expression
+    objects : mapping of str to Typed
+        Without the domain's constants.
+    facts : mapping of tuple of str to Place
+        What holds in the initial state, each a predicate with its arguments.
+    values : mapping of tuple of str to int
+        Those of functions with their arguments.
+    value_places : mapping of tuple of str to Place
+    goal : Expression
+    metric : Place or None
+        Where (:metric minimize (total-cost)) is, if it is.
+    init : Place
+    """
+
+    name: str
+    requirements: tuple[Expression, ...]
+    objects: Mapping[str, Typed]
+    facts: Mapping[tuple[str, ...], Place]
+    values: Mapping[tuple[str, ...], int]
+    value_places: Mapping[tuple[str, ...], Place]
+    goal: Expression
+    metric: Place | None
+    init: Place
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the two files of an instance say.
+
+    Attributes
+    ----------
+    instance : Instance
+    domain : Domain
+    problem : Problem
+    unions : mapping of tuple of str to str
+        A name for the type that `(either ...)` of several types is.
+    """
+
+    instance: Instance
+    domain: Domain
+    problem: Problem
+    unions: Mapping[tuple[str, ...], str] = field(default_factory=dict)
+
+
+def read(instance: Instance, domain: Expression, problem: Expression) -> Reading:
+    """Read an instance whose sections have been checked.
+
+    Raises
+    ------
+    PDDLError
+        With the place.
+    """
+    unions: dict[tuple[str, ...], str] = {}
+    known, derived = _domain(instance.domain, domain, unions)
+    reading = Reading(instance, known, _problem(instance, problem, known, derived, unions), unions)
+    for action in known.actions.values():
+        _check_repeated(reading, action)
+    return reading
+
+
+def _check_repeated(reading: Reading, action: Action) -> None:
+    """Refuse a cost that names a parameter twice and lacks a value: the translator grounds such actions wrongly."""
+    function = () if action.cost is None or action.cost.number is not None else action.cost.function
+    variables = [word for word in function[1:] if word.startswith("?")]
+    if action.cost is None or len(variables) == len(set(variables)):
+        return
+    kinds = {each.name: each.kinds for each in action.parameters if each.name in variables}
+    objects = {**reading.domain.constants, **reading.problem.objects}
+    fits = reading.domain.types.fits
+    ranges = [[name for name, each in objects.items() if fits(each.kinds[0], k)] for k in kinds.values()]
+    for chosen in itertools.product(*ranges):
+        bound = dict(zip(kinds, chosen, strict=True))
+        if action.cost.of(bound, reading.problem.values) is None:
+            missing = " ".join(bound.get(word, word) for word in function)
+            refuse(
+                reading.instance.domain,
+                action.cost.place,
+                f"action '{action.name}' costs '({' '.join(function)})', which names a parameter twice; ({missing}) "
+                "has no value in the initial state; expected a value for every object",
+            )
+
+
+def _parts(whole: Expression, head: str) -> tuple[Expression, ...]:
+    section = whole.section(head)
+    return () if section is None else section.parts[1:]
+
+
+def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -> tuple[Domain, dict[str, Place]]:
+    types = declarations.types(file, whole.section(":types"))
+    constants = declarations.objects(file, whole.section(":constants"), types, {}, "")
+    predicates = declarations.predicates(file, whole.section(":predicates"), types)
+    functions = declarations.functions(file, whole.section(":functions"), types)
+    derived: dict[str, Place] = {}
+    for part in whole.parts:
+        if part.head == ":derived" and len(part.parts) > 1:
+            derived.setdefault(part.parts[1].head, part.place)
+    formulas = Formulas(file, Names(types, predicates, functions, constants), derived, unions)
+    entries: list[Action | Rule] = []
+    places: dict[str, Place] = {}
+    for part in whole.parts:
+        if part.head == ":action":
+            action = _action(file, part, formulas)
+            if (other := places.get(action.name)) is not None:
+                refuse(file, part.parts[1], f"'{action.name}' is defined twice, on line {other.line} as well")
+            places[action.name] = action.place
+            entries.append(action)
+        elif part.head == ":derived":
+            entries.append(_rule(file, part, formulas))
+    name = _parts(whole, "domain")[0].word
+    domain = Domain(name, _parts(whole, ":requirements"), types, constants, predicates, functions, tuple(entries))
+    return domain, derived
+
+
+def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
+    if len(part.parts) < 2 or not part.parts[1].word or part.parts[1].word.startswith((":", "?")):
+        refuse(file, part, "expected (:action NAME :parameters (...) :precondition ... :effect ...)")
+    title = part.parts[1]
+    found: dict[str, Expression] = {}
+    words = iter(part.parts[2:])
+    for key in words:
+        if key.word == ":observe":
+            refuse(file, key, f"action '{title}' observes (:observe): sensing actions are not supported")
+        if key.word not in ACTION_PARTS:
+            expected = meant(key.word, ACTION_PARTS) or f"; expected {', '.join(ACTION_PARTS)}"
+            refuse(file, key, f"'{shown(key)}' is not expected in action '{title}'{expected}")
+        if key.word in found:
+            refuse(file, key, f"action '{title}' has a second {key}")
+        value = next(words, None)
+        if value is None or value.word.startswith(":"):
+            refuse(file, key, f"action '{title}': nothing follows {key}")
+        found[key.word] = value
+    if ":effect" not in found:
+        refuse(file, part, f"action '{title}' has no :effect")
+    listing = found.get(":parameters")
+    if listing is not None and listing.word:
+        refuse(file, listing, f"Parameters of action '{title}': expected (?VARIABLE - TYPE ...), not '{listing}'")
+    parameters = declarations.parameters(file, () if listing is None else listing.parts, formulas.names.types)
+    scope = formulas.scope(parameters, part)
+    formulas.variables(parameters)  # for their types
+    empty = listed(part, word(part, "and"))
+    precondition = formulas.condition(found.get(":precondition", empty), scope)
+    costs: list[Cost] = []
+    effect = formulas.effect(found[":effect"], scope, title.word, costs)
+    return Action(title.word, parameters, precondition, effect, costs[0] if costs else None, title.place)
+
+
+def _rule(file: Path, part: Expression, formulas: Formulas) -> Rule:
+    if len(part.parts) != 3 or not part.parts[1].head:
+        refuse(file, part, "expected (:derived (PREDICATE ?VARIABLE - TYPE ...) CONDITION)")
+    head = part.parts[1]
+    parameters = declarations.parameters(file, head.parts[1:], formulas.names.types)
+    scope = formulas.scope(parameters, part)
+    formulas.variables(parameters)  # for their types
+    formulas.atom(listed(head, head.parts[0], *(word(each.place, each.name) for each in parameters)), scope)
+    return Rule(Symbol(head.head, parameters, part.place), formulas.condition(part.parts[2], scope))
+
+
+def _problem(
+    instance: Instance,
+    whole: Expression,
+    domain: Domain,
+    derived: Mapping[str, Place],
+    unions: dict[tuple[str, ...], str],
+) -> Problem:
+    file = instance.problem
+    objects = declarations.objects(
+        file, whole.section(":objects"), domain.types, domain.constants, str(instance.domain)
+    )
+    names = Names(domain.types, domain.predicates, domain.functions, {**domain.constants, **objects})
+    formulas = Formulas(file, names, derived, unions)
+    init, goal, metric = (whole.section(head) for head in (":init", ":goal", ":metric"))
+    if goal is None:
+        refuse(file, None, "the problem has no (:goal ...)")
+    if init is None:
+        refuse(file, None, "the problem has no (:init ...)")
+    facts, values, places = _init(file, init, formulas)
+    if len(goal.parts) != 2 or not goal.parts[1].parts:
+        refuse(file, goal, "expected (:goal CONDITION), and one condition")
+    if metric is not None and str(metric) != "(:metric minimize (total-cost))":
+        refuse(file, metric, "of metrics only (:metric minimize (total-cost)) is supported")
+    return Problem(
+        name=_parts(whole, "problem")[0].word,
+        requirements=_parts(whole, ":requirements"),
+        objects=objects,
+        facts=facts,
+        values=values,
+        value_places=places,
+        goal=formulas.condition(goal.parts[1], formulas.scope((), goal)),
+        metric=None if metric is None else metric.place,
+        init=init.place,
+    )
+
+
+def _init(
+    file: Path, init: Expression, formulas: Formulas
+) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], int], dict[tuple[str, ...], Place]]:
+    """Read the initial state: the facts that hold, and the values of functions with their places."""
+    facts: dict[tuple[str, ...], Place] = {}
+    absent: dict[tuple[str, ...], Place] = {}
+    values: dict[tuple[str, ...], int] = {}
+    places: dict[tuple[str, ...], Place] = {}
+    for fact in init.parts[1:]:
+        if fact.word or not fact.parts:
+            refuse(file, fact, f"'{fact}' is not expected in (:init ...): a fact stands in parentheses")
+        if fact.head in ("and", "or", "forall", "exists", "when", "imply"):
+            refuse(file, fact, f"({fact.head} ...) is not expected in (:init ...): list the facts one by one")
+        if fact.head == "at" and len(fact.parts) == 3 and fact.parts[2].parts:
+            refuse(file, fact, f"timed initial literals are not supported: {fact}")
+        if fact.head == "=":
+            of, value = _value(file, fact, formulas)
+            if values.setdefault(of, value) != value:
+                refuse(file, fact, f"'({' '.join(of)})' has another value on line {places[of].line}")
+            places.setdefault(of, fact.place)
+            continue
+        positive = fact
+        if fact.head == "not":
+            if len(fact.parts) != 2 or not fact.parts[1].parts:
+                refuse(file, fact, "'not' expects exactly one argument; expected (not (PREDICATE ARGUMENT ...))")
+            positive = fact.parts[1]
+        atom = tuple(formulas.atom(positive, {}).words)
+        if (rule := formulas.derived.get(atom[0])) is not None:
+            refuse(file, fact, f"'{atom[0]}' is derived (line {rule.line} of the domain), and not stated")
+        (facts if positive is fact else absent).setdefault(atom, fact.place)
+    for atom in facts.keys() & absent.keys():
+        refuse(file, absent[atom], f"'({' '.join(atom)})' holds on line {facts[atom].line}, and does not hold here")
+    return facts, values, places
+
+
+def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str, ...], int]:
+    """Read `(= (FUNCTION OBJECT ...) NUMBER)`."""
+    parts = fact.parts[1:]
+    if len(parts) != 2 or not parts[0].parts:
+        refuse(file, fact, f"'{shown(fact)}': expected (= (FUNCTION OBJECT ...) NUMBER)")
+    of, number = parts
+    function = formulas.names.functions.get(of.head)
+    if function is None and of.head != "total-cost":
+        refuse(file, of, f"no such function '{of.head}' in (:functions ...){meant(of.head, formulas.names.functions)}")
+    arguments: Iterable[Expression] = formulas.arguments(of, function, {}) if function is not None else of.parts[1:]
+    value = whole_number(number)
+    if value is None:
+        refuse(file, number, f"'{shown(number)}' is no whole number of 0 or more, as costs have to be")
+    if of.head == "total-cost" and (value or len(of.parts) > 1):
+        refuse(file, fact, "the sum of costs begins with 0: expected (= (total-cost) 0)")
+    return (of.head, *(part.word for part in arguments)), value

@@ -1,0 +1,77 @@
+"""The texts of an instance, read and checked as far as that needs no planner and no library."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from . import fragment, instance_finder, instances, writer
+from . import reader as reading
+from .instances import Instance
+from .reader import Reading
+from .s_expressions import Expression
+from .writer import Rendered
+
+
+@dataclass(frozen=True)
+class Source:
+    """What the files of an instance say, and both written anew for other readers.
+
+    Attributes
+    ----------
+    reading : Reading
+    rendered_domain, rendered_problem : Rendered
+    """
+
+    reading: Reading
+    rendered_domain: Rendered
+    rendered_problem: Rendered
+
+    @classmethod
+    def of(cls, instance: Instance) -> Source:
+        """Read an instance's files, and check what needs no library.
+
+        Raises
+        ------
+        PDDLError
+            They are no PDDL, do not belong together, or use what lies outside classical planning with action costs.
+        """
+        if (fault := instance_finder.missing(instance)) is not None:
+            raise fault
+        domain, problem = (
+            instances.parse(file, instances.text(file, kind))
+            for file, kind in ((instance.domain, "domain"), (instance.problem, "problem"))
+        )
+        fragment.check(instance, domain, problem)
+        read = reading.read(instance, domain, problem)
+        return cls(read, writer.domain(read), writer.problem(read))
+
+    @cached_property
+    def typed_domain(self) -> Rendered:
+        """The domain for unified-planning: it takes `object` for a type only where that is listed."""
+        return writer.domain(self.reading, list_object=True)
+
+    @property
+    def instance(self) -> Instance:
+        """The two files."""
+        return self.reading.instance
+
+    @property
+    def domain(self) -> Expression:
+        """The domain, as it is written anew; with the places of the file."""
+        return self.rendered_domain.whole
+
+    @property
+    def problem(self) -> Expression:
+        """The problem, as it is written anew; with the places of the file."""
+        return self.rendered_problem.whole
+
+    @property
+    def domain_text(self) -> str:
+        """The text of the domain, for the translator."""
+        return self.rendered_domain.text
+
+    @property
+    def problem_text(self) -> str:
+        """The text of the problem, for all readers."""
+        return self.rendered_problem.text

@@ -1,0 +1,143 @@
+"""What unified-planning says of files and of plans.
+
+unified-planning knows types and the whole language, and validates plans independently of all that is computed here;
+nothing is expanded with it.
+
+Not everything that it refuses is wrong: it wants names to differ that Fast Downward tells apart. The translator has the
+last word.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NoReturn
+
+from .instances import Instance, PDDLError
+from .s_expressions import tokens
+from .source import Source
+
+if TYPE_CHECKING:
+    from unified_planning.model import Problem
+
+
+class InvalidPlanError(AssertionError):
+    """A plan that does not solve its task."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why unified-planning does not accept an instance.
+
+    Attributes
+    ----------
+    file : str
+        "domain" or "problem".
+    line : int or None
+        Of the text that it was given.
+    message : str
+    """
+
+    file: str
+    line: int | None
+    message: str
+
+    def placed(self, source: Source) -> Refusal:
+        """Give it with the line of the instance's own file."""
+        rendered = source.typed_domain if self.file == "domain" else source.rendered_problem
+        return Refusal(self.file, rendered.line(self.line), self.message)
+
+
+class RefusedError(ValueError):
+    """Carries a `Refusal`."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        self.refusal = refusal
+        super().__init__(refusal.message)
+
+
+def read(instance: Instance) -> Problem:
+    """Read and validate the files of an instance with unified-planning, in this process.
+
+    Raises
+    ------
+    PDDLError
+        The files are no valid PDDL, do not belong together, or use what lies outside classical planning with action
+        costs, or unified-planning cannot read them.
+    """
+    source = Source.of(instance)
+    try:
+        return parsed(source.typed_domain.text, source.problem_text)
+    except RefusedError as error:
+        refusal = error.refusal.placed(source)
+        raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
+
+
+def validate(problem: Problem, plan: Sequence[str]) -> None:
+    """Check a plan, ground actions as `(name arg ...)`, with unified-planning's own validator.
+
+    Raises
+    ------
+    InvalidPlanError
+        The plan does not lead to the goal, or an action of it is not applicable.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from unified_planning.engines import SequentialPlanValidator, ValidationResultStatus
+        from unified_planning.io import PDDLReader
+
+        parsed = PDDLReader(problem.environment).parse_plan_string(problem, "\n".join(plan))
+        validator = SequentialPlanValidator(environment=problem.environment)
+        # Its list of features lacks functions without a value for some arguments, which it handles well.
+        validator.skip_checks = True
+        result = validator.validate(problem, parsed)
+    if result.status != ValidationResultStatus.VALID:
+        raise InvalidPlanError(f"unified-planning's validator rejects the plan: {result.reason}")
+
+
+def parsed(domain: str, problem: str) -> Problem:
+    """Read an instance's texts; a `RefusedError` tells why not."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # unified-planning and pyparsing warn of their own internals
+        from unified_planning.io import PDDLReader
+
+        try:
+            return PDDLReader().parse_problem_string(domain, problem)
+        except Exception as fault:  # noqa: BLE001  it raises whatever comes, its own internal errors included
+            clear_walkers()
+            try:  # which of the two files is it?
+                PDDLReader().parse_problem_string(domain)
+            except Exception:  # noqa: BLE001  as above
+                clear_walkers()
+                _refuse("domain", domain, fault)
+            _refuse("problem", problem, fault)
+
+
+def clear_walkers() -> None:
+    """Let the shared environment forget what an error has interrupted; its next user would be told of it."""
+    from unified_planning.environment import get_environment
+
+    for walker in vars(get_environment()).values():
+        if isinstance(stack := getattr(walker, "stack", None), list):
+            stack.clear()
+
+
+def _refuse(file: str, text: str, fault: Exception) -> NoReturn:
+    """Say in one line what unified-planning or pyparsing does not accept, and where."""
+    told = str(fault)
+    line: int | None = getattr(fault, "lineno", None)
+    if line is None and (place := re.search(r"\bline:? (\d+)", told)):
+        line = int(place[1])
+    if match := re.match(r"Name (\S+) already defined", told):
+        lines = [place.line for token, place in tokens(text) if token == match[1]]
+        line = line or (lines[1] if len(lines) > 1 else None)
+        message = f"'{match[1]}' may name one thing only"
+    elif match := re.search(r"The expression '(.*)' is not well-formed", told):
+        message = f"it does not accept the types of the arguments of {match[1]}"
+    elif match := re.match(r"Type (\S+) is declared more than once", told):
+        message = f"type '{match[1]}' may be under one type only"
+    else:
+        message = f"it fails at it ({type(fault).__name__})" if line is None else "it does not accept what is written"
+    raise RefusedError(Refusal(file, line, message)) from None

@@ -1,0 +1,224 @@
+"""unified-planning in a process of its own.
+
+A `Checker` reads an instance while Fast Downward's translator grounds it, and afterwards checks plans. Importing the
+library takes longer than most tasks, and its internal errors, its memory and its time stay there. The process waits
+for the next instance when it is done, and ends with the one that started it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import types
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from typing import IO, Any
+
+from ..grounding.fast_downward import NO_LIMITS, Limits, limit_memory
+from ..system.processes import guarded_group, python
+from .source import Source
+from .validation import InvalidPlanError, Refusal, RefusedError, parsed, validate
+
+PATIENCE = 300.0
+"""Seconds that unified-planning may take longer than Fast Downward's translator, and for a plan."""
+
+MAPPED_MB = 1000.0
+"""Memory that loading libraries maps and never uses, beyond what a process may take."""
+
+ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
+"""What unified-planning takes from packages that its reader and its validator need for annotations only: importing them
+takes longer than all the rest."""
+
+INSTANCES = 100
+"""So many are read by one process: the library keeps what it has read."""
+
+LATEST = 8
+"""Of so many a process knows what it has read, since the same ones are often loaded again."""
+
+
+class Checker:
+    """What unified-planning says of one instance; it begins to read at once. Use it as a context manager."""
+
+    def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
+        self._process = _Process.idle(limits)
+        self._source = source
+        self._process.ask({"domain": source.typed_domain.text, "problem": source.problem_text})
+        self._refusal: Refusal | None = None
+        self._read = False
+
+    def __enter__(self) -> Checker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.release()
+
+    def refusal(self, seconds: float = PATIENCE) -> Refusal | None:
+        """Wait for what it says of the files: nothing, if they are valid."""
+        if not self._read:
+            self._read = True
+            answer = self._process.answer(seconds)
+            if answer is not None and "failed" in answer:
+                self._refusal = Refusal("problem", None, answer["failed"])
+            elif answer is not None:
+                self._refusal = Refusal(**answer).placed(self._source)
+        return self._refusal
+
+    def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
+        """Check a plan of an instance that it has accepted.
+
+        Returns
+        -------
+        str or None
+            Why it could not be checked, if it could not.
+
+        Raises
+        ------
+        InvalidPlanError
+            The plan is rejected.
+        """
+        self._process.ask({"plan": list(plan)})
+        answer = self._process.answer(seconds)
+        if answer is None:
+            return None
+        if "rejected" in answer:
+            raise InvalidPlanError(answer["rejected"])
+        return str(answer["failed"])
+
+
+class _Process:
+    """A process that answers questions in turn."""
+
+    waiting: tuple[int, list[_Process]] = (0, [])  # of which process, since a fork inherits this: those that are idle
+
+    def __init__(self, limits: Limits) -> None:
+        self._popen = subprocess.Popen(
+            python("planner.pddl.validation_process"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            encoding="utf-8",
+            process_group=guarded_group(),
+        )
+        self._limited = limits.memory_mb is not None
+        if limits.memory_mb is not None:
+            limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + MAPPED_MB))
+        self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._open = 0  # questions without an answer
+        self._instances = 0
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    @classmethod
+    def idle(cls, limits: Limits) -> _Process:
+        """Take a process that waits, or start one; memory is limited in one's own only."""
+        owner, waiting = cls.waiting
+        if owner != os.getpid():
+            waiting = []
+            cls.waiting = os.getpid(), waiting
+            atexit.register(cls._end_all)
+        process = waiting.pop() if waiting and limits.memory_mb is None else cls(limits)
+        process._instances += 1
+        return process
+
+    @classmethod
+    def _end_all(cls) -> None:
+        owner, waiting = cls.waiting
+        while owner == os.getpid() and waiting:
+            waiting.pop()._close()
+
+    def release(self) -> None:
+        """Let the process wait for the next instance, or end it where something is left of this one."""
+        waiting = self.waiting[1]
+        alive = self._popen.poll() is None
+        if alive and not self._open and not self._limited and not waiting and self._instances < INSTANCES:
+            waiting.append(self)
+        else:
+            self._close()
+
+    def _close(self) -> None:
+        self._popen.terminate()
+        try:
+            self._popen.wait(1.0)
+        except subprocess.TimeoutExpired:  # SIGTERM may be ignored, as this process was started
+            self._popen.kill()
+            self._popen.wait()
+        for pipe in (self._popen.stdin, self._popen.stdout):
+            if pipe is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    pipe.close()
+
+    def _listen(self) -> None:
+        stream = self._popen.stdout
+        assert stream is not None
+        with contextlib.suppress(ValueError):  # closed
+            for line in stream:
+                self._answers.put(line)
+        self._answers.put("")
+
+    def ask(self, question: Mapping[str, Any]) -> None:
+        """Put a question, for which there is one answer."""
+        stream = self._popen.stdin
+        assert stream is not None
+        self._open += 1
+        with contextlib.suppress(BrokenPipeError):  # it has died, which the answer tells
+            stream.write(json.dumps(question) + "\n")
+            stream.flush()
+
+    def answer(self, seconds: float) -> dict[str, Any] | None:
+        """Wait for the next answer; it says so where there will be none."""
+        try:
+            line = self._answers.get(timeout=seconds)
+        except queue.Empty:
+            self._popen.kill()
+            return {"failed": f"it takes more than {seconds:.0f} s"}
+        if not line:
+            return {"failed": "its process died"}
+        self._open -= 1
+        return json.loads(line)
+
+
+def _serve(questions: IO[str], answers: IO[str]) -> None:
+    """Answer questions about files, and about plans for the latest; ends when the other side is gone."""
+    asked: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
+
+    def listen() -> None:
+        for line in questions:
+            asked.put(json.loads(line))
+        os._exit(0)  # in the middle of whatever the library does
+
+    threading.Thread(target=listen, daemon=True).start()
+
+    for package, name in ANNOTATIONS.items():
+        stand_in = types.ModuleType(package)
+        setattr(stand_in, name, object)
+        sys.modules.setdefault(package, stand_in)
+
+    problem, known = None, lru_cache(LATEST)(parsed)
+    while True:
+        question, said = asked.get(), None
+        try:
+            if "plan" in question:
+                validate(problem, question["plan"])
+            else:
+                problem = known(question["domain"], question["problem"])
+        except RefusedError as error:
+            said = asdict(error.refusal)
+        except InvalidPlanError as error:
+            said = {"rejected": str(error)}
+        except Exception as error:  # noqa: BLE001  the library's own internal errors
+            said = {"failed": f"it fails at it ({type(error).__name__})"}
+        answers.write(json.dumps(said) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
+        os.dup2(2, 1)  # whatever libraries print
+        _serve(sys.stdin, answers)

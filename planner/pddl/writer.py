@@ -1,0 +1,195 @@
+"""A domain and a problem as all readers of PDDL understand them, written anew from what has been read.
+
+Sections stand in the order that the grammar gives them. Each type is listed with the one above it, and `object` is not
+among them. Each line stands for one of the file, so that another reader's places can be told as the file's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from .declarations import OBJECT, Symbol, Typed
+from .formulas import listed, word
+from .reader import Action, Reading, Rule
+from .s_expressions import Expression, Place
+
+START = Place(1, 1)
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A file, written anew.
+
+    Attributes
+    ----------
+    whole : Expression
+        With the places of the original.
+    text : str
+    lines : tuple of int
+        For each line of the text that of the file.
+    """
+
+    whole: Expression
+    text: str
+    lines: tuple[int, ...]
+
+    def line(self, number: int | None) -> int | None:
+        """Give the line of the file for one of the text."""
+        return self.lines[number - 1] if number is not None and 0 < number <= len(self.lines) else None
+
+
+def domain(reading: Reading, *, list_object: bool = False) -> Rendered:
+    """Write the domain of what has been read; `object` is among the types if it is to be."""
+    read = reading.domain
+    parts = [_section(START, "domain", [word(START, read.name)])]
+    if read.requirements:
+        parts.append(_section(read.requirements[0], ":requirements", read.requirements))
+    kinds = _types(reading) + [word(START, OBJECT)] * list_object
+    if kinds:
+        parts.append(_section(START, ":types", kinds))
+    if read.constants:
+        parts.append(_section(START, ":constants", _objects(read.constants.values())))
+    parts.append(_section(START, ":predicates", [_symbol(each, reading) for each in read.predicates.values()]))
+    if functions := _functions(reading):
+        parts.append(_section(START, ":functions", functions))
+    parts += [_action(each, reading) if isinstance(each, Action) else _rule(each, reading) for each in read.entries]
+    return _rendered(parts)
+
+
+def problem(reading: Reading) -> Rendered:
+    """Write the problem of what has been read; what does not hold in the initial state is left out."""
+    read = reading.problem
+    parts = [
+        _section(START, "problem", [word(START, read.name)]),
+        _section(START, ":domain", [word(START, reading.domain.name)]),
+    ]
+    if read.requirements:
+        parts.append(_section(read.requirements[0], ":requirements", read.requirements))
+    if read.objects:
+        parts.append(_section(START, ":objects", _objects(read.objects.values())))
+    init = [_words(place, atom) for atom, place in read.facts.items()]
+    init += [
+        listed(place, word(place, "="), _words(place, of), word(place, str(read.values[of])))
+        for of, place in read.value_places.items()
+    ]
+    parts.append(_section(read.init, ":init", init))
+    parts.append(_section(read.goal, ":goal", [read.goal]))
+    if (at := read.metric) is not None:
+        parts.append(_section(at, ":metric", [word(at, "minimize"), _words(at, ("total-cost",))]))
+    return _rendered(parts)
+
+
+def _section(at: Expression | Place, head: str, parts: Iterable[Expression]) -> Expression:
+    found = list(parts)
+    begin = found[0] if found else at
+    return listed(begin, word(begin, head), *found)
+
+
+def _words(at: Place, words: Iterable[str]) -> Expression:
+    return listed(at, *(word(at, each) for each in words))
+
+
+def _types(reading: Reading) -> list[Expression]:
+    """List each type after those above it, each with one of these."""
+    types, found = reading.domain.types, list[Expression]()
+    for kinds, union in reading.unions.items():
+        place = types.places.get(kinds[0], START)
+        found += [word(place, union), word(place, "-"), word(place, types.common(kinds))]
+    for name in types.ordered:
+        if name == OBJECT:
+            continue
+        place = types.places[name]
+        unions = [union for kinds, union in reading.unions.items() if name in kinds]
+        implied = {types.common(kinds) for kinds in reading.unions if name in kinds}
+        for parent in [*unions, *(parent for parent in types.parents[name] if parent not in implied)]:
+            found += [word(place, name), word(place, "-"), word(place, parent)]
+    return found
+
+
+def _objects(objects: Iterable[Typed]) -> list[Expression]:
+    """List objects, neighbours of one type together."""
+    found: list[Expression] = []
+    before: Typed | None = None
+    for each in objects:
+        if before is not None and before.kinds != each.kinds:
+            found += [word(before.place, "-"), word(before.place, before.kinds[0])]
+        found.append(word(each.place, each.name))
+        before = each
+    if before is not None:
+        found += [word(before.place, "-"), word(before.place, before.kinds[0])]
+    return found
+
+
+def _symbol(symbol: Symbol, reading: Reading) -> Expression:
+    """Write a declaration; an argument of several types is of one that is above them all."""
+    found = [word(symbol.place, symbol.name)]
+    differ = len({each.name for each in symbol.parameters}) == len(symbol.parameters)
+    for number, each in enumerate(symbol.parameters):
+        kind = reading.domain.types.common(each.kinds)
+        found += [
+            word(each.place, each.name if differ else f"?x{number}"),
+            word(each.place, "-"),
+            word(each.place, kind),
+        ]
+    return listed(symbol.place, *found)
+
+
+def _functions(reading: Reading) -> list[Expression]:
+    functions = dict(reading.domain.functions)
+    costs = any(isinstance(each, Action) and each.cost is not None for each in reading.domain.entries)
+    if costs or reading.problem.metric is not None or ("total-cost",) in reading.problem.values:
+        functions.setdefault("total-cost", Symbol("total-cost", (), START))
+    found = []
+    for each in functions.values():
+        found += [_symbol(each, reading), word(each.place, "-"), word(each.place, "number")]
+    return found
+
+
+def _variables(found: Iterable[Typed], reading: Reading) -> list[Expression]:
+    written = []
+    for each in found:
+        kinds = reading.domain.types.reduced(each.kinds)
+        kind = reading.unions.get(kinds, kinds[0])
+        written += [word(each.place, each.name), word(each.place, "-"), word(each.place, kind)]
+    return written
+
+
+def _action(action: Action, reading: Reading) -> Expression:
+    at = action.place
+    return listed(
+        at, word(at, ":action"), word(at, action.name),
+        word(at, ":parameters"), listed(at, *_variables(action.parameters, reading)),
+        word(action.precondition, ":precondition"), action.precondition,
+        word(action.effect, ":effect"), action.effect,
+    )  # fmt: skip
+
+
+def _rule(rule: Rule, reading: Reading) -> Expression:
+    at = rule.head.place
+    head = listed(at, word(at, rule.head.name), *_variables(rule.head.parameters, reading))
+    return listed(at, word(at, ":derived"), head, rule.condition)
+
+
+def _rendered(parts: Iterable[Expression]) -> Rendered:
+    """Write a file; a line ends where what follows stands on another line of the original."""
+    whole = listed(START, word(START, "define"), *parts)
+    pieces: list[str] = []
+    lines = [1]
+    waiting: list[Expression | None] = [whole]
+    while waiting:
+        part = waiting.pop()
+        if part is None:
+            pieces.append(")")
+            continue
+        if part.line != lines[-1]:
+            pieces.append("\n")
+            lines.append(part.line)
+        pieces.append(" " if pieces and pieces[-1] not in "(\n" else "")
+        if part.word:
+            pieces.append(part.word)
+        else:
+            pieces.append("(")
+            waiting.append(None)
+            waiting.extend(reversed(part.parts))
+    return Rendered(whole, "".join(pieces) + "\n", tuple(lines))

@@ -1,0 +1,353 @@
+"""Compiled loops over packed states: what operators lead to, and a hash table of the states found.
+
+They do for every task: any number of words, conditional effects, derived variables. Kernels work on one block at a
+time, so that limits are checked between calls.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...states.successors import Ints, Words
+from ...system.jit import njit
+from .atomics import prefetch
+
+AHEAD = 256
+"""States that are looked up at a time: the memory of all is asked for before the first is compared."""
+
+NUMBER = 40
+"""Bits of a state's number in its slot; the other bits are some of its hash, so that few others are compared."""
+
+
+class Trie(NamedTuple):
+    """Which operators can be applied, or which rules: tests in depth-first order, as in `kernels.Tests`.
+
+    Attributes
+    ----------
+    word, skip : int64 arrays, shape (tests,)
+    mask, value, shift, field : uint64 arrays, shape (tests,)
+    jump : int64 array
+    first : int64 array, shape (tests + 1,)
+    operator : int64 array, shape (operators,)
+        In the order of the tests; or rules.
+    most : int
+        No more of them than this can be applied in one state, of one group.
+    """
+
+    word: Ints
+    mask: Words
+    value: Words
+    skip: Ints
+    shift: Words
+    field: Words
+    jump: Ints
+    first: Ints
+    operator: Ints
+    most: int
+
+
+class Rules(NamedTuple):
+    """What follows where facts hold, of operators or of stages of axioms.
+
+    Attributes
+    ----------
+    trie : Trie
+        Which rules apply.
+    begin : int64 array, shape (n + 1,)
+        Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
+    writes : int64 array, shape (rules + 1,)
+        Rows `writes[r]:writes[r + 1]` of the next three are what rule `r` writes: `s[word] & keep | value`.
+    write_word : int64 array
+    write_keep, write_value : uint64 arrays
+    """
+
+    trie: Trie
+    begin: Ints
+    writes: Ints
+    write_word: Ints
+    write_keep: Words
+    write_value: Words
+
+
+class Rulebook(NamedTuple):
+    """A task's transition function; operators are in the order of their actions.
+
+    Attributes
+    ----------
+    trie : Trie
+    action : int64 array, shape (operators,)
+    effects : Rules
+        Of each operator.
+    axioms : Rules
+        In stages; the first sets all derived variables to what they are by default.
+    again : bool array, shape (stages,)
+        Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
+    """
+
+    trie: Trie
+    action: Ints
+    effects: Rules
+    axioms: Rules
+    again: NDArray[np.bool_]
+
+
+@njit(nogil=True, error_model="numpy")
+def write(rules, rule, state):
+    """Write what a rule writes; tell whether that has changed anything."""
+    changed = False
+    for row in range(rules.writes[rule], rules.writes[rule + 1]):
+        word = rules.write_word[row]
+        after = state[word] & rules.write_keep[row] | rules.write_value[row]
+        changed |= after != state[word]
+        state[word] = after
+    return changed
+
+
+@njit(nogil=True, error_model="numpy")
+def derive(axioms, again, states):
+    """Set the derived variables of states, shape (n, words): stage by stage, each to its least fixed point."""
+    trie = axioms.trie
+    for stage in range(len(again)):
+        for i in range(len(states)):
+            state, changed = states[i], True
+            while changed:
+                changed = False
+                t = axioms.begin[stage]
+                while t < axioms.begin[stage + 1]:
+                    word = state[trie.word[t]]
+                    if word & trie.mask[t] == trie.value[t]:
+                        for place in range(trie.first[t], trie.first[t + 1]):
+                            changed |= write(axioms, trie.operator[place], state)
+                        t += 1
+                        continue
+                    target = trie.skip[t]
+                    if target < 0:
+                        target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
+                    t = target
+                changed &= again[stage]
+
+
+@njit(nogil=True, error_model="numpy")
+def applicable(book, state, operators):
+    """List the operators that count in a state, in ascending order: the first of each action."""
+    trie = book.trie
+    count = 0
+    t = np.int64(0)
+    while t < len(trie.word):
+        word = state[trie.word[t]]
+        if word & trie.mask[t] == trie.value[t]:
+            for place in range(trie.first[t], trie.first[t + 1]):
+                operator = trie.operator[place]
+                at = count
+                while at > 0 and operators[at - 1] > operator:
+                    operators[at] = operators[at - 1]
+                    at -= 1
+                operators[at] = operator
+                count += 1
+            t += 1
+            continue
+        target = trie.skip[t]
+        if target < 0:
+            target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
+        t = target
+    kept = 0
+    for place in range(count):
+        if kept == 0 or book.action[operators[place]] != book.action[operators[kept - 1]]:
+            operators[kept] = operators[place]
+            kept += 1
+    return kept
+
+
+@njit(nogil=True, error_model="numpy")
+def expand(book, states, start, counts, actions, after):
+    """Write what each action leads to, for `states[start:]` as far as the output holds it.
+
+    `counts` gets the number of actions of each state, `actions` and `after`, shape (m, words), a row for each action.
+
+    Returns
+    -------
+    stop : int
+        `states[start:stop]` is done.
+    filled : int
+        So many rows are in use.
+    """
+    operators, due = np.empty(book.trie.most, dtype=np.int64), np.empty(book.effects.trie.most, dtype=np.int64)
+    effects, tests = book.effects, book.effects.trie  # taken apart once, which takes longer than to use them
+    begin, writes, write_word, keep, value = (
+        effects.begin, effects.writes, effects.write_word, effects.write_keep, effects.write_value,
+    )  # fmt: skip
+    word, mask, wanted, skip, shift = tests.word, tests.mask, tests.value, tests.skip, tests.shift
+    field, jump, first, rules = tests.field, tests.jump, tests.first, tests.operator
+    filled, i = 0, start
+    while i < len(states) and filled + book.trie.most <= len(actions):
+        number = applicable(book, states[i], operators)
+        counts[i - start] = number
+        for place in range(number):
+            operator = operators[place]
+            target = after[filled]
+            for w in range(len(target)):
+                target[w] = states[i, w]
+            count, t = 0, begin[operator]
+            while t < begin[operator + 1]:
+                found = states[i, word[t]]
+                if found & mask[t] == wanted[t]:
+                    for row in range(first[t], first[t + 1]):
+                        at = count
+                        while at > 0 and due[at - 1] > rules[row]:  # they apply in ascending order
+                            due[at] = due[at - 1]
+                            at -= 1
+                        due[at] = rules[row]
+                        count += 1
+                    t += 1
+                    continue
+                after_it = skip[t]
+                if after_it < 0:
+                    after_it = jump[np.int64(found >> shift[t] & field[t]) - after_it - 1]
+                t = after_it
+            for at in range(count):
+                for row in range(writes[due[at]], writes[due[at] + 1]):
+                    target[write_word[row]] = target[write_word[row]] & keep[row] | value[row]
+            actions[filled] = book.action[operator]
+            filled += 1
+        i += 1
+    derive(book.axioms, book.again, after[:filled])
+    return i, filled
+
+
+@njit(nogil=True, error_model="numpy")
+def hash_of(state):
+    """Mix the words of a state."""
+    mixed = np.uint64(0)
+    for w in range(len(state)):
+        mixed = (mixed ^ state[w]) * np.uint64(0x9E3779B97F4A7C15)  # as in `reached.first_slot`, word by word
+        mixed ^= mixed >> np.uint64(32)
+    return mixed * np.uint64(0xD6E8FEB86659FD93)
+
+
+@njit(nogil=True, error_model="numpy")
+def place_of(slots, mixed):
+    """Give the slot from which a state is looked for."""
+    return np.int64(mixed >> np.uint64(20) & np.uint64(len(slots) - 1))
+
+
+@njit(nogil=True, error_model="numpy")
+def entry_of(mixed, number):
+    """Give what a slot has of a state."""
+    return mixed >> np.uint64(NUMBER) << np.uint64(NUMBER) | np.uint64(number + 1)
+
+
+@njit(nogil=True, error_model="numpy")
+def find(slots, states, state, mixed):
+    """Find the slot in which a state stands, or the free one (0) where it belongs."""
+    at = place_of(slots, mixed)
+    while slots[at] != 0:
+        if (slots[at] ^ mixed) >> np.uint64(NUMBER) == 0:
+            number = np.int64(slots[at] & np.uint64((1 << NUMBER) - 1)) - 1
+            same = True
+            for w in range(len(state)):
+                same &= states[number, w] == state[w]
+            if same:
+                return at
+        at = (at + 1) & (len(slots) - 1)
+    return at
+
+
+@njit(nogil=True, error_model="numpy")
+def insert(slots, states, held, block, numbers):
+    """Give the number of each state of a block; those that are new are written to `states[held:]`, which has room.
+
+    Returns
+    -------
+    int
+        How many states are held now.
+    """
+    mixed = np.empty(AHEAD, dtype=np.uint64)
+    for start in range(0, len(block), AHEAD):
+        count = min(AHEAD, len(block) - start)
+        for j in range(count):
+            mixed[j] = hash_of(block[start + j])
+            prefetch(slots, place_of(slots, mixed[j]))
+        for j in range(count):
+            entry = slots[place_of(slots, mixed[j])]
+            if entry != 0:
+                number = np.int64(entry & np.uint64((1 << NUMBER) - 1)) - 1
+                prefetch(states, number * states.shape[1])
+        for j in range(count):
+            state = block[start + j]
+            at = find(slots, states, state, mixed[j])
+            if slots[at] == 0:
+                for w in range(len(state)):
+                    states[held, w] = state[w]
+                slots[at] = entry_of(mixed[j], held)
+                held += 1
+            numbers[start + j] = np.int64(slots[at] & np.uint64((1 << NUMBER) - 1)) - 1
+    return held
+
+
+@njit(nogil=True, error_model="numpy")
+def look_up(slots, states, block, numbers):
+    """Give the number of each state of a block, -1 where it is not held."""
+    for i in range(len(block)):
+        entry = slots[find(slots, states, block[i], hash_of(block[i]))]
+        numbers[i] = np.int64(entry & np.uint64((1 << NUMBER) - 1)) - 1
+
+
+@njit(nogil=True, error_model="numpy")
+def fill_slots(slots, states, first, stop):
+    """Put `states[first:stop]`, which are distinct, into the slots, which have room."""
+    for number in range(first, stop):
+        mixed = hash_of(states[number])
+        at = place_of(slots, mixed)
+        while slots[at] != 0:
+            at = (at + 1) & (len(slots) - 1)
+        slots[at] = entry_of(mixed, number)
+
+
+@njit(nogil=True, error_model="numpy")
+def turn_round(counts, targets, kinds, into, sources, source_kinds):
+    """Sort transitions by what they lead to: those that lead to `s` are `into[s]:into[s + 1]`; `into` is zeros before.
+
+    `into` has two entries more than there are states.
+    """
+    for row in range(len(targets)):
+        into[targets[row] + 2] += 1
+    for state in range(2, len(into)):
+        into[state] += into[state - 1]
+    row = 0
+    for state in range(len(counts)):
+        for _ in range(counts[state]):
+            place = into[targets[row] + 1]
+            into[targets[row] + 1] += 1
+            sources[place] = state
+            if len(kinds):
+                source_kinds[place] = kinds[row]
+            row += 1
+
+
+@njit(nogil=True, error_model="numpy")
+def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
+    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
+
+    Returns
+    -------
+    stop : int
+        `block[start:stop]` is done.
+    filled : int
+    """
+    i, filled = start, 0
+    while i < len(block) and filled + into[block[i] + 1] - into[block[i]] <= len(out):
+        state = block[i]
+        i += 1
+        if distance[state] != d:
+            continue  # it has been reached on a cheaper way since it was pushed
+        for row in range(into[state], into[state + 1]):
+            kind = np.int64(kinds[row]) if len(kinds) else 0
+            value = d + costs[kind]
+            if value < distance[sources[row]]:
+                distance[sources[row]] = value
+                out[filled], through[filled] = sources[row], kind
+                filled += 1
+    return i, filled

@@ -1,0 +1,83 @@
+"""Compiled loops of the search back from the goal where costs differ.
+
+A *kind* is one of the different costs of a task's actions.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...system.jit import njit
+from .atomics import fetch_min, prefetch
+from .ranked_states import ask_for, close_one, is_closed, number_of
+from .ranked_successors import PENDING, after, applicable, start_cursor
+
+
+@njit(nogil=True, error_model="numpy")
+def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
+    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kinds of those moves.
+
+    Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which
+    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty. `kinds`
+    are those of the moves, `through` are those pushed.
+
+    Returns
+    -------
+    stop : int
+        `block[start:stop]` is done.
+    filled : int
+    """
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.most, dtype=np.int64)
+    by = np.empty(len(pending), dtype=np.int64)
+    numbers = np.empty(len(pending), dtype=np.int64)
+    i, filled = start, 0
+    while i < len(block):
+        waiting, begun = 0, i
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
+            index = block[i]
+            i += 1
+            if distance[number_of(states, index)] != d:
+                continue  # it has been reached on a cheaper way since it was pushed
+            close_one(closed, index)
+            for place in range(applicable(tests, decoder, index, cursor, moves)):
+                move = moves[place]
+                target = after(tests, cursor.words, move, index)
+                if target >= 0:
+                    if len(closed):
+                        prefetch(closed, target >> 6)
+                    pending[waiting], by[waiting] = target, kinds[move]
+                    waiting += 1
+        if i == begun:
+            break
+        asked = 0
+        for j in range(waiting):  # without a branch, which nobody could predict
+            open_, pending[asked], by[asked] = not is_closed(closed, pending[j]), pending[j], by[j]
+            asked += open_
+        for j in range(asked):
+            ask_for(states, pending[j])
+        for j in range(asked):
+            numbers[j] = number_of(states, pending[j])
+            if numbers[j] >= 0:
+                prefetch(distance, numbers[j])
+        for j in range(asked):
+            number, value = numbers[j], d + costs[by[j]]
+            if number >= 0 and value < distance[number] and value < fetch_min(distance, number, value):
+                out[filled], through[filled] = pending[j], by[j]
+                filled += 1
+    return i, filled
+
+
+@njit(nogil=True, error_model="numpy")
+def by_kind(out, through, begin, ordered):
+    """Put what was pushed in the order of its kinds: that of kind `k` is `ordered[begin[k]:begin[k + 1]]`.
+
+    `begin` is zeros before, two entries more than there are kinds.
+    """
+    for kind in through:
+        begin[kind + 2] += 1
+    for kind in range(2, len(begin)):
+        begin[kind] += begin[kind - 1]
+    for i in range(len(out)):
+        ordered[begin[through[i] + 1]] = out[i]
+        begin[through[i] + 1] += 1

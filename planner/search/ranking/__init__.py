@@ -1,0 +1,1 @@
+"""States as integers: invariants and mutexes of a task, and the ranking made of them."""

@@ -1,0 +1,156 @@
+"""Facts that never hold together, and what they say of a task's moves.
+
+`Mutexes.of` computes which pairs of facts may hold together: the least set of pairs that has those of the initial
+state and that no move leaves (h^2 of Haslum and Geffner 2000, run to its end). All other pairs are *mutex*. That is a
+theorem, by induction: where a state has no mutex pair, the states after it have none. A move that needs two mutex
+facts can never be applied, and where a move is applied no fact holds that is mutex with one that it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...grounding.task import Task
+from ...states.successors import Ints
+from ...system.jit import njit
+from .transition_normal_form import Move
+
+MOST_WORK = 1 << 26
+"""Moves times facts, beyond which mutexes are not looked for."""
+
+
+@dataclass(frozen=True)
+class Mutexes:
+    """Pairs of facts that may hold together, and moves that may be applied.
+
+    Facts are numbered through all variables.
+
+    Attributes
+    ----------
+    first : int64 array, shape (variables + 1,)
+        The number of each variable's fact 0.
+    together : bool array, shape (facts, facts)
+        Which pairs may hold together; a fact and itself, whether the fact may hold.
+    moves : list of Move
+    barred : bool array, shape (moves, facts)
+        Facts that do not hold where a move is applied, since they are mutex with one that it needs.
+    """
+
+    first: Ints
+    together: NDArray[np.bool_]
+    moves: list[Move]
+    barred: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, task: Task, moves: Sequence[Move]) -> Mutexes | None:
+        """Compute them; None if that would take long."""
+        first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
+        if len(moves) * int(first[-1]) > MOST_WORK:
+            return None
+        needs, gains, keeps = (
+            _rows([[int(first[v]) + value for v, value in facts.items()] for facts in side])
+            for side in (
+                [move.facts for move in moves],
+                [move.after for move in moves],
+                [{v: value for v, value in move.facts.items() if v not in move.after} for move in moves],
+            )
+        )
+        variable = np.repeat(np.arange(len(task.variables)), np.diff(first))
+        together = np.zeros((first[-1], first[-1]), dtype=bool)
+        initial = first[:-1] + np.asarray(task.initial)
+        together[np.ix_(initial, initial)] = True
+        possible = np.zeros(len(moves), dtype=bool)
+        _close(needs, gains, keeps, variable, together, possible)
+        barred = np.zeros((len(moves), first[-1]), dtype=bool)
+        _bar(needs, variable, together, barred)
+        left = [move for move, can in zip(moves, possible, strict=True) if can]
+        return cls(first, together, left, barred[possible])
+
+
+def _rows(lists: Sequence[Sequence[int]]) -> Ints:
+    """Lists as the rows of an array, shape (n, most); -1 where they are shorter."""
+    rows = np.full((len(lists), max(map(len, lists), default=0)), -1, dtype=np.int64)
+    for row, entries in zip(rows, lists, strict=True):
+        row[: len(entries)] = entries
+    return rows
+
+
+@njit()
+def _close(needs, gains, keeps, variable, together, possible):
+    """Add pairs until no move adds any more."""
+    facts = len(variable)
+    change = True
+    fixed = np.zeros(variable.max() + 1 if facts else 0, dtype=np.bool_)
+    while change:
+        change = False
+        for m in range(len(needs)):
+            if not possible[m]:
+                can = True
+                for i in range(needs.shape[1]):
+                    if needs[m, i] < 0 or not can:
+                        break
+                    for j in range(i + 1):
+                        if not together[needs[m, i], needs[m, j]]:
+                            can = False
+                            break
+                if not can:
+                    continue
+                possible[m] = change = True
+                for i in range(gains.shape[1]):
+                    a = gains[m, i]
+                    if a < 0:
+                        break
+                    for j in range(gains.shape[1]):
+                        if gains[m, j] >= 0:
+                            together[a, gains[m, j]] = True
+                    for j in range(keeps.shape[1]):
+                        if keeps[m, j] >= 0:
+                            together[a, keeps[m, j]] = together[keeps[m, j], a] = True
+            for i in range(needs.shape[1]):
+                if needs[m, i] < 0:
+                    break
+                fixed[variable[needs[m, i]]] = True
+            for f in range(facts):
+                if fixed[variable[f]] or not together[f, f]:
+                    continue
+                fresh = False
+                for i in range(gains.shape[1]):
+                    if gains[m, i] < 0:
+                        break
+                    if not together[gains[m, i], f]:
+                        fresh = True
+                        break
+                if not fresh:
+                    continue
+                beside = True
+                for i in range(needs.shape[1]):
+                    if needs[m, i] < 0:
+                        break
+                    if not together[needs[m, i], f]:
+                        beside = False
+                        break
+                if beside:
+                    change = True
+                    for i in range(gains.shape[1]):
+                        if gains[m, i] >= 0:
+                            together[gains[m, i], f] = together[f, gains[m, i]] = True
+            for i in range(needs.shape[1]):
+                if needs[m, i] < 0:
+                    break
+                fixed[variable[needs[m, i]]] = False
+
+
+@njit()
+def _bar(needs, variable, together, barred):
+    """Mark facts that are mutex with one that a move needs."""
+    for m in range(len(needs)):
+        for i in range(needs.shape[1]):
+            if needs[m, i] < 0:
+                break
+            for f in range(len(variable)):
+                if f != needs[m, i] and not together[needs[m, i], f]:
+                    barred[m, f] = True

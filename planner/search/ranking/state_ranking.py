@@ -1,0 +1,450 @@
+"""States as numbers on which a move is an addition.
+
+An *index* is a mixed-radix number whose digits are clusters of variables: a cluster's digit is the place of its
+variables' values in the list of those that they can take together. Variables that follow from the others are left
+out. There are two codings. `Coding.of` takes every variable as a cluster of its own and leaves out what follows from
+groups of facts of which exactly one holds for ever; on these indices a move adds a constant. Where that gives very
+many, `Coding.dense` looks deeper: for variables that any linear invariant determines (`invariants`), and for clusters
+of variables that take few values together (`clusters`); there a move adds what it finds in a table, by the cluster's
+digit.
+
+A state is decoded by adding up table entries. Which moves can be applied in it is found by intersecting sets, one for
+each entry (`candidates`), or by a trie of tests (`trie`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...grounding.task import Fact, Task
+from ...states.successors import Ints, Packing, Words
+from ..kernels.ranked_successors import CLUSTER, NOWHERE, PRIME, Decoder, decode_all
+from .linear_invariants import Determined, determined
+from .mutexes import Mutexes
+from .transition_normal_form import Move, exactly_one
+from .variable_clusters import Cluster, clusters
+
+CHUNK = 1 << 11
+"""Most entries in one of the tables that decode an index: all of them together should fit the cache."""
+
+ENCODED = 1 << 11
+"""States whose indices are worked out at a time, so that what that takes fits the cache, too."""
+
+MANY = 1 << 33
+"""Indices beyond which the dense coding is looked for: a bitmap of them takes a GB."""
+
+FIELDS = 3
+"""Fields of a cluster's value or of a sum in a word."""
+
+Sum = tuple[int, dict[Fact, int]]
+"""A constant and coefficients: the number of facts that hold among some, each counted so many times."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a move adds to the index.
+
+    Attributes
+    ----------
+    constant : int
+    lookups : tuple of (int, int array)
+        A cluster, and for each of its values by how much the move changes it, or `NOWHERE`.
+    """
+
+    constant: int
+    lookups: tuple[tuple[int, Ints], ...]
+
+
+@dataclass(frozen=True)
+class Coding:
+    """Reachable states as indices.
+
+    Attributes
+    ----------
+    packing : Packing
+        Of all variables into 64-bit words.
+    sizes : int64 array, shape (variables,)
+        Values of each variable.
+    clusters : tuple of Cluster
+        Every variable is in one.
+    stride : int64 array, shape (clusters,)
+        What one more in a cluster's digit adds to the index; 0 for the clusters left out.
+    size : int
+        Every index is below this.
+    field : dict of int to (int, int)
+        The word and the shift of the value of each cluster whose changes are looked up.
+    decoder : Decoder
+    implied : dict of Fact to Sum
+        Facts of the variables left out, where each follows from facts of the digits by a sum.
+    """
+
+    packing: Packing
+    sizes: Ints
+    clusters: tuple[Cluster, ...]
+    stride: Ints
+    size: int
+    field: dict[int, tuple[int, int]]
+    decoder: Decoder
+    implied: dict[Fact, Sum]
+
+    @classmethod
+    def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[Move]) -> Coding | None:
+        """Number the states by single variables, but those that the groups imply; None if 63 bits do not do."""
+        sizes = [len(variable.facts) for variable in task.variables]
+        sums = _implied(sizes, groups)
+        # Blocks of states come in ascending order: what is tested most often should change least often.
+        uses = Counter(v for move in moves for v in move.facts)
+        digits = sorted((v for v in range(len(sizes)) if (v, 0) not in sums), key=lambda v: (uses[v], v))
+        size = math.prod(sizes[v] for v in digits)
+        if size >= 1 << 62:
+            return None
+        packing = Packing.of(task)
+        own = tuple(Cluster((v,), np.arange(n)[:, None]) for v, n in enumerate(sizes))
+        constant, parts = _parts(packing, sizes, sums)
+        decoder = _decoder([parts[v] for v in digits], constant, [], [])
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder, sums)
+
+    @classmethod
+    def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> Coding | None:
+        """Number the states by clusters, but for the variables that invariants determine; None as above.
+
+        The moves are those of the mutexes. `check` is called again and again, and may raise `LimitError`.
+        """
+        sizes = [len(variable.facts) for variable in task.variables]
+        left_out = determined(task, mutexes.moves)
+        implied = {d.variable for d in left_out}
+        merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied], check=check)
+        left_out, merged = _joined(left_out, merged, mutexes.first)
+        uses = Counter(v for move in mutexes.moves for v in move.facts)
+        merged.sort(key=lambda c: (sum(uses[v] for v in c.variables), c.variables))
+        size = math.prod(map(len, merged))
+        if size >= 1 << 62:
+            return None
+        own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True))
+        if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << 64 // FIELDS:
+            return None  # sums that tell the variables that are left out would not fit their fields
+        packing = Packing.of(task)
+        field = {
+            number: (packing.words + place // FIELDS, 64 // FIELDS * (place % FIELDS))
+            for place, number in enumerate(
+                n for n, c in enumerate(own) if len(c) < math.prod(sizes[v] for v in c.variables)
+            )
+        }
+        digits = list(range(len(merged)))
+        decoder = _dense_decoder(packing, sizes, own, digits, left_out, field)
+        return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
+
+    def change(self, move: Move) -> Change | None:
+        """Say what a move adds to the index; None if it can never be applied."""
+        constant = 0
+        lookups = []
+        for number, cluster in enumerate(self.clusters):
+            after = [move.after.get(v) for v in cluster.variables]
+            if all(value is None for value in after):
+                continue
+            if number not in self.field:
+                # The cluster has all values, and those that change are known.
+                steps = [self._step(cluster, place) for place in range(len(cluster.variables))]
+                constant += int(self.stride[number]) * sum(
+                    step * (value - move.facts[v])
+                    for v, value, step in zip(cluster.variables, after, steps, strict=True)
+                    if value is not None
+                )
+                continue
+            holds = np.ones(len(cluster), dtype=bool)
+            target = cluster.values.copy()
+            for place, (v, value) in enumerate(zip(cluster.variables, after, strict=True)):
+                if v in move.facts:
+                    holds &= cluster.values[:, place] == move.facts[v]
+                if value is not None:
+                    target[:, place] = value
+            found = self._places(number, target)
+            changes = np.where(holds & (found >= 0), found - np.arange(len(cluster)), NOWHERE)
+            possible = changes[holds]
+            if not (possible > NOWHERE).any():
+                return None
+            if (possible == possible[0]).all():
+                constant += int(self.stride[number] * possible[0])
+            else:
+                lookups.append((number, changes))
+        return Change(constant, tuple(lookups))
+
+    def _step(self, cluster: Cluster, place: int) -> int:
+        """What one more in one of a cluster's variables adds to its digit, where it has all values."""
+        return math.prod(int(self.sizes[v]) for v in cluster.variables[place + 1 :])
+
+    def _places(self, number: int, values: Ints) -> Ints:
+        """Return the digits of a cluster with values, shape (n, variables); -1 where it cannot take them.
+
+        Rows are compared as numbers in mixed radix. Where these would not fit 62 bits, the leading columns are replaced
+        by their rank among those of the cluster: a cluster of many variables that determine each other has few rows.
+        """
+        cluster = self.clusters[number]
+        own, wanted = np.zeros(len(cluster), dtype=np.int64), np.zeros(len(values), dtype=np.int64)
+        known, span = np.ones(len(values), dtype=bool), 1
+        for place, v in enumerate(cluster.variables):
+            size = int(self.sizes[v])
+            if span * size >= 1 << 62:
+                leading = np.unique(own)
+                at = np.minimum(np.searchsorted(leading, wanted), len(leading) - 1)
+                known &= leading[at] == wanted
+                own, wanted, span = np.searchsorted(leading, own), at, len(leading)
+            own, wanted = own * size + cluster.values[:, place], wanted * size + values[:, place]
+            span *= size
+        at = np.minimum(np.searchsorted(own, wanted), len(own) - 1)
+        return np.where(known & (own[at] == wanted), at, -1)
+
+    def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
+        """List the indices with some facts about their digits; None if there are more than `most`."""
+        wanted = dict(facts)
+        digits: list[Ints] = []
+        for number, cluster in enumerate(self.clusters):
+            if self.stride[number]:
+                holds = np.ones(len(cluster), dtype=bool)
+                for place, v in enumerate(cluster.variables):
+                    if v in wanted:
+                        holds &= cluster.values[:, place] == wanted[v]
+                digits.append(np.flatnonzero(holds) * self.stride[number])
+        if math.prod(map(len, digits)) > most:
+            return None
+        index = np.zeros(1, dtype=np.int64)
+        for own in digits:
+            index = np.add.outer(own, index).reshape(-1)
+        return index
+
+    def encode(self, values: ArrayLike) -> Ints:
+        """Give the indices of states with values of shape (n, variables); -1 where they fit no index."""
+        array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
+        if len(array) > ENCODED:
+            return np.concatenate([self.encode(array[at : at + ENCODED]) for at in range(0, len(array), ENCODED)])
+        legal = np.all((array >= 0) & (array < self.sizes), axis=1)
+        legal_values = np.where(legal[:, None], array, 0)
+        index = np.zeros(len(array), dtype=np.int64)
+        for number, cluster in enumerate(self.clusters):
+            places = self._places(number, legal_values[:, list(cluster.variables)])
+            legal &= places >= 0
+            index += np.maximum(places, 0) * self.stride[number]
+        consistent = (self.decode(index) == np.where(legal[:, None], array, -1)).all(axis=1)
+        return np.where(consistent, index, -1)
+
+    def decode(self, index: Ints) -> Ints:
+        """Give the values, shape (n, variables), of indices, shape (n,)."""
+        words = np.empty((len(index), self.decoder.rows.shape[1]), dtype=np.uint64)
+        decode_all(self.decoder, index, words)
+        return self.packing.unpack(words)
+
+
+def plain(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
+    """Give the coding by single variables, if 62 bits do, and leave out moves that can never be applied.
+
+    Where there is none, or one of more than `MANY` indices, `denser` may find a better one.
+    """
+    groups, possible = exactly_one(task, moves)
+    return Coding.of(task, groups, possible), possible
+
+
+def denser(
+    task: Task, coding: Coding | None, moves: list[Move], check: Callable[[], None] = lambda: None
+) -> tuple[Coding | None, list[Move]]:
+    """Look for a coding of fewer indices than one that is there, and leave out more moves.
+
+    `check` is called again and again, and may raise `LimitError`.
+    """
+    check()
+    mutexes = Mutexes.of(task, moves)
+    check()
+    found = None if mutexes is None else Coding.dense(task, mutexes, check)
+    if mutexes is None or found is None or (coding is not None and found.size >= coding.size):
+        return coding, moves
+    return found, mutexes.moves
+
+
+def _joined(
+    left_out: Sequence[Determined], merged: Sequence[Cluster], first: Ints
+) -> tuple[list[Determined], list[Cluster]]:
+    """Let variables that a single cluster determines join it; give those that are left, and the clusters."""
+    whole = list(merged)
+    left = []
+    for own in left_out:
+        weights = np.split(own.weights, first[1:-1])
+        others = [v for v, w in enumerate(weights) if v != own.variable and (w != w[0]).any()]
+        having = {n for n, cluster in enumerate(whole) for v in others if v in cluster.variables}
+        if len(having) != 1 or not set(others) <= set(whole[min(having)].variables):
+            left.append(own)
+            continue
+        number = min(having)
+        cluster = whole[number]
+        inside = {*cluster.variables, own.variable}
+        rest = own.total - sum(int(w[0]) for v, w in enumerate(weights) if v not in inside)
+        sums = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
+        told = np.full(PRIME, -1, dtype=np.int64)
+        told[weights[own.variable]] = np.arange(len(weights[own.variable]))
+        whole[number] = cluster.joined(own.variable, told[(rest - sums) % PRIME])
+    return left, whole
+
+
+def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
+    """What one more in each cluster's digit adds to the index; 0 for those that are no digits."""
+    stride = np.zeros(len(clusters), dtype=np.int64)
+    step = 1
+    for number in digits:
+        stride[number] = step if len(clusters[number]) > 1 else 0
+        step *= len(clusters[number])
+    return stride
+
+
+def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]]) -> dict[Fact, Sum]:
+    """Choose variables to leave out, and express each of their facts by those of the remaining variables.
+
+    A fact is 1 where it holds and 0 elsewhere. A variable takes a group for each of its values but one, so
+    small variables are tried first.
+    """
+    sums: dict[Fact, Sum] = {}
+    needed: set[int] = set()  # variables that a chosen one is expressed by
+    by_fact: dict[Fact, list[frozenset[Fact]]] = {}
+    for group in groups:
+        variables = Counter(v for v, _ in group)
+        for fact in group:
+            if variables[fact[0]] == 1:
+                by_fact.setdefault(fact, []).append(group)
+    for variable in sorted(range(len(sizes)), key=lambda v: (sizes[v], v)):
+        if variable in needed:
+            continue
+        own: dict[Fact, Sum] = {}
+        price: dict[Fact, int] = {}  # variables that would be needed in addition
+        for fact in ((variable, value) for value in range(sizes[variable])):
+            for group in by_fact.get(fact, ()):
+                candidate = _one_minus([sums.get(f, (0, {f: 1})) for f in group - {fact}])
+                more = len({v for v, _ in candidate[1]} - needed)
+                if more < price.get(fact, len(sizes)):
+                    own[fact], price[fact] = candidate, more
+        if len(own) < sizes[variable] - 1:
+            continue
+        if len(own) == sizes[variable]:  # one of them is too many
+            del own[max(price, key=lambda fact: (price[fact], fact))]
+        rest = next(value for value in range(sizes[variable]) if (variable, value) not in own)
+        own[variable, rest] = _one_minus(list(own.values()))
+        sums.update(own)
+        needed.update(v for _, terms in own.values() for v, _ in terms)
+    return sums
+
+
+def _one_minus(sums: Sequence[Sum]) -> Sum:
+    """One minus the sum of sums."""
+    terms: Counter[Fact] = Counter()
+    for _, own in sums:
+        terms.subtract(own)
+    return 1 - sum(constant for constant, _ in sums), {fact: n for fact, n in terms.items() if n}
+
+
+def _parts(packing: Packing, sizes: Sequence[int], sums: dict[Fact, Sum]) -> tuple[Words, dict[int, Words]]:
+    """Tabulate what each value of a variable contributes to the packed state, and what is always there."""
+    parts = {v: np.zeros((sizes[v], packing.words), dtype=np.uint64) for v in range(len(sizes))}
+    constant = np.zeros(packing.words, dtype=np.uint64)
+    wrap = (1 << 64) - 1
+    for u, size in enumerate(sizes):
+        word, shift = int(packing.word[u]), int(packing.shift[u])
+        for value in range(size):
+            start, terms = sums.get((u, value), (0, {(u, value): 1}))
+            constant[word] = (int(constant[word]) + (start * value << shift)) & wrap
+            for (v, digit), times in terms.items():
+                parts[v][digit, word] = (int(parts[v][digit, word]) + (times * value << shift)) & wrap
+    return constant, parts
+
+
+def _dense_decoder(
+    packing: Packing,
+    sizes: Sequence[int],
+    clusters: Sequence[Cluster],
+    digits: Sequence[int],
+    left_out: Sequence[Determined],
+    field: dict[int, tuple[int, int]],
+) -> Decoder:
+    """Tabulate what each cluster's values contribute to the packed state and to the sums that tell the others."""
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    words = packing.words + -(-len(field) // FIELDS)
+    places = [_field(words, place) for place in range(len(left_out))]
+    words += -(-len(left_out) // FIELDS)
+    constant = np.zeros(words, dtype=np.uint64)
+    for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
+        # Clusters with a single row are constant; they take nothing of the field's room.
+        single = [c for number, c in enumerate(clusters) if len(c) == 1 and number - len(digits) != step]
+        fixed = sum(int(own.weights[first[list(c.variables)] + c.values[0]].sum()) for c in single)
+        constant[word] += np.uint64((own.total - fixed) % PRIME << shift)
+    parts = []
+    for number, cluster in enumerate(clusters):
+        part = np.zeros((len(cluster), words), dtype=np.uint64)
+        for place, v in enumerate(cluster.variables):
+            part[:, packing.word[v]] |= cluster.values[:, place].astype(np.uint64) << np.uint64(packing.shift[v])
+        if number in field:
+            word, shift = field[number]
+            part[:, word] += np.arange(len(cluster), dtype=np.uint64) << np.uint64(shift)
+        for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
+            # What is determined before a sum is used is part of it; what comes after has equal weights in it.
+            if len(cluster) > 1 and number - len(digits) != step:
+                weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
+                part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
+        parts.append(part)
+    for step in range(len(left_out)):
+        # A variable that is determined later has the same weight whatever its value: it counts from the start.
+        word, shift = places[step]
+        for later in range(step + 1, len(left_out)):
+            number = len(digits) + later
+            same = parts[number][:, word] >> np.uint64(shift) & np.uint64(CLUSTER)
+            assert len(np.unique(same)) == 1
+            parts[number][:, word] -= same << np.uint64(shift)
+            constant[word] += same[0] << np.uint64(shift)
+    told = np.zeros((len(left_out), PRIME), dtype=np.int32)
+    for step, own in enumerate(left_out):
+        cluster = clusters[len(digits) + step]
+        told[step, own.weights[first[own.variable] + cluster.values[:, 0]]] = np.arange(len(cluster))
+    steps = [parts[len(digits) + step] for step in range(len(left_out))]
+    return _decoder([parts[n] for n in digits], constant, list(zip(places, steps, strict=True)), told)
+
+
+def _field(first: int, place: int) -> tuple[int, int]:
+    """The word and the shift of a field, where those before it begin in the word `first`."""
+    return first + place // FIELDS, 64 // FIELDS * (place % FIELDS)
+
+
+def _decoder(
+    parts: Sequence[Words],
+    constant: Words,
+    steps: Sequence[tuple[tuple[int, int], Words]],
+    told: ArrayLike,
+) -> Decoder:
+    """Put the digits' tables together, those of several small digits into one."""
+    chunks: list[list[Words]] = [[]]
+    for part in parts:
+        if math.prod(map(len, (*chunks[-1], part))) > CHUNK and chunks[-1]:
+            chunks.append([])
+        chunks[-1].append(part)
+    radix: list[int] = []
+    first: list[int] = []
+    tables: list[Words] = []
+    for number, chunk in enumerate(chunks):
+        table = constant[None] if number == 0 else np.zeros((1, len(constant)), dtype=np.uint64)
+        for part in chunk:  # the digit of the first variable runs fastest
+            table = (part[:, None] + table[None]).reshape(-1, len(constant))
+        radix.append(len(table))
+        first.append(sum(radix[:-1]))
+        tables.append(table)
+    at = sum(radix)
+    fields = np.empty((len(steps), 3), dtype=np.int64)
+    for row, ((word, shift), part) in zip(fields, steps, strict=True):
+        row[:] = word, shift, at
+        tables.append(part)
+        at += len(part)
+    return Decoder(
+        np.array(radix, np.uint64),
+        np.array(first, np.int64),
+        np.concatenate(tables),
+        fields,
+        np.asarray(told, dtype=np.int32).reshape(len(steps), PRIME),
+    )

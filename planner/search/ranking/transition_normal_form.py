@@ -1,0 +1,134 @@
+"""Operators as invertible moves, and what never changes under them.
+
+Every operator is split by the old values of what it changes, and by the conditions of its effects, into
+*moves*: facts that must hold, and for each changed variable its old and its new value. So a move can be
+taken back, and the backward search needs no stored transitions. `exactly_one` proves of groups of facts that
+exactly one of them holds in every reachable state.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from ...grounding.task import Fact, Operator, Task
+
+MOST_MOVES = 1 << 12
+MANY_EACH = 4
+"""Operators that split into more moves than this, and into more than so many each, are swept in another way."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A ground action in all states in which `facts` hold.
+
+    Attributes
+    ----------
+    action : int
+    facts : dict of int to int
+        Values that variables must have; every changed variable is among them.
+    after : dict of int to int
+        New values, of those variables that change.
+    """
+
+    action: int
+    facts: dict[int, int]
+    after: dict[int, int]
+
+    def inverse(self) -> Move:
+        """The move that leads back."""
+        return Move(self.action, {**self.facts, **self.after}, {v: self.facts[v] for v in self.after})
+
+
+def split_operators(task: Task) -> list[Move] | None:
+    """Split all operators of a task into moves, or none if they would be too many.
+
+    The moves of one action exclude each other: where two operators of an action are applicable, the first
+    counts.
+    """
+    sizes = [len(variable.facts) for variable in task.variables]
+    most = max(MOST_MOVES, MANY_EACH * len(task.operators))
+    earlier: dict[int, list[Sequence[Fact]]] = {}
+    moves: list[Move] = []
+    for operator in task.operators:
+        others = earlier.setdefault(operator.action, [])
+        for move in _split(operator, others, sizes):
+            moves.append(move)
+            if len(moves) > most:
+                return None
+        others.append(operator.preconditions)
+    return moves
+
+
+def _split(operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int]) -> Iterator[Move]:
+    """Split one operator, but for the states in which one of the excluded conditions holds."""
+    facts = dict(operator.preconditions)
+    if any(facts[variable] != value for variable, value in operator.preconditions):
+        return  # contradictory
+    waiting = [facts]
+    while waiting:
+        known = waiting.pop()
+        undecided = _undecided(operator, excluded, known)
+        if undecided is None:
+            continue
+        if undecided >= 0:
+            waiting += [{**known, undecided: value} for value in range(sizes[undecided])]
+            continue
+        after: dict[int, int] = {}
+        for effect in operator.effects:
+            if all(known.get(variable) == value for variable, value in effect.conditions):
+                after[effect.variable] = effect.value
+        changes = {variable: value for variable, value in after.items() if known[variable] != value}
+        yield Move(operator.action, known, changes)
+
+
+def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: dict[int, int]) -> int | None:
+    """Name a variable to split by; -1 if there is nothing left to decide, None if an exclusion holds."""
+    for conditions in excluded:
+        if all(known.get(variable, value) == value for variable, value in conditions):
+            return next((variable for variable, _ in conditions if variable not in known), None)
+    for effect in operator.effects:
+        if all(known.get(variable, value) == value for variable, value in effect.conditions):
+            for variable in (*(v for v, _ in effect.conditions), effect.variable):
+                if variable not in known:
+                    return variable
+    return -1
+
+
+def exactly_one(task: Task, moves: list[Move]) -> tuple[list[frozenset[Fact]], list[Move]]:
+    """Prove that of certain groups of facts exactly one holds in every reachable state.
+
+    Candidates are the translator's mutex groups. Proven by induction are those of which one fact holds
+    initially and whose number of facts is left alone by all moves that can ever be applied; a move that
+    needs two facts of such a group cannot.
+
+    Returns
+    -------
+    groups : list of frozenset of Fact
+    moves : list of Move
+        Those that the groups do not rule out.
+    """
+    groups = list(dict.fromkeys(map(frozenset, task.mutexes)))
+    initial = set(enumerate(task.initial))
+    groups = [group for group in groups if len(group & initial) == 1]
+    while True:
+        of_fact: dict[Fact, list[frozenset[Fact]]] = {}
+        for group in groups:
+            for fact in group:
+                of_fact.setdefault(fact, []).append(group)
+        possible: list[Move] = []
+        broken: set[frozenset[Fact]] = set()
+        for move in moves:
+            needed = Counter(group for fact in move.facts.items() for group in of_fact.get(fact, ()))
+            if any(count > 1 for count in needed.values()):
+                continue
+            possible.append(move)
+            change: Counter[frozenset[Fact]] = Counter()
+            for variable, value in move.after.items():
+                change.update(of_fact.get((variable, value), ()))
+                change.subtract(of_fact.get((variable, move.facts[variable]), ()))
+            broken.update(group for group, number in change.items() if number)
+        if not broken:
+            return groups, possible
+        groups = [group for group in groups if group not in broken]

@@ -1,0 +1,1 @@
+"""Symmetries of a task, and one canonical state of each orbit."""

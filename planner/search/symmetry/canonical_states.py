@@ -1,0 +1,143 @@
+"""Compiled: one state of each orbit under a task's symmetries, the same for all states of it.
+
+The form of a state is sought along the chain of symmetries (as smallest images are: Linton 2004; Jefferson et al.
+2019): on each level all places are tried for the fact that is fixed there, and those images are kept of which a number
+is smallest that no later level changes, a sum of weights of the orbits in which its facts are then. Images that are
+equal, as where a state is symmetric itself, are kept once. Where more are left than `WIDE`, some are dropped: then
+states of one orbit may get different forms, which makes more of them and nothing wrong, since a form is always an image
+of the state.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...states.successors import Ints, Packing, Words
+from ...system.jit import njit
+from .automorphisms import Symmetries
+
+WIDE = 64
+"""Images of a state that are kept on a level."""
+
+
+class Forms(NamedTuple):
+    """Symmetries as compiled code reads them. Facts are numbered through the variables.
+
+    Attributes
+    ----------
+    word, first : int64 arrays, shape (variables,)
+        Where a variable is in a packed state, and its first fact.
+    shift, field : uint64 arrays, shape (variables,)
+    at : int64 array, shape (facts,)
+        The word that a fact is written to.
+    bits : uint64 array, shape (facts,)
+        What is written.
+    begin : int64 array, shape (levels + 1,)
+        The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `moves`.
+    moves : int32 array, shape (rows, facts)
+        The fact to which each takes every fact.
+    weight : uint64 array, shape (facts * rows,)
+        From `facts * begin[l]` on, for each fact what it adds to the number of its images, one for each of the
+        level's symmetries.
+    own : uint64 array, shape (facts,)
+        What it adds to a number that tells images apart.
+    """
+
+    word: Ints
+    first: Ints
+    shift: Words
+    field: Words
+    at: Ints
+    bits: Words
+    begin: Ints
+    moves: NDArray[np.int32]
+    weight: Words
+    own: Words
+
+    @classmethod
+    def of(cls, symmetries: Symmetries, packing: Packing) -> Forms:
+        """Lay out the symmetries of a task whose states are packed."""
+        facts = int(symmetries.first[-1])
+        variable = np.repeat(np.arange(len(packing.word)), np.diff(symmetries.first))
+        value = np.arange(facts) - symmetries.first[variable]
+        rng = np.random.default_rng(0)
+        weights = [np.empty(0, dtype=np.uint64)]
+        for level in symmetries.levels:
+            of_orbit = rng.integers(1 << 63, size=facts, dtype=np.uint64)
+            weights.append(of_orbit[level.orbits][level.moves].T.reshape(-1))
+        return cls(
+            packing.word,
+            symmetries.first[:-1],
+            packing.shift.astype(np.uint64),
+            (np.uint64(1) << packing.bits.astype(np.uint64)) - np.uint64(1),
+            packing.word[variable],
+            value.astype(np.uint64) << packing.shift[variable].astype(np.uint64),
+            np.cumsum([0, *(len(level.moves) for level in symmetries.levels)]),
+            np.concatenate([level.moves for level in symmetries.levels]).astype(np.int32),
+            np.concatenate(weights),
+            rng.integers(1 << 63, size=facts, dtype=np.uint64),
+        )
+
+
+@njit(nogil=True, error_model="numpy")
+def canonical(forms, states):
+    """Put the form of each state in its place; states of shape (n, words)."""
+    variables, levels = len(forms.word), len(forms.begin) - 1
+    facts = len(forms.at)
+    images = np.empty((2, WIDE, variables), dtype=np.int64)
+    marks = np.empty(WIDE, dtype=np.uint64)
+    keys = np.empty(len(forms.moves), dtype=np.uint64)
+    best, packed = np.empty(states.shape[1], dtype=np.uint64), np.empty(states.shape[1], dtype=np.uint64)
+    for i in range(len(states)):
+        side, held = 0, 1
+        for v in range(variables):
+            images[0, 0, v] = forms.first[v] + np.int64(states[i, forms.word[v]] >> forms.shift[v] & forms.field[v])
+        for level in range(levels):
+            begin = forms.begin[level]
+            count = forms.begin[level + 1] - begin
+            least, more = np.uint64(0), 0
+            for image in range(held):
+                for j in range(count):
+                    keys[j] = 0
+                for v in range(variables):
+                    row = begin * facts + images[side, image, v] * count
+                    for j in range(count):
+                        keys[j] += forms.weight[row + j]
+                for j in range(count):
+                    if more > 0 and keys[j] > least:
+                        continue
+                    if more == 0 or keys[j] < least:
+                        least, more = keys[j], 0
+                    if more == WIDE:
+                        continue
+                    mark = np.uint64(0)
+                    for v in range(variables):
+                        fact = forms.moves[begin + j, images[side, image, v]]
+                        images[1 - side, more, v] = fact
+                        mark += forms.own[fact]
+                    known = False
+                    for other in range(more):
+                        known |= marks[other] == mark
+                    if not known:
+                        marks[more] = mark
+                        more += 1
+            side, held = 1 - side, more
+        for image in range(held):
+            for w in range(len(packed)):
+                packed[w] = 0
+            for v in range(variables):
+                fact = images[side, image, v]
+                packed[forms.at[fact]] |= forms.bits[fact]
+            smaller = image == 0
+            for w in range(len(packed)):
+                if packed[w] != best[w]:
+                    smaller |= packed[w] < best[w]
+                    break
+            if smaller:
+                for w in range(len(packed)):
+                    best[w] = packed[w]
+        for w in range(len(packed)):
+            states[i, w] = best[w]
