@@ -83,7 +83,7 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
 def translated(domain: str, problem: str, seconds: float) -> Task | None:
     """What Fast Downward's translator makes of files as they are; None where it refuses them."""
     from planner.grounding.fast_downward import TRANSLATE_OPTIONS
-    from planner.grounding.task import from_sas
+    from planner.grounding.load import from_sas
 
     with tempfile.TemporaryDirectory() as folder:
         sas = Path(folder) / "output.sas"

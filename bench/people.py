@@ -36,7 +36,7 @@ from assist.learning.recording import Recording, situation
 from assist.learning.weighing import Likelihood
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
-from planner.costtogo.table import UNREACHED, backward
+from planner.search.distances import UNREACHED, backward
 
 ROOT = Path(__file__).resolve().parent.parent
 TOWER = ROOT / "domains" / "tower" / "domain.pddl"

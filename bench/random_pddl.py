@@ -5,8 +5,9 @@
 Each instance has a number, from which everything in it is drawn: a small task (`random_tasks.py`), how its two files
 are written (`random_writing.py`), and in every second one a fault. The task is grounded and solved here by brute force,
 from what was drawn and not from the files. Without a fault the files have to be read, and this project's cost, its
-number of reachable states, and Dijkstra on the translator's grounded task with `planner.grounding.semantics` have to agree with
-that. With a fault they have to be refused with file and line, or, where it changes nothing, to have the same answer.
+number of reachable states, and Dijkstra on the translator's grounded task with `planner.grounding.semantics` have to
+agree with that. With a fault they have to be refused with file and line, or, where it changes nothing, to have the
+same answer.
 Anything else is a violation; it is printed, and the exit code is 1.
 """
 

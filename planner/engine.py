@@ -33,10 +33,12 @@ from unified_planning.plans import ActionInstance, SequentialPlan
 
 from .costtogo.astar import astar
 from .costtogo.sweep import sweep
-from .grounding.fast_downward import CostLimitError, FastDownwardError, LimitError, Limits, MemoryLimitError
-from .grounding.task import Task, load
+from .grounding.fast_downward import FastDownwardError
+from .grounding.load import load
+from .grounding.task import Task
 from .pddl.built_problems import with_plain_costs
 from .pddl.instances import PDDLError
+from .system.limits import CostLimitError, LimitError, Limits, MemoryLimitError
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem

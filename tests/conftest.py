@@ -31,6 +31,7 @@ from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
 from planner.pddl.source import Source
 from planner.system import progress
+from planner.system.limits import NO_LIMITS
 
 ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
@@ -139,8 +140,8 @@ def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
     """Where nothing is limited: the translator is a program of its own, which takes time to start."""
     translate = fast_downward.translate
 
-    def once(source: Source, limits: Limits = fast_downward.NO_LIMITS) -> str:
-        if limits != fast_downward.NO_LIMITS:
+    def once(source: Source, limits: Limits = NO_LIMITS) -> str:
+        if limits != NO_LIMITS:
             return translate(source, limits)
         texts = json.dumps([source.domain_text, source.problem_text])
         grounded = shared_folder / f"{hashlib.sha256(texts.encode()).hexdigest()}.sas"

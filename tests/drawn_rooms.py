@@ -14,7 +14,10 @@ from test_architecture import ROOMS, ROOT, imports, modules, within
 FILE = ROOT / "docs" / "figures" / "architecture.svg"
 WIDTH, HEIGHT, ACROSS, DOWN, MARGIN = 218, 78, 236, 118, 12
 COLUMNS = {
-    "planner": 1.5, "assist.people": 1, "assist.drawing": 3, "assist.person": 0.5, "assist.learning": 1.75,
+    "planner.system": 1.5, "planner.pddl": 1.5, "planner.grounding": 1.5, "planner.states": 1.5,
+    "planner.search.kernels": 0.5, "planner.search.ranking": 1.5, "planner.search.symmetry": 2.5, "planner.search": 1.5,
+    "planner.costtogo": 1.5, "planner.batch": 1, "planner": 2,
+    "assist.people": 1, "assist.drawing": 3, "assist.person": 0.5, "assist.learning": 1.75,
     "assist.team": 0.5, "assist.simulation": 0.5, "assist.certify": 0, "assist.plots": 1, "assist.live": 2,
     "assist.interop": 3, "assist.study": 1, "assist.userstudy": 1.5, "assist.cli": 1.5,
 }  # fmt: skip
@@ -33,7 +36,7 @@ STYLE = """
 
 
 def room_of(module: str) -> str:
-    return next(room for room in reversed(ROOMS) if within(module, room))
+    return max((room for room in ROOMS if within(module, room)), key=len)
 
 
 def needs() -> dict[str, set[str]]:

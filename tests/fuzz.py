@@ -71,7 +71,7 @@ def without_processes() -> None:
     import assist.study.runner
     import planner.batch.solve_batch
     import planner.batch.solve_instance
-    import planner.grounding.task
+    import planner.grounding.load
     from planner.grounding import fast_downward
 
     translate, parsed = fast_downward.translate, cache(validation.parsed)
@@ -100,11 +100,11 @@ def without_processes() -> None:
         def check(self, plan: Sequence[str], seconds: float = 0.0) -> None:  # noqa: ARG002
             validation.validate(self._problem, plan)
 
-    planner.batch.outcomes = assist.study.runner.outcomes = here
+    planner.batch.solve_batch.outcomes = assist.study.runner.outcomes = here
     assist.study.report._draw_all = lambda *_: None
     assist.live.server.serve = broken_live.work
     fast_downward.translate = translate_once
-    planner.task.Checker = planner.solving.Checker = Checker
+    planner.grounding.load.Checker = planner.batch.solve_instance.Checker = Checker
 
 
 def load(file: str) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.grounding.task import Fact, Task
+from planner.states.packing import Ints, Packing, Words, holds
 from planner.states.state_space import StateSpace
-from planner.states.successors import Ints, Packing, Successors, Transitions, Words, distinct, holds
+from planner.states.successors import Successors, Transitions, distinct
 
 
 @dataclass(frozen=True)

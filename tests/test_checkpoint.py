@@ -10,9 +10,9 @@ import pytest
 from conftest import KITTING
 
 from planner import Task, load, sweep
-from planner.grounding.fast_downward import LimitError
 from planner.grounding.task import Effect
 from planner.search.checkpoint import Checkpoint
+from planner.system.limits import LimitError
 
 INDICES = (np.arange(3),)
 ARRAYS = {"bits": np.arange(40, dtype=np.uint64), "frontier": np.array([3, 1, 2])}

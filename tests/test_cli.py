@@ -181,8 +181,8 @@ def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
         distance[table.initial] += 1
         return Table(table.space, distance)  # type: ignore[attr-defined]
 
-    original = planner.methods.cost_to_go
-    monkeypatch.setattr(planner.methods, "cost_to_go", broken)
+    original = planner.costtogo.portfolio.cost_to_go
+    monkeypatch.setattr(planner.costtogo.portfolio, "cost_to_go", broken)
     record = solve_instance(load(KITTING / "tiny.pddl").instance, SolveOptions())
     assert record["status"] == "invalid"
     assert "its successors say 6" in record["error"]["message"]

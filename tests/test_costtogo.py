@@ -11,10 +11,11 @@ from conftest import graph_task, kit, write_instance
 
 from planner import Instance, LimitError, Limits, MismatchError, OnDemand, Table, Task, astar, load, sweep, verify
 from planner.costtogo import verification
-from planner.costtogo.table import UNREACHED, backward, compact, optimal_choices, smallest_type
+from planner.costtogo.cost_to_go import optimal_choices
 from planner.costtogo.verification import check_successors, sample
 from planner.grounding import fast_downward
-from planner.grounding.task import from_sas
+from planner.grounding.load import from_sas
+from planner.search.distances import UNREACHED, backward, compact, smallest_type
 
 # From 1 to the goal 0: directly for 5, over 2 for 1 + 3, over 3 and 4 for 0 + 0 + 4; 5 and 6 are dead ends.
 EDGES = [(1, 0, 5), (1, 2, 1), (2, 0, 3), (1, 3, 0), (3, 4, 0), (4, 0, 4), (4, 3, 0), (3, 1, 0), (2, 5, 1), (5, 6, 0)]

@@ -25,8 +25,7 @@ from planner.batch.solve_instance import COMPARING, SWEEPING, Record, SolveOptio
 from planner.costtogo.first_answer import SHARE, Early
 from planner.costtogo.sweep import sweep
 from planner.grounding import fast_downward
-from planner.grounding.fast_downward import LimitError, MemoryLimitError
-from planner.system.limits import Budget
+from planner.system.limits import Budget, LimitError, MemoryLimitError
 
 TINY = KITTING / "tiny.pddl"
 Told = list[tuple[Record, bool]]
@@ -39,7 +38,7 @@ def solved_late(
     options: SolveOptions | None = None,
 ) -> tuple[Told, Record]:
     """Solve a task whose sweep ends only when the first answer has been told; `then` is what it ends in."""
-    original, first = planner.methods.cost_to_go, threading.Event()
+    original, first = planner.costtogo.portfolio.cost_to_go, threading.Event()
     told: Told = []
 
     def late(*arguments: object, **ways: object) -> object:
@@ -50,7 +49,7 @@ def solved_late(
         told.append((record, saved))
         first.set()
 
-    monkeypatch.setattr(planner.methods, "cost_to_go", late)
+    monkeypatch.setattr(planner.costtogo.portfolio, "cost_to_go", late)
     monkeypatch.setattr("planner.costtogo.first_answer.ALONE", 0.0)
     return told, solve_instance(instance(TINY), options, place, tell=tell)
 

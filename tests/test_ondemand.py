@@ -15,7 +15,7 @@ import pytest
 from conftest import DOMAINS, KITTING, graph_task, table_of, write_instance
 
 from planner import Cache, Instance, LimitError, Limits, OnDemand, PDDLError, Table, cost_to_go, load, sweep
-from planner.costtogo.on_demand import fastest_search
+from planner.costtogo.astar import fastest_search
 from planner.costtogo.portfolio import _Stop
 from planner.grounding.fast_downward import ASTAR, ASTAR_WITH_AXIOMS
 from planner.pddl.validation import Refusal
@@ -258,8 +258,8 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
             raise LimitError("out of time")
         return []
 
-    monkeypatch.setattr("planner.costtogo.on_demand.fast_downward.optimal_plan", optimal_plan)
-    monkeypatch.setattr("planner.costtogo.on_demand.time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr("planner.costtogo.astar.fast_downward.optimal_plan", optimal_plan)
+    monkeypatch.setattr("planner.costtogo.astar.time", SimpleNamespace(monotonic=lambda: clock[0]))
     assert fastest_search(tiny, ["slow", "fast", "between"]).search == "fast"
     assert allowed == [None, 3.0, 1.0]  # nobody gets longer than the best so far
     assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)).search == "between"
@@ -296,7 +296,8 @@ CORRIDOR_PROBLEM = """
 def test_where_actions_are_free_a_plan_too_long_from_the_start_is_no_reason_to_refuse_other_states(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("planner.costtogo.on_demand.UNIT", 4)
+    for module in ("astar", "on_demand"):
+        monkeypatch.setattr(f"planner.costtogo.{module}.UNIT", 4)
     asked = OnDemand(load(write_instance(tmp_path, CORRIDOR, CORRIDOR_PROBLEM)))
     state = np.array([asked.initial])
     for _ in range(4):

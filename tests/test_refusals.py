@@ -53,7 +53,7 @@ from assist.team.travel import Travel
 from assist.userstudy.questionnaires import FORMS, Item
 from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
-from planner.grounding.task import from_sas
+from planner.grounding.load import from_sas
 from planner.system.files import writable
 
 

@@ -14,7 +14,7 @@ from test_sweep import counter, random_task
 
 from planner import Effect, Instance, OnDemand, Operator, Task, astar, load, sweep
 from planner.grounding import fast_downward
-from planner.grounding.task import from_sas
+from planner.grounding.load import from_sas
 from planner.pddl.source import Source
 
 

@@ -14,13 +14,13 @@ from conftest import KITTING
 from plain import explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
-from planner.costtogo.table import backward, compact
+from planner.search.distances import backward, compact
 from planner.search.ranking.state_ranking import Coding
 from planner.search.ranking.transition_normal_form import exactly_one, split_operators
 from planner.system.errors import DamagedFileError
 
 module = importlib.import_module("planner.costtogo.sweep")
-candidates = importlib.import_module("planner.search.candidates")
+candidates = importlib.import_module("planner.search.successor_generator")
 searches = importlib.import_module("planner.search.bucket_dijkstra")
 moves_module = importlib.import_module("planner.search.ranking.transition_normal_form")
 sweep = module.sweep
@@ -199,7 +199,7 @@ def listed(monkeypatch):
 @pytest.mark.usefixtures("listed")
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_without_an_index(costs, monkeypatch):
-    monkeypatch.setattr("planner.search.forward_search.STATES_AT_A_TIME", 3)
+    monkeypatch.setattr("planner.search.successor_generator.STATES_AT_A_TIME", 3)
     rng = random.Random(f"listed {costs}")
     for _ in range(20):
         check(random_task(rng, costs=costs))

@@ -83,7 +83,8 @@ def simulate(
     memory_limit_mb : float
         What the records of all episodes may take, in megabytes.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are simulated.
+        Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are
+        simulated.
 
     Raises
     ------

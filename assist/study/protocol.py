@@ -21,7 +21,7 @@ from ..people.terms import TERMS
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study, StudyError
-from .toml import (  # fmt: skip
+from .toml import (
     AnyTable,
     Number,
     Pair,

@@ -152,7 +152,7 @@ def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
 def _programs() -> str:
     """Name the programs that find an answer: a search that was changed has another name without being given one."""
     found = hashlib.sha256()
-    for file in sorted(Path(__file__).parent.glob("*.py")):
+    for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()
 

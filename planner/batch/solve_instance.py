@@ -21,16 +21,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..costtogo.first_answer import Answer, Early
 from ..grounding import fast_downward
-from ..grounding.fast_downward import FastDownwardError, LimitError, Limits
+from ..grounding.fast_downward import FastDownwardError
+from ..grounding.load import ground
 from ..grounding.semantics import replay
-from ..grounding.task import Effect, Operator, Task, Variable, ground
+from ..grounding.task import Effect, Operator, Task, Variable
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.source import Source
 from ..pddl.validation import InvalidPlanError
 from ..pddl.validation_process import PATIENCE, Checker
 from ..system.errors import MismatchError
 from ..system.files import atomic
-from ..system.limits import MAX_STATES
+from ..system.limits import MAX_STATES, LimitError, Limits
 from ..system.machine import memory_limit, peak_memory_mb, processors, reset_peak_memory, used_mb
 from ..system.progress_reports import Progress
 from ..system.threads import NO_MORE_THREADS

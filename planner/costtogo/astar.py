@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 from ..grounding import fast_downward
-from ..grounding.fast_downward import NO_LIMITS, CostLimitError, Limits
+from ..grounding.fast_downward import FastDownwardError
 from ..grounding.task import Task
-from ..states.successors import can_hold
+from ..states.packing import can_hold
+from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits
 
 OVERFLOW = 1 << 31
 """Fast Downward's sums of costs have to stay below this."""
@@ -81,3 +84,77 @@ def astar(
 def with_small_costs(task: Task) -> tuple[str, int]:
     """Return a task's SAS text with costs divided by their greatest common divisor, and the largest cost in it."""
     return task.reduced.sas, max(task.reduced.costs, default=1)
+
+
+CANDIDATES = (
+    fast_downward.ASTAR,
+    "astar(landmark_cost_partitioning(lm_hm(m=2)))",
+    "astar(lmcut())",
+    "astar(hmax())",
+)
+"""Search configurations of which the fastest on a task is used; all give the exact cost."""
+
+
+QUICK = 0.05
+"""Seconds of a search of which so much is Fast Downward's start that none is worth comparing with it."""
+
+
+UNIT = 1000  # what a unit of cost is worth in prices, where an action is worth 1; plans are shorter
+
+
+LARGEST = 2**31  # beyond, Fast Downward's sums overflow
+
+
+def priced(task: Task) -> tuple[Task, int]:
+    """Give a task as Fast Downward is asked about it, and the price of a unit of cost there.
+
+    Where actions cost nothing, every action costs one more than `UNIT` times its cost, so that of the cheapest plans
+    one with the fewest actions is the best.
+    """
+    return (task, 1) if min(task.costs, default=1) > 0 else (counted(task), UNIT)
+
+
+def counted(task: Task) -> Task:
+    """Give a task whose costs count its actions as well, each as the least part of `UNIT`."""
+    return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs))
+
+
+class Chosen(NamedTuple):
+    """A search configuration, and what it found on the way: the plan from the initial state, None from a dead end."""
+
+    search: str
+    solved: bool
+    plan: list[str] | None
+
+
+def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> Chosen:
+    """Choose the search configuration that solves a task's initial state fastest.
+
+    Each gets as long as the best so far has taken; once one took no longer than `QUICK`, no other is tried.
+    Configurations that do not support the task's features are left out.
+
+    Raises
+    ------
+    LimitError
+        None of them solved the initial state within the limits.
+    """
+    if not task.goal or not can_hold(task.goal):
+        return Chosen(fast_downward.ASTAR, True, None if task.goal else [])
+    sas, dearest = with_small_costs(task)
+    if fast_downward.has_axioms(sas) or dearest >= LARGE:
+        return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
+    best, shortest = None, limits.seconds
+    for search in candidates:
+        start = time.monotonic()
+        try:
+            plan = fast_downward.optimal_plan(sas, search=search, limits=replace(limits, seconds=shortest))
+        except (LimitError, FastDownwardError):
+            continue
+        seconds = time.monotonic() - start
+        if shortest is None or seconds < shortest:
+            best, shortest = Chosen(search, True, plan), seconds
+            if seconds <= QUICK:
+                break
+    if best is None:
+        raise LimitError("no search configuration solved the initial state within the limits")
+    return best

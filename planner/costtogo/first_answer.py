@@ -13,10 +13,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 
-from ..grounding.fast_downward import FastDownwardError, LimitError, Limits, MemoryLimitError
+from ..grounding.fast_downward import FastDownwardError
 from ..grounding.semantics import replay
 from ..grounding.task import Task
 from ..pddl.validation import InvalidPlanError
+from ..system.limits import LimitError, Limits, MemoryLimitError
 from ..system.machine import available_memory, used_mb
 from .astar import astar
 

@@ -13,106 +13,29 @@ which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given p
 from __future__ import annotations
 
 import copy
-import hashlib
-import os
-import sqlite3
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import closing, suppress
-from dataclasses import replace
+from contextlib import suppress
 from functools import cached_property
-from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..grounding import fast_downward
-from ..grounding.fast_downward import NO_LIMITS, FastDownwardError, LimitError, Limits
 from ..grounding.task import Task
-from ..search.forward_search import Numbered, expanded, rulebook
+from ..search.distances import UNREACHED
 from ..search.kernels.packed_successors import Rulebook
+from ..search.state_registry import Numbered
+from ..search.successor_generator import expanded, rulebook
+from ..states.packing import Ints, Packing, Words, holds
 from ..states.state_space import state_numbers
-from ..states.successors import Ints, Packing, Successors, Transitions, Words, can_hold, holds
+from ..states.successors import Successors, Transitions
+from ..system.limits import NO_LIMITS, LimitError, Limits
 from ..system.machine import processors
-from .astar import LARGE, astar, with_small_costs
+from .astar import LARGEST, UNIT, astar, counted, fastest_search, priced
+from .cache import Cache
+from .cost_to_go import optimal_choices
 from .orbits import Orbits
-from .table import UNREACHED, optimal_choices
-
-CANDIDATES = (
-    fast_downward.ASTAR,
-    "astar(landmark_cost_partitioning(lm_hm(m=2)))",
-    "astar(lmcut())",
-    "astar(hmax())",
-)
-"""Search configurations of which the fastest on a task is used; all give the exact cost."""
-
-QUICK = 0.05
-"""Seconds of a search of which so much is Fast Downward's start that none is worth comparing with it."""
-
-DEAD_END = -1  # how the cache stores an infinite cost-to-go
-UNIT = 1000  # what a unit of cost is worth in prices, where an action is worth 1; plans are shorter
-LARGEST = 2**31  # beyond, Fast Downward's sums overflow
-
-
-def cache_folder() -> Path:
-    """Name the folder of the persistent cache: `kitassist` in the user's cache folder."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "kitassist"
-
-
-def priced(task: Task) -> tuple[Task, int]:
-    """Give a task as Fast Downward is asked about it, and the price of a unit of cost there.
-
-    Where actions cost nothing, every action costs one more than `UNIT` times its cost, so that of the cheapest plans
-    one with the fewest actions is the best.
-    """
-    return (task, 1) if min(task.costs, default=1) > 0 else (counted(task), UNIT)
-
-
-def counted(task: Task) -> Task:
-    """Give a task whose costs count its actions as well, each as the least part of `UNIT`."""
-    return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs))
-
-
-class Cache:
-    """Costs-to-go of a task's states in a file, addressed by content; in the prices of `priced`.
-
-    The file's name is a digest of the grounded task and Fast Downward's version, so that a change of either begins
-    a new one.
-
-    Parameters
-    ----------
-    task : Task
-    folder : path, optional
-        Where the file is; `cache_folder()` unless given.
-    """
-
-    def __init__(self, task: Task, folder: str | Path | None = None) -> None:
-        digest = hashlib.sha256(f"{fast_downward.version()}\n{priced(task)[0].sas}".encode()).hexdigest()
-        folder = cache_folder() if folder is None else Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-        self.file = folder / f"{digest}.sqlite"
-        with closing(self._open()) as connection, connection:
-            connection.execute(
-                "CREATE TABLE IF NOT EXISTS cost (state BLOB PRIMARY KEY, cost INTEGER NOT NULL) WITHOUT ROWID"
-            )
-
-    def _open(self) -> sqlite3.Connection:
-        return sqlite3.connect(self.file, timeout=60)
-
-    def read(self) -> dict[bytes, float]:
-        """Give all that is known."""
-        with closing(self._open()) as connection:
-            rows = connection.execute("SELECT state, cost FROM cost").fetchall()
-        return {state: float("inf") if cost == DEAD_END else float(cost) for state, cost in rows}
-
-    def write(self, costs: dict[bytes, float]) -> None:
-        """Add costs; all of them or, if the process is killed, none."""
-        rows = [(state, DEAD_END if np.isinf(cost) else int(cost)) for state, cost in costs.items()]
-        with closing(self._open()) as connection, connection:
-            connection.executemany("INSERT OR REPLACE INTO cost VALUES (?, ?)", rows)
 
 
 class OnDemand:
@@ -365,44 +288,3 @@ class OnDemand:
             price -= self._priced.costs[self.task.action_index[action]]
             found[row.tobytes()] = price
         return found
-
-
-class Chosen(NamedTuple):
-    """A search configuration, and what it found on the way: the plan from the initial state, None from a dead end."""
-
-    search: str
-    solved: bool
-    plan: list[str] | None
-
-
-def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> Chosen:
-    """Choose the search configuration that solves a task's initial state fastest.
-
-    Each gets as long as the best so far has taken; once one took no longer than `QUICK`, no other is tried.
-    Configurations that do not support the task's features are left out.
-
-    Raises
-    ------
-    LimitError
-        None of them solved the initial state within the limits.
-    """
-    if not task.goal or not can_hold(task.goal):
-        return Chosen(fast_downward.ASTAR, True, None if task.goal else [])
-    sas, dearest = with_small_costs(task)
-    if fast_downward.has_axioms(sas) or dearest >= LARGE:
-        return Chosen(fast_downward.ASTAR_WITH_AXIOMS, False, None)
-    best, shortest = None, limits.seconds
-    for search in candidates:
-        start = time.monotonic()
-        try:
-            plan = fast_downward.optimal_plan(sas, search=search, limits=replace(limits, seconds=shortest))
-        except (LimitError, FastDownwardError):
-            continue
-        seconds = time.monotonic() - start
-        if shortest is None or seconds < shortest:
-            best, shortest = Chosen(search, True, plan), seconds
-            if seconds <= QUICK:
-                break
-    if best is None:
-        raise LimitError("no search configuration solved the initial state within the limits")
-    return best

@@ -14,19 +14,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grounding.fast_downward import LimitError
 from ..grounding.task import Fact, Task
-from ..search.forward_search import Found, enumerated, expanded, settled
-from ..search.kernels import packed_successors
+from ..search.bucket_dijkstra import settled
+from ..search.distances import UNREACHED, compact
+from ..search.forward_search import enumerated
+from ..search.kernels import state_hash
+from ..search.state_registry import Found
+from ..search.successor_generator import expanded
 from ..search.symmetry.automorphisms import symmetries
 from ..search.symmetry.canonical_states import Forms, canonical
+from ..states.packing import Ints, Packing, Words
 from ..states.state_space import StateSpace
-from ..states.successors import Ints, Packing, Transitions, Words
+from ..states.successors import Transitions
 from ..system.arrays import outline
-from ..system.limits import Budget
+from ..system.limits import Budget, LimitError
 from ..system.machine import processors
 from ..system.progress_reports import Progress
-from .table import UNREACHED, Table, compact
+from .table import Table
 
 EFFORT = 100_000_000_000
 """Facts that may be moved by a symmetry, one at a time, on the way to forms: some minutes of a processor."""
@@ -74,7 +78,7 @@ class Orbits:
         own = states.copy()
         canonical(self.forms, own)
         rows = np.empty(len(own), dtype=np.int64)
-        packed_successors.look_up(self.found.slots, self.found.states, own, rows)
+        state_hash.look_up(self.found.slots, self.found.states, own, rows)
         return rows
 
     def lookup(self, states: Words) -> NDArray[np.float64]:

@@ -23,11 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..grounding.fast_downward import NO_LIMITS, LimitError, Limits
 from ..grounding.task import Task
-from ..system.limits import MAX_STATES, MemoryLimitError
+from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLimitError
 from ..system.progress import Progress, Wanted, shows_progress
-from .on_demand import Cache, OnDemand
+from .cache import Cache
+from .on_demand import OnDemand
 from .orbits import Orbits, orbits
 from .sweep import sweep
 from .table import Table

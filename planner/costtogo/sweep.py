@@ -10,28 +10,23 @@ take a slower way: a list of packed states, and all transitions in memory (`list
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..grounding.fast_downward import LimitError
-from ..grounding.task import Fact, Task
-from ..search.bucket_dijkstra import Searches
+from ..grounding.task import Task
+from ..search.bucket_dijkstra import Searches, settled
 from ..search.checkpoint import Checkpoint
-from ..search.forward_search import Listing, enumerated, settled
-from ..search.kernels import ranked_states, ranked_successors
-from ..search.kernels.ranked_states import States
+from ..search.forward_search import Listing, enumerated
+from ..search.ranked_index import Indexed
 from ..search.ranking.state_ranking import MANY, denser, plain
 from ..search.ranking.transition_normal_form import split_operators
 from ..search.successor_generator import build_tests
 from ..states.state_space import StateSpace
-from ..states.successors import Ints, Transitions
-from ..system.limits import Budget, MemoryLimitError
+from ..system.limits import Budget, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
@@ -44,52 +39,6 @@ HUGE = 1 << 38
 
 LOOKING = 0.25
 """Share of the time in which a denser index is looked for; after that, what there is has to do."""
-
-
-@dataclass(frozen=True)
-class Indexed:
-    """States numbered by their index."""
-
-    searches: Searches
-    states: States
-
-    def numbers(self, values: NDArray[np.int64]) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
-        out = np.empty(len(values), dtype=np.int64)
-        ranked_states.numbers_of(self.states, self.searches.coding.encode(values), out)
-        return out
-
-    def values(self, numbers: Ints) -> NDArray[np.int64]:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
-        index = np.empty(len(numbers), dtype=np.int64)
-        ranked_states.select(self.states, numbers, index)
-        return self.searches.coding.decode(index)
-
-    def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
-        coding, parts = self.searches.coding, [np.empty(0, dtype=bool)]
-        for block in self.searches.blocks(self.states):
-            parts.append(np.empty(len(block), dtype=bool))
-            ranked_successors.mark(coding.decoder, block, *coding.packing.condition(facts), parts[-1])
-        return np.concatenate(parts)
-
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the choices of all states; the arguments are how many there are of both."""
-        needed = 8 * states + 12 * transitions
-        self.searches.budget.check_memory(needed)
-        small = states <= np.iinfo(np.int32).max
-        rows = Transitions(
-            np.zeros(states + 1, dtype=np.int64),
-            np.empty(transitions, dtype=np.int32),
-            np.empty(transitions, dtype=np.int32 if small else np.int64),
-        )
-        number = 0
-        for block in self.searches.blocks(self.states):
-            ranked_successors.fill_transitions(
-                self.searches.forward, self.searches.coding.decoder, self.states, block, number, *rows
-            )
-            number += len(block)
-        return rows
 
 
 @shows_progress

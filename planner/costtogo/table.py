@@ -8,90 +8,20 @@ module of that name, asks Fast Downward for one state at a time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
+from ..search.distances import UNREACHED, backward
+from ..states.packing import Ints
 from ..states.state_space import StateSpace, state_numbers
-from ..states.successors import Ints, Transitions
+from ..states.successors import Transitions
 from ..system.errors import MismatchError
-
-UNREACHED = np.iinfo(np.int64).max
-
-
-class CostToGo(Protocol):
-    """The exact cost-to-go of a task, however it is come by. States are named by numbers."""
-
-    @property
-    def task(self) -> Task:
-        """The task."""
-
-    @property
-    def initial(self) -> int:
-        """The number of the initial state."""
-
-    @property
-    def method(self) -> Literal["sweep", "on-demand"]:
-        """How the answers are come by."""
-
-    @property
-    def searches(self) -> bool:
-        """Whether looking a state up may take a search of its own, which takes its time."""
-
-    def __len__(self) -> int:
-        """Count the states that have numbers."""
-
-    def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends."""
-
-    def choices(self, states: ArrayLike) -> Transitions:
-        """Give the choices of states, shape (N,), as compressed rows."""
-
-    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Tell of states, shape (N,), which are goal states."""
-
-    def values(self, states: ArrayLike) -> Ints:
-        """Give the values, shape (N, variables), of states of shape (N,)."""
-
-    def numbers(self, values: ArrayLike) -> Ints:
-        """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
-
-    def plan_lengths(self, states: ArrayLike) -> Ints:
-        """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none."""
-
-    def optimal_plan(self, state: int | None = None) -> list[str] | None:
-        """Give an optimal plan from a state (the initial one unless given); None from a dead end."""
-
-
-def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> NDArray[np.bool_]:
-    """Tell of each choice of some states, shape (m,), whether a cheapest way to the goal begins with it.
-
-    Where a task has actions of cost zero, only the cheapest ways with the fewest actions count. So optimal choices lead
-    to no circles: each lowers the cost-to-go or, that being equal, the number of actions to come, and who follows them,
-    whichever, reaches the goal.
-
-    Parameters
-    ----------
-    known : CostToGo
-    states : int array, shape (N,)
-    rows : Transitions
-        Their choices, as `known.choices` gives them.
-    """
-    costs, counts = np.asarray(known.task.costs), np.diff(rows.offsets)
-    h = np.repeat(known.lookup(states), counts)
-    cheapest = np.isfinite(h) & (costs[rows.actions] + known.lookup(rows.targets) == h)
-    if 0 not in costs:
-        return cheapest
-    sources = np.repeat(np.asarray(states, dtype=np.int64), counts)
-    both = np.concatenate([sources[cheapest], rows.targets[cheapest]])
-    before, after = np.split(known.plan_lengths(both), 2)
-    cheapest[cheapest] = after < before
-    return cheapest
+from .cost_to_go import optimal_choices
 
 
 @dataclass(frozen=True)
@@ -249,67 +179,3 @@ class Table:
             plan.append(self.task.actions[actions[place]])
             at = sources[place]
         return plan[::-1]
-
-
-def smallest_type(largest: int) -> type[np.unsignedinteger]:
-    """Choose the type for distances; its own largest value is kept for dead ends."""
-    types: tuple[type[np.unsignedinteger], ...] = (np.uint8, np.uint16, np.uint32, np.uint64)
-    return next(t for t in types if largest < np.iinfo(t).max)
-
-
-def compact(distance: Ints) -> NDArray[np.unsignedinteger]:
-    """Give distances in the smallest type that holds them, its largest value for `UNREACHED`."""
-    finite = distance != UNREACHED
-    dtype = smallest_type(int(distance[finite].max(initial=0)))
-    result = np.full(len(distance), np.iinfo(dtype).max, dtype=dtype)
-    result[finite] = distance[finite]
-    return result
-
-
-def backward(
-    targets: NDArray[np.signedinteger],
-    sources: Ints,
-    costs: Ints,
-    goal: NDArray[np.bool_],
-    *,
-    check: Callable[[int], None] = lambda _states: None,
-) -> Ints:
-    """Compute the distance of every state to the goal states along given edges (Dijkstra 1959).
-
-    All states of one distance are settled at once.
-
-    Parameters
-    ----------
-    targets, sources, costs : int arrays, shape (m,)
-        Edges from `sources` to `targets`; costs of 0 or more.
-    goal : bool array, shape (n,)
-    check : callable, optional
-        Called with n before each distance; it may raise `LimitError`.
-
-    Returns
-    -------
-    int64 array, shape (n,)
-        `UNREACHED` where there is no way.
-    """
-    by_target = np.argsort(targets, kind="stable")
-    into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
-    sources, costs = sources[by_target], costs[by_target]
-
-    distance = np.full(len(goal), UNREACHED)
-    distance[goal] = 0
-    waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
-    while waiting:
-        check(len(goal))
-        d = min(waiting)
-        frontier = np.unique(np.concatenate(waiting.pop(d)))
-        frontier = frontier[distance[frontier] == d]  # the others are nearer, and have been settled
-        counts = into[frontier + 1] - into[frontier]
-        starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
-        rows = np.repeat(starts, counts) + np.arange(counts.sum())
-        reached, through = sources[rows], d + costs[rows]
-        better = through < distance[reached]
-        reached, through = reached[better], through[better]
-        np.minimum.at(distance, reached, through)
-        for value in np.unique(through):
-            waiting.setdefault(int(value), []).append(reached[through == value])
-    return distance

@@ -19,8 +19,8 @@ from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import pddl_fact
+from ..states.packing import Ints, Packing, Words
 from ..states.state_space import state_numbers
-from ..states.successors import Ints, Packing, Words
 from ..system.arrays import outline
 from ..system.errors import DamagedFileError
 from ..system.files import atomic

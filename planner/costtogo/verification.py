@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..grounding import semantics
-from ..grounding.fast_downward import NO_LIMITS, LimitError, Limits
 from ..grounding.task import Task
 from ..system.errors import MismatchError
+from ..system.limits import NO_LIMITS, LimitError, Limits
 from .astar import astar
 from .table import Table
 

@@ -18,16 +18,15 @@ import resource
 import signal
 import subprocess
 import tempfile
-import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.source import Source
+from ..system.limits import NO_LIMITS, LimitError, Limits, MemoryLimitError, _limit, limit_memory
 from ..system.processes import guarded_group, python
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
@@ -47,47 +46,11 @@ class FastDownwardError(RuntimeError):
     """Fast Downward ended in a way that says nothing about the task."""
 
 
-class LimitError(RuntimeError):
-    """A limit of time, memory or states was reached before the answer was known."""
-
-
-class CostLimitError(LimitError):
-    """Costs are so large that Fast Downward's sums, of 32 bits, may overflow."""
-
-
-class MemoryLimitError(LimitError):
-    """More memory would be needed than is allowed."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """What one call may use; `None` for no limit.
-
-    Attributes
-    ----------
-    seconds : float or None
-        Of wall-clock time.
-    memory_mb : float or None
-        Megabytes.
-    stop : threading.Event or None
-        It ends as well once this is set.
-    first : float or None
-        Seconds after which it lets all other work on the machine go first.
-    """
-
-    seconds: float | None = None
-    memory_mb: float | None = None
-    stop: threading.Event | None = None
-    first: float | None = None
-
-
 LAST = 19
 """The lowest priority."""
 
 LONGEST_WAIT = 2_000_000.0
 """Seconds that one call of the system can wait, about: it counts milliseconds in 32 bits."""
-
-NO_LIMITS = Limits()
 
 
 def version() -> str:
@@ -276,20 +239,6 @@ def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
     unloaded = code == EXIT_NOT_LOADED and any(word in output for word in NO_ROOM_TO_LOAD)
     if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded)):
         raise MemoryLimitError(f"{what} ran out of memory")
-
-
-def limit_memory(pid: int, limits: Limits) -> None:
-    """Limit the memory of a process that has just been started."""
-    if hasattr(resource, "prlimit") and limits.memory_mb is not None:
-        _limit(pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
-
-
-def _limit(pid: int, what: int, value: int) -> None:
-    try:
-        _, hard = resource.prlimit(pid, what)
-        resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
-    except ProcessLookupError:
-        pass  # it has ended already
 
 
 def _last_line(output: str) -> str:

@@ -41,7 +41,7 @@ class Shipped:
 
 def folder() -> Path:
     """Give the folder of domains: within the package, or beside it in a checkout."""
-    package = Path(__file__).parent
+    package = Path(__file__).parents[1]
     return package / "domains" if (package / "domains").is_dir() else package.parent / "domains"
 
 

@@ -21,7 +21,7 @@ from dataclasses import asdict
 from functools import lru_cache
 from typing import IO, Any
 
-from ..grounding.fast_downward import NO_LIMITS, Limits, limit_memory
+from ..system.limits import NO_LIMITS, Limits, limit_memory
 from ..system.processes import guarded_group, python
 from .source import Source
 from .validation import InvalidPlanError, Refusal, RefusedError, parsed, validate

@@ -18,17 +18,19 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..costtogo.table import smallest_type
-from ..grounding.task import Fact
-from ..states.successors import Ints, Words
+from ..grounding.task import Fact, Task
+from ..states.packing import Ints, Words
 from ..system.limits import Budget
 from ..system.progress_reports import Progress
 from ..system.threads import on_threads
 from .checkpoint import Checkpoint
-from .kernels import ranked_states, ranked_successors, relaxation
+from .distances import UNREACHED, compact, smallest_type
+from .forward_search import Listing
+from .kernels import expansion, ranked_states, relaxation, unranking
 from .kernels.ranked_states import States
 from .kernels.ranked_successors import Tests
 from .ranking.state_ranking import Coding
+from .successor_generator import STATES_AT_A_TIME
 
 RANKS_AT_A_TIME = 1 << 16
 """Indices in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
@@ -102,7 +104,7 @@ class Searches:
                     ranked_states.set_bits(bits, block)
                 keys = nothing
             if len(bits):
-                push = partial(ranked_successors.spread, self.forward, self.coding.decoder, bits)
+                push = partial(expansion.spread, self.forward, self.coding.decoder, bits)
                 frontier, count = self._layer(push, frontier, bits.nbytes, found)
             else:
                 frontier, count, keys = self._hashed_layer(frontier, keys, found)
@@ -248,7 +250,7 @@ class Searches:
                     self.budget.check_time(found + own)
                     self.budget.check_memory(keys.nbytes + 8 * size * (len(waiting) + len(pushed) + self.threads))
                     out = np.empty(min(size, room - own), dtype=np.int64)
-                    stop, filled, count = ranked_successors.spread_hashed(
+                    stop, filled, count = expansion.spread_hashed(
                         self.forward, self.coding.decoder, block, 0, keys, room - own, out, 0
                     )
                     if stop < len(block):
@@ -291,7 +293,7 @@ class Searches:
         for block in blocks:
             self.budget.check_time(total)
             marks = np.empty(len(block), dtype=bool)
-            ranked_successors.mark(self.coding.decoder, block, *self.coding.packing.condition(facts), marks)
+            unranking.mark(self.coding.decoder, block, *self.coding.packing.condition(facts), marks)
             if marks.any():
                 yield block[marks]
 
@@ -334,7 +336,7 @@ class Searches:
             if len(closed):
                 push = partial(self._label_and_spread, states, closed, distance, d - cost)
             else:
-                push = partial(ranked_successors.spread_back, self.backward, self.coding.decoder, states, distance, d)
+                push = partial(expansion.spread_back, self.backward, self.coding.decoder, states, distance, d)
             frontier, _ = self._layer(push, frontier, in_use, total)
             done += sum(map(len, frontier))
             self.progress("cost-to-go", done, total)
@@ -358,7 +360,7 @@ class Searches:
         """
         if start == 0:
             ranked_states.label(states, distance, d, block)
-        return ranked_successors.spread(self.backward, self.coding.decoder, closed, block, start, out, filled)
+        return expansion.spread(self.backward, self.coding.decoder, closed, block, start, out, filled)
 
     def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
         """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
@@ -431,3 +433,45 @@ class Searches:
         result = np.full(total, np.iinfo(dtype).max, dtype=dtype)
         result[found] = distance[found]
         return result
+
+
+def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:
+    """Find the distance of all states from the goal, in the order of the distances (Dial 1969).
+
+    The type's largest value marks dead ends.
+    """
+    states = len(listing.counts)
+    progress("cost-to-go", 0, None)
+    into = np.zeros(states + 2, dtype=np.int64)
+    sources, kinds = np.empty_like(listing.targets), np.empty_like(listing.kinds)
+    relaxation.turn_round(listing.counts, listing.targets, listing.kinds, into, sources, kinds)
+    costs = np.unique(task.costs).astype(np.int64) if task.costs else np.zeros(1, dtype=np.int64)
+    distance = np.full(states, UNREACHED, dtype=np.int64)
+    goal = np.flatnonzero(listing.found.where(task.goal))
+    distance[goal] = 0
+    room = max(16 * STATES_AT_A_TIME, int(np.diff(into[:-1]).max(initial=1)))
+    waiting = {0: [goal]}
+    order = [0]
+    while order:
+        d = order[0]
+        if d not in waiting:
+            heapq.heappop(order)
+            continue
+        for block in waiting.pop(d):
+            stop = 0
+            while stop < len(block):
+                budget.check_time(states)
+                out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+                stop, filled = relaxation.relax_stored(
+                    into, sources, kinds, costs, distance, block, stop, d, out, through
+                )
+                begin, ordered = np.zeros(len(costs) + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
+                relaxation.by_kind(out[:filled], through[:filled], begin, ordered)
+                for kind in np.flatnonzero(np.diff(begin[:-1])).tolist():
+                    value = d + int(costs[kind])
+                    if value not in waiting:
+                        waiting[value] = []
+                        if value != d:
+                            heapq.heappush(order, value)
+                    waiting[value].append(ordered[begin[kind] : begin[kind + 1]])
+    return compact(distance)

@@ -6,16 +6,19 @@ many values of one variable are tested, a *switch* goes to those of the value at
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..grounding.task import Fact
-from ..states.successors import Ints, Packing, Words
-from .candidates import NO_CANDIDATES, candidates
-from .kernels.packed_successors import Trie
-from .kernels.ranked_successors import Tests
+from ..grounding.task import Effect, Fact, Task
+from ..states.packing import Ints, Packing, Words, can_hold
+from ..states.successors import Successors
+from .kernels import packed_successors
+from .kernels.packed_successors import Rulebook, Rules, Trie
+from .kernels.ranked_successors import Candidates, Tests
 from .ranking.state_ranking import Coding
 from .ranking.transition_normal_form import Move
 
@@ -195,3 +198,184 @@ def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> t
         number += len(conditions)
     trie.first.append(len(trie.order))
     return Trie(*trie.arrays(), np.array(trie.order, np.int64), max(1, most)), np.array(begin, np.int64)
+
+
+STATES_AT_A_TIME = 1 << 12
+"""States that are expanded at a time."""
+
+
+Masks = tuple[Words, Words, Words, Words]
+"""Mask and bits of what a rule needs, then the bits that it clears and those that it sets."""
+
+
+Rule = tuple[Sequence[Fact], Masks]
+"""Facts that it needs, and the masks."""
+
+
+Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
+"""How many actions each of some states has, which, and what they lead to."""
+
+
+def rulebook(task: Task, packing: Packing) -> Rulebook:
+    """Lay out a task's transition function."""
+    successors = Successors(task, packing)
+    possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
+    order = sorted(possible, key=lambda number: (task.operators[number].action, number))
+    conditions = [frozenset(task.operators[number].preconditions) for number in order]
+    stages = list(_axioms(task, packing, successors))
+    return Rulebook(
+        trie_of(conditions, packing),
+        np.array([task.operators[number].action for number in order], dtype=np.int64),
+        _rules([_grouped(task.operators[number].effects, successors.effects[number]) for number in order], packing),
+        _rules([rules for rules, _ in stages], packing),
+        np.array([again for _, again in stages], dtype=bool),
+    )
+
+
+def _grouped(effects: Sequence[Effect], masks: Sequence[Masks]) -> list[Rule]:
+    """Give the conditions of effects beside the masks that `Successors` has of them."""
+    conditions = dict.fromkeys(effect.conditions for effect in effects if can_hold(effect.conditions))
+    return list(zip(conditions, masks, strict=True))
+
+
+def _axioms(task: Task, packing: Packing, successors: Successors) -> Iterator[tuple[list[Rule], bool]]:
+    """List the stages of a task's axioms: what derived variables are by default, then layer by layer."""
+    if successors.layers:
+        nothing = np.zeros(packing.words, dtype=np.uint64)
+        yield [((), (nothing, nothing, *successors.defaults))], False
+    layers = sorted({variable.axiom_layer for variable in task.variables} - {-1})
+    for layer, masks in zip(layers, successors.layers, strict=True):
+        own = [axiom for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
+        yield from _stages(_grouped(own, masks))
+
+
+def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
+    """Order a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
+    left = list(layer)
+    while left:
+        open_ = np.bitwise_or.reduce([cleared for _, (_, _, cleared, _) in left])
+        later = [bool((masks[0] & open_).any()) for _, masks in left]
+        if all(later):
+            yield left, True
+            return
+        yield [rule for rule, waits in zip(left, later, strict=True) if not waits], False
+        left = [rule for rule, waits in zip(left, later, strict=True) if waits]
+
+
+def _rules(groups: Sequence[Sequence[Rule]], packing: Packing) -> Rules:
+    """Lay out rules, group by group."""
+    writes = [0]
+    written: list[tuple[int, int, int]] = []
+    for group in groups:
+        for _, (_, _, cleared, assigned) in group:
+            written += [(int(w), int(~cleared[w]), int(assigned[w])) for w in np.flatnonzero(cleared)]
+            writes.append(len(written))
+    trie, begin = tries_of([[frozenset(facts) for facts, _ in group] for group in groups], packing)
+    return Rules(trie, begin, np.array(writes), *_columns(written))
+
+
+def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
+    """Give the columns of rows of a word's number and two words."""
+    number, first, second = zip(*rows, strict=True) if rows else ((), (), ())
+    return np.array(number, np.int64), np.array(first, np.uint64), np.array(second, np.uint64)
+
+
+def expanded(book: Rulebook, states: Words) -> Iterator[Expanded]:
+    """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
+    stop = 0
+    room = 8 * STATES_AT_A_TIME + book.trie.most
+    while stop < len(states):
+        counts = np.empty(len(states) - stop, dtype=np.int32)
+        actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
+        start = stop
+        stop, filled = packed_successors.expand(book, states, start, counts, actions, after)
+        yield counts[: stop - start], actions[:filled], after[:filled]
+
+
+LARGEST = 1 << 21
+"""Bytes that the sets of moves may take."""
+
+
+NO_CANDIDATES = Candidates(
+    np.empty((0, 0), np.uint64),
+    np.zeros(1, np.int64),
+    np.empty(0, np.int64),
+    np.empty(0, np.uint64),
+    np.empty(0, np.uint64),
+)
+
+
+def candidates(moves: Sequence[Move], coding: Coding) -> Candidates | None:
+    """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they are too large."""
+    if not moves:
+        return NO_CANDIDATES
+    decoder, words = coding.decoder, -(-len(moves) // 64)
+    if 8 * words * len(decoder.rows) > LARGEST:
+        return None
+    allowed, untold = _allowed(moves, coding)
+    tables = []
+    for family in _families(coding):
+        table = np.ones((1, len(moves)), dtype=bool)
+        for number in family:  # the first digit runs fastest, as in the decoder's rows
+            cluster = coding.clusters[number]
+            own = np.ones((len(cluster), len(moves)), dtype=bool)
+            for v, values in zip(cluster.variables, cluster.values.T, strict=True):
+                own &= allowed[v][values]
+            table = (own[:, None] & table[None]).reshape(-1, len(moves))
+        tables.append(table)
+    sets = np.concatenate(tables)
+    assert len(sets) == len(decoder.rows)
+    packed = np.packbits(np.pad(sets, ((0, 0), (0, 64 * words - len(moves)))), axis=1, bitorder="little")
+    tests: list[tuple[int, int, int]] = []
+    begin = [0]
+    for facts in untold:
+        masks, values = coding.packing.condition(facts)
+        tests += [(int(word), int(masks[word]), int(values[word])) for word in np.flatnonzero(masks)]
+        begin.append(len(tests))
+    word, mask, value = zip(*tests, strict=True) if tests else ((), (), ())
+    return Candidates(
+        packed.view("<u8").astype(np.uint64),
+        np.array(begin, np.int64),
+        np.array(word, np.int64),
+        np.array(mask, np.uint64),
+        np.array(value, np.uint64),
+    )
+
+
+def _families(coding: Coding) -> list[list[int]]:
+    """Name the clusters that each of the decoder's tables stands for: of chunks of digits, then of steps."""
+    digits = iter(sorted(np.flatnonzero(coding.stride).tolist(), key=lambda number: int(coding.stride[number])))
+    families = []
+    for radix in coding.decoder.radix.tolist():
+        family: list[int] = []
+        while math.prod(len(coding.clusters[number]) for number in family) < radix:
+            family.append(next(digits))
+        families.append(family)
+    steps = len(coding.decoder.steps)
+    return [*families, *([number] for number in range(len(coding.clusters) - steps, len(coding.clusters)))]
+
+
+def _allowed(moves: Sequence[Move], coding: Coding) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
+    """Tell which values of each variable, shape (n, moves), moves allow, and which facts of each are told by none."""
+    digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
+    needed: list[tuple[int, int, int]] = []  # variable, value, move
+    excluded: list[tuple[int, int, int]] = []
+    untold: list[list[Fact]] = []
+    for number, move in enumerate(moves):
+        untold.append([])
+        for fact in move.facts.items():
+            constant, terms = coding.implied.get(fact, (0, {fact: 1}))
+            if fact[0] in digits or (constant == 0 and list(terms.values()) == [1]):
+                needed.extend((v, value, number) for v, value in terms)
+            elif constant == 1 and all(times == -1 for times in terms.values()):
+                excluded.extend((v, value, number) for v, value in terms)
+            else:
+                untold[-1].append(fact)
+    allowed = [np.ones((size, len(moves)), dtype=bool) for size in coding.sizes.tolist()]
+    for v, value, number in needed:
+        own = allowed[v][:, number]
+        own[:value] = False
+        own[value + 1 :] = False
+    for v, value, number in excluded:
+        allowed[v][value, number] = False
+    return allowed, untold

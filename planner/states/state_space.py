@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Fact, Task
 from ..system.arrays import outline
-from .successors import Ints, Packing, Successors, Transitions
+from .packing import Ints, Packing
+from .successors import Successors, Transitions
 
 BLOCK = 1 << 13
 """States whose values are looked at together: those of more would not stay in the processor's cache."""

@@ -10,17 +10,14 @@ Derived variables are part of a packed state: they follow from the others by the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..grounding.task import Effect, Fact, Task
 from ..system.arrays import outline
-
-Ints = NDArray[np.int64]
-Words = NDArray[np.uint64]
+from .packing import Ints, Packing, Words, can_hold, holds
 
 
 class Transitions(NamedTuple):
@@ -42,87 +39,6 @@ class Transitions(NamedTuple):
 
     def __repr__(self) -> str:
         return outline(self)
-
-
-@dataclass(frozen=True)
-class Packing:
-    """Where the value of each variable stands in the words of a packed state.
-
-    Attributes
-    ----------
-    word, shift, bits : int64 arrays, shape (variables,)
-        Value `v` of a variable is stored as `v << shift` in `word`; no variable crosses a word's end.
-    words : int
-        64-bit words per state.
-    """
-
-    word: NDArray[np.int64]
-    shift: NDArray[np.int64]
-    bits: NDArray[np.int64]
-    words: int
-
-    __repr__ = outline
-
-    @classmethod
-    def of(cls, task: Task) -> Packing:
-        """Lay out the variables of a task, one after the other."""
-        return cls.of_sizes([len(variable.facts) for variable in task.variables])
-
-    @classmethod
-    def of_sizes(cls, sizes: Sequence[int]) -> Packing:
-        """Lay out variables of so many values each, one after the other."""
-        bits = np.array([max(1, (size - 1).bit_length()) for size in sizes], dtype=np.int64)
-        word, shift = np.zeros_like(bits), np.zeros_like(bits)
-        at, used = 0, 0
-        for variable, width in enumerate(bits):
-            if used + width > 64:
-                at, used = at + 1, 0
-            word[variable], shift[variable] = at, used
-            used += int(width)
-        return cls(word, shift, bits, at + 1)
-
-    def pack(self, values: ArrayLike) -> Words:
-        """Pack states given as values, shape (..., variables), into words, shape (..., words)."""
-        array = np.asarray(values).astype(np.uint64)
-        packed = np.zeros((*array.shape[:-1], self.words), dtype=np.uint64)
-        for variable, (word, shift) in enumerate(zip(self.word, self.shift, strict=True)):
-            packed[..., word] |= array[..., variable] << np.uint64(shift)
-        return packed
-
-    def unpack(self, states: Words) -> NDArray[np.int64]:
-        """Give the values, shape (..., variables), of packed states, shape (..., words)."""
-        values = states.take(self.word, axis=-1)
-        values >>= self.shift.astype(np.uint64)  # in place: of millions of states a copy takes longer than all else
-        values &= (np.uint64(1) << self.bits.astype(np.uint64)) - np.uint64(1)
-        return values.view(np.int64)
-
-    def condition(self, facts: Sequence[Fact]) -> tuple[Words, Words]:
-        """Give mask and bits, each of shape (words,): the facts hold in `s` where `s & mask == bits`."""
-        mask, value = np.zeros(self.words, dtype=np.uint64), np.zeros(self.words, dtype=np.uint64)
-        for variable, wanted in facts:
-            word, shift = self.word[variable], np.uint64(self.shift[variable])
-            mask[word] |= ((np.uint64(1) << np.uint64(self.bits[variable])) - np.uint64(1)) << shift
-            value[word] |= np.uint64(wanted) << shift
-        return mask, value
-
-    def keys(self, states: Words) -> NDArray[np.generic]:
-        """Give packed states, shape (n, words), as one sortable key each, shape (n,)."""
-        if self.words == 1:
-            return states[:, 0]
-        return np.ascontiguousarray(states.astype(">u8")).view(f"S{8 * self.words}")[:, 0]
-
-
-def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
-    """Tell for each packed state, shape (n, words), whether a condition holds."""
-    result = np.ones(len(states), dtype=bool)
-    for word in np.flatnonzero(mask):
-        result &= (states[:, word] & mask[word]) == value[word]
-    return result
-
-
-def can_hold(facts: Sequence[Fact]) -> bool:
-    """Tell whether facts do not contradict each other."""
-    return len(dict(facts)) == len(set(facts))
 
 
 class Successors:

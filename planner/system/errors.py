@@ -38,7 +38,7 @@ class MissingExtraError(ImportError):
     """
 
     def __init__(self, what: str, package: str, extra: str) -> None:
-        checkout = Path(__file__).parent.parent
+        checkout = Path(__file__).parents[2]
         if (checkout / "pyproject.toml").is_file():
             source = f"-c '{checkout / 'constraints.txt'}' -e '{checkout}[{extra}]'"
         else:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import resource
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from ..grounding.fast_downward import LimitError
-from ..grounding.fast_downward import MemoryLimitError as MemoryLimitError
 from .machine import available_memory
 
 MAX_STATES = 50_000_000
@@ -83,3 +82,54 @@ class Budget:
 
 def _counted(states: int) -> str:
     return f"{states} state{'' if states == 1 else 's'}"
+
+
+class LimitError(RuntimeError):
+    """A limit of time, memory or states was reached before the answer was known."""
+
+
+class CostLimitError(LimitError):
+    """Costs are so large that Fast Downward's sums, of 32 bits, may overflow."""
+
+
+class MemoryLimitError(LimitError):
+    """More memory would be needed than is allowed."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one call may use; `None` for no limit.
+
+    Attributes
+    ----------
+    seconds : float or None
+        Of wall-clock time.
+    memory_mb : float or None
+        Megabytes.
+    stop : threading.Event or None
+        It ends as well once this is set.
+    first : float or None
+        Seconds after which it lets all other work on the machine go first.
+    """
+
+    seconds: float | None = None
+    memory_mb: float | None = None
+    stop: threading.Event | None = None
+    first: float | None = None
+
+
+NO_LIMITS = Limits()
+
+
+def limit_memory(pid: int, limits: Limits) -> None:
+    """Limit the memory of a process that has just been started."""
+    if hasattr(resource, "prlimit") and limits.memory_mb is not None:
+        _limit(pid, resource.RLIMIT_AS, int(limits.memory_mb * 1e6))
+
+
+def _limit(pid: int, what: int, value: int) -> None:
+    try:
+        _, hard = resource.prlimit(pid, what)
+        resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
+    except ProcessLookupError:
+        pass  # it has ended already

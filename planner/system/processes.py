@@ -62,7 +62,7 @@ def python(module: str, *arguments: str) -> list[str]:
     Files and folders of the working directory do not stand in for modules of the same names, and settings in the
     environment (`PYTHONPATH`, `PYTHONWARNINGS`, ...) have no effect of their own.
     """
-    path, own = [entry for entry in sys.path if entry], str(Path(__file__).parent.parent)
+    path, own = [entry for entry in sys.path if entry], str(Path(__file__).parents[2])
     if own not in path:
         path.insert(0, own)
     if "" in sys.path:  # of an interactive session; last, so that it adds modules and replaces none

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...states.successors import Ints, Words
+from ...states.packing import Ints, Words
 from ...system.jit import njit
 from .atomics import fetch_or, prefetch
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from ...system.jit import njit
 from .atomics import fetch_min, prefetch
+from .expansion import PENDING
 from .ranked_states import ask_for, close_one, is_closed, number_of
-from .ranked_successors import PENDING, after, applicable, start_cursor
+from .ranked_successors import after, applicable, start_cursor
 
 
 @njit(nogil=True, error_model="numpy")
@@ -81,3 +82,50 @@ def by_kind(out, through, begin, ordered):
     for i in range(len(out)):
         ordered[begin[through[i] + 1]] = out[i]
         begin[through[i] + 1] += 1
+
+
+@njit(nogil=True, error_model="numpy")
+def turn_round(counts, targets, kinds, into, sources, source_kinds):
+    """Sort transitions by what they lead to: those that lead to `s` are `into[s]:into[s + 1]`; `into` is zeros before.
+
+    `into` has two entries more than there are states.
+    """
+    for row in range(len(targets)):
+        into[targets[row] + 2] += 1
+    for state in range(2, len(into)):
+        into[state] += into[state - 1]
+    row = 0
+    for state in range(len(counts)):
+        for _ in range(counts[state]):
+            place = into[targets[row] + 1]
+            into[targets[row] + 1] += 1
+            sources[place] = state
+            if len(kinds):
+                source_kinds[place] = kinds[row]
+            row += 1
+
+
+@njit(nogil=True, error_model="numpy")
+def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
+    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
+
+    Returns
+    -------
+    stop : int
+        `block[start:stop]` is done.
+    filled : int
+    """
+    i, filled = start, 0
+    while i < len(block) and filled + into[block[i] + 1] - into[block[i]] <= len(out):
+        state = block[i]
+        i += 1
+        if distance[state] != d:
+            continue  # it has been reached on a cheaper way since it was pushed
+        for row in range(into[state], into[state + 1]):
+            kind = np.int64(kinds[row]) if len(kinds) else 0
+            value = d + costs[kind]
+            if value < distance[sources[row]]:
+                distance[sources[row]] = value
+                out[filled], through[filled] = sources[row], kind
+                filled += 1
+    return i, filled

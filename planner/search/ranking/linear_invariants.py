@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grounding.task import Task
-from ...states.successors import Ints
+from ...states.packing import Ints
 from ...system.jit import njit
-from ..kernels.ranked_successors import PRIME
+from ..kernels.unranking import PRIME
 from .transition_normal_form import Move
 
 MOST_WORK = 1 << 32

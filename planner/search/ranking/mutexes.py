@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...grounding.task import Task
-from ...states.successors import Ints
+from ...states.packing import Ints
 from ...system.jit import njit
 from .transition_normal_form import Move
 

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...grounding.task import Fact, Task
-from ...states.successors import Ints, Packing, Words
-from ..kernels.ranked_successors import CLUSTER, NOWHERE, PRIME, Decoder, decode_all
+from ...states.packing import Ints, Packing, Words
+from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, Decoder, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
 from .transition_normal_form import Move, exactly_one

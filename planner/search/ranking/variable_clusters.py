@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...states.successors import Ints
+from ...states.packing import Ints
 from ...system.jit import njit
 from ..kernels.ranked_states import find_slot
 from .mutexes import Mutexes

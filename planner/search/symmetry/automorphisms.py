@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...grounding.task import Fact, Task
-from ...states.successors import Ints
+from ...states.packing import Ints
 
 WORK = 200_000_000
 """So many edges are looked at, each once in every round of refinement, before the search for symmetries is given up."""

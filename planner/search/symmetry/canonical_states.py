@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...states.successors import Ints, Packing, Words
+from ...states.packing import Ints, Packing, Words
 from ...system.jit import njit
 from .automorphisms import Symmetries
 

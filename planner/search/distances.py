@@ -1,0 +1,76 @@
+"""Small arrays of distances, and the distances from a goal over stored transitions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..states.packing import Ints
+
+UNREACHED = np.iinfo(np.int64).max
+
+
+def smallest_type(largest: int) -> type[np.unsignedinteger]:
+    """Choose the type for distances; its own largest value is kept for dead ends."""
+    types: tuple[type[np.unsignedinteger], ...] = (np.uint8, np.uint16, np.uint32, np.uint64)
+    return next(t for t in types if largest < np.iinfo(t).max)
+
+
+def compact(distance: Ints) -> NDArray[np.unsignedinteger]:
+    """Give distances in the smallest type that holds them, its largest value for `UNREACHED`."""
+    finite = distance != UNREACHED
+    dtype = smallest_type(int(distance[finite].max(initial=0)))
+    result = np.full(len(distance), np.iinfo(dtype).max, dtype=dtype)
+    result[finite] = distance[finite]
+    return result
+
+
+def backward(
+    targets: NDArray[np.signedinteger],
+    sources: Ints,
+    costs: Ints,
+    goal: NDArray[np.bool_],
+    *,
+    check: Callable[[int], None] = lambda _states: None,
+) -> Ints:
+    """Compute the distance of every state to the goal states along given edges (Dijkstra 1959).
+
+    All states of one distance are settled at once.
+
+    Parameters
+    ----------
+    targets, sources, costs : int arrays, shape (m,)
+        Edges from `sources` to `targets`; costs of 0 or more.
+    goal : bool array, shape (n,)
+    check : callable, optional
+        Called with n before each distance; it may raise `LimitError`.
+
+    Returns
+    -------
+    int64 array, shape (n,)
+        `UNREACHED` where there is no way.
+    """
+    by_target = np.argsort(targets, kind="stable")
+    into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
+    sources, costs = sources[by_target], costs[by_target]
+
+    distance = np.full(len(goal), UNREACHED)
+    distance[goal] = 0
+    waiting = {0: [np.flatnonzero(goal)]}  # states by tentative distance
+    while waiting:
+        check(len(goal))
+        d = min(waiting)
+        frontier = np.unique(np.concatenate(waiting.pop(d)))
+        frontier = frontier[distance[frontier] == d]  # the others are nearer, and have been settled
+        counts = into[frontier + 1] - into[frontier]
+        starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
+        rows = np.repeat(starts, counts) + np.arange(counts.sum())
+        reached, through = sources[rows], d + costs[rows]
+        better = through < distance[reached]
+        reached, through = reached[better], through[better]
+        np.minimum.at(distance, reached, through)
+        for value in np.unique(through):
+            waiting.setdefault(int(value), []).append(reached[through == value])
+    return distance
