@@ -185,8 +185,8 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
 
     module = importlib.import_module("planner.costtogo.sweep")
     if sparse:
-        searches = importlib.import_module("planner.search.bucket_dijkstra")
-        searches.SMALL_BITMAP = searches.SPARSE = 0  # type: ignore[attr-defined]
+        forward_search = importlib.import_module("planner.search.forward_search")
+        forward_search.SMALL_BITMAP = forward_search.SPARSE = 0  # type: ignore[attr-defined]
     for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())
@@ -195,7 +195,7 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
     before, start, cpu = used_mb() or 0.0, time.monotonic(), time.process_time()
     table = module.sweep(task, max_states=100_000_000)
     row = {"states": len(table), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
-    coding = getattr(getattr(table.space.numbering, "searches", None), "coding", None)
+    coding = getattr(table.space.numbering, "coding", None)
     return {
         **row,
         "transitions": table.space.transition_count,

@@ -13,7 +13,7 @@ from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain import explore
-from test_sweep import check, module, random_task, searches
+from test_sweep import check, forward_search, module, random_task
 
 from planner import Effect, Operator, Task, Variable, instance, load
 from planner.search.ranking.linear_invariants import PRIME, determined, invariants
@@ -178,11 +178,11 @@ def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool, few: b
             patch.setattr(module, "FEW", -1)
             patch.setattr(module, "HUGE", math.inf)
         if hashed:
-            patch.setattr(searches, "SMALL_BITMAP", 0)
-            patch.setattr(searches, "SPARSE", 0)
+            patch.setattr(forward_search, "SMALL_BITMAP", 0)
+            patch.setattr(forward_search, "SPARSE", 0)
         table = check(composed(seed, costs=costs))
         if not few:
-            assert len(table.space.numbering.searches.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
+            assert len(table.space.numbering.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
         check(random_task(random.Random(seed), costs=costs))
 
 
@@ -193,7 +193,7 @@ def test_a_counted_task_has_a_dense_index() -> None:
         patch.setattr(module, "MANY", 1 << 20)
         table = module.sweep(task)
     assert len(table) == 41_472
-    assert table.space.numbering.searches.coding.size < 64 * len(table)
+    assert table.space.numbering.coding.size < 64 * len(table)
 
 
 def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:

@@ -21,9 +21,16 @@ from planner.system.errors import DamagedFileError
 
 module = importlib.import_module("planner.costtogo.sweep")
 candidates = importlib.import_module("planner.search.successor_generator")
-searches = importlib.import_module("planner.search.bucket_dijkstra")
+bucket_dijkstra = importlib.import_module("planner.search.bucket_dijkstra")
+forward_search = importlib.import_module("planner.search.forward_search")
 moves_module = importlib.import_module("planner.search.ranking.transition_normal_form")
 sweep = module.sweep
+
+
+def with_blocks_of(ranks: int, patch: pytest.MonkeyPatch) -> None:
+    """Let blocks of a frontier have so many ranks."""
+    for name in ("forward_search", "ranked_index", "bucket_dijkstra"):
+        patch.setattr(f"planner.search.{name}.RANKS_AT_A_TIME", ranks)
 
 
 def check(task: Task) -> Table:
@@ -134,10 +141,10 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
 @pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))])
 def test_random_tasks(seed, costs, hashed, monkeypatch):
-    monkeypatch.setattr(searches, "RANKS_AT_A_TIME", 64)  # what is less is left to one thread
+    with_blocks_of(64, monkeypatch)  # what is less is left to one thread
     if hashed:
-        monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
-        monkeypatch.setattr(searches, "SPARSE", 0)
+        monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
+        monkeypatch.setattr(forward_search, "SPARSE", 0)
     rng = random.Random(f"{seed} {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -153,7 +160,7 @@ def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatc
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_where_memory_is_short(costs, monkeypatch):
-    monkeypatch.setattr(searches, "CLOSED", 0)
+    monkeypatch.setattr(bucket_dijkstra, "CLOSED", 0)
     rng = random.Random(f"short {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -214,8 +221,8 @@ def test_a_list_of_states_grows():
 
 
 def test_random_tasks_turn_from_hash_table_to_bitmap(monkeypatch):
-    monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
-    monkeypatch.setattr(searches, "SPARSE", 40)
+    monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
+    monkeypatch.setattr(forward_search, "SPARSE", 40)
     rng = random.Random(1)
     for _ in range(100):
         check(random_task(rng, costs=range(1, 3)))
@@ -255,14 +262,14 @@ def test_the_number_of_threads_does_not_matter(kitting):
 
 
 def test_a_task_of_many_blocks(smaller, monkeypatch):
-    monkeypatch.setattr(searches, "RANKS_AT_A_TIME", 256)
+    with_blocks_of(256, monkeypatch)
     check(smaller)
 
 
 def test_kitting_hashed(kitting, monkeypatch):
-    monkeypatch.setattr(searches, "SMALL_BITMAP", 0)
+    monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
     expected = sweep(kitting)
-    monkeypatch.setattr(searches, "SPARSE", 0)
+    monkeypatch.setattr(forward_search, "SPARSE", 0)
     table = sweep(kitting)
     assert not len(table.space.numbering.states.bits)
     assert len(expected.space.numbering.states.bits)
@@ -354,8 +361,8 @@ def test_two_words_with_implied_variables():
     )  # fmt: skip
     table = check(task)
     assert len(table) == places
-    assert table.space.numbering.searches.coding.size == places
-    assert table.space.numbering.searches.coding.packing.words == 2
+    assert table.space.numbering.coding.size == places
+    assert table.space.numbering.coding.packing.words == 2
 
 
 def test_a_task_without_operators():

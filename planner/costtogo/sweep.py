@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from ..grounding.task import Task
-from ..search.bucket_dijkstra import Searches, settled
+from ..search.bucket_dijkstra import BucketDijkstra, settled
 from ..search.checkpoint import Checkpoint
-from ..search.forward_search import Listing, enumerated
-from ..search.ranked_index import Indexed
+from ..search.forward_search import ForwardSearch, Listing, enumerated
 from ..search.ranking.state_ranking import MANY, denser, plain
 from ..search.ranking.transition_normal_form import split_operators
 from ..search.successor_generator import build_tests
@@ -110,20 +109,13 @@ def sweep(
     if coding.size > HUGE:
         with suppress(MemoryLimitError, MemoryError):
             return _listed(task, budget, threads, None, progress)
-    searches = Searches(
-        coding,
-        build_tests(moves, coding, task.costs),
-        build_tests([move.inverse() for move in moves], coding, task.costs),
-        budget,
-        threads,
-        progress,
-        None if checkpoint is None else Checkpoint(Path(checkpoint), task, coding.decoder),
-    )
-    states, transitions, distance = searches.solve(int(coding.encode(task.initial)[0]), task.goal)
-    numbering = Indexed(searches, states)
-    initial = int(numbering.numbers(np.array([task.initial]))[0])
-    note = None if searches.checkpoint is None else searches.checkpoint.fault
-    return Table(StateSpace(task, len(distance), initial, transitions, numbering), distance, note)
+    kept = None if checkpoint is None else Checkpoint(Path(checkpoint), task, coding.decoder)
+    forward = ForwardSearch(coding, build_tests(moves, coding, task.costs), budget, threads, progress, kept)
+    backward = BucketDijkstra(forward, build_tests([move.inverse() for move in moves], coding, task.costs))
+    index, transitions, distance = backward.solve(int(coding.encode(task.initial)[0]), task.goal)
+    initial = int(index.numbers(np.array([task.initial]))[0])
+    note = None if kept is None else kept.fault
+    return Table(StateSpace(task, len(distance), initial, transitions, index), distance, note)
 
 
 def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:

@@ -1,19 +1,17 @@
-"""The forward and the backward search of a task's states, on indices.
+"""The distance of all reachable states from the goal: searches back from it, in the order of the distances.
 
-Forward from the initial state and backward from the goal, both work on a sorted block of indices at a time, on several
-threads. The set of states is a bitmap over all indices where that is small or well filled, a hash table of indices
-where it is not. The backward search applies the inverse moves, so that no transition is stored.
+`BucketDijkstra` is for ranked states. It applies the inverse moves, so that no transition is stored, to a sorted block
+of ranks at a time, on several threads. `settled` is for states in a registry, whose transitions are stored.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import zip_longest
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,278 +20,81 @@ from ..grounding.task import Fact, Task
 from ..states.packing import Ints, Words
 from ..system.limits import Budget
 from ..system.progress_reports import Progress
-from ..system.threads import on_threads
-from .checkpoint import Checkpoint
 from .distances import UNREACHED, compact, smallest_type
-from .forward_search import Listing
+from .forward_search import RANKS_AT_A_TIME, ForwardSearch, Listing, Push
 from .kernels import expansion, ranked_states, relaxation, unranking
 from .kernels.ranked_states import States
 from .kernels.ranked_successors import Tests
-from .ranking.state_ranking import Coding
+from .ranked_index import Indexed
 from .successor_generator import STATES_AT_A_TIME
-
-RANKS_AT_A_TIME = 1 << 16
-"""Indices in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
 
 MOST_CANDIDATES = 1 << 26
 """Indices that are tried one by one as those of goal states."""
 
-SMALL_BITMAP = 1 << 29
-"""Bits of a bitmap that is not worth avoiding (64 MB)."""
-
-SPARSE = 1 << 10
-"""Indices per state from which on a larger bitmap gives way to a hash table; tasks with more are rare."""
-
 CLOSED = 0.75
 """Share of the memory that may be in use once the backward search has a bitmap of its own."""
 
-T = TypeVar("T")
-
-Push = Callable[[Ints, int, Ints, int], tuple[int, int, int]]
-"""Push the next states from a block: its indices, where to begin, the output and how much of it is in use; given are
-how far it came, how much of the output is in use, and how many transitions there were."""
-
 
 @dataclass(frozen=True)
-class Searches:
-    """The forward and the backward search of one task.
+class BucketDijkstra:
+    """The search back from the goal, on ranks: bucket Dijkstra (Dial 1969), or breadth first where all costs are equal.
 
     Attributes
     ----------
-    coding : Coding
-    forward, backward : Tests
-        The moves and their inverses.
-    budget : Budget
-    threads : int
-    progress : callable
-        Called after each layer with "states" or "cost-to-go", and how many states have been found, or have got theirs.
-    checkpoint : Checkpoint or None
-        Where searches of bitmaps, and breadth-first searches back from the goal, keep what they have found.
+    forward : ForwardSearch
+        It finds the states; its limits, threads and checkpoint are those of this search. Breadth-first searches keep
+        what they have found in the checkpoint.
+    operators : Tests
+        The inverse moves.
     """
 
-    coding: Coding
-    forward: Tests
-    backward: Tests
-    budget: Budget
-    threads: int
-    progress: Progress
-    checkpoint: Checkpoint | None
+    forward: ForwardSearch
+    operators: Tests
 
-    def reach(self, initial: int) -> tuple[States, int]:
-        """Find the states that can be reached from an index, and count their transitions."""
-        nothing = np.empty(0, dtype=np.int64)
-        words = -(-self.coding.size // 512) * 8
-        found, transitions = 1, 0
-        frontier = [np.array([initial])]
-        bits = np.empty(0, dtype=np.uint64)
-        keys = nothing
-        kept = self.checkpoint.load("forward") if self.checkpoint else None
-        if kept is not None:
-            bits, frontier = kept[1]["bits"], [kept[1]["frontier"]]
-            found, transitions = kept[0]["found"], kept[0]["transitions"]
-        elif not self._bitmap_fits(words, found):
-            keys = self._grown(nothing, 0)
-            ranked_states.insert_all(keys, frontier[0])
-        while frontier:
-            if self.checkpoint and self.checkpoint.due and len(bits):
-                counts = {"found": found, "transitions": transitions}
-                self.checkpoint.save("forward", counts, {"bits": bits, "frontier": np.concatenate(frontier)})
-            if not len(bits) and self._bitmap_fits(words, found):
-                bits = np.zeros(words, dtype=np.uint64)
-                for block in frontier if not len(keys) else [keys[keys >= 0]]:
-                    ranked_states.set_bits(bits, block)
-                keys = nothing
-            if len(bits):
-                push = partial(expansion.spread, self.forward, self.coding.decoder, bits)
-                frontier, count = self._layer(push, frontier, bits.nbytes, found)
-            else:
-                frontier, count, keys = self._hashed_layer(frontier, keys, found)
-            transitions += count
-            found += sum(map(len, frontier))
-            self.progress("states", found, None)
-            self.budget.check_states(found)
+    @property
+    def _budget(self) -> Budget:
+        return self.forward.budget
 
-        if len(bits):
-            states = self._ranked(bits)
-        else:
-            self.budget.check_memory(keys.nbytes * 2 + found * 16)
-            members = keys[keys >= 0]
-            members.sort()
-            numbers = np.empty(len(keys), dtype=np.int64)
-            starts = range(0, len(members), RANKS_AT_A_TIME)
-            self._share(
-                lambda at: ranked_states.number_members(keys, members[at : at + RANKS_AT_A_TIME], at, numbers), starts
-            )
-            states = States(bits, nothing, members, keys, numbers)
-        return states, transitions
-
-    def _ranked(self, bits: Words) -> States:
-        """Count the states in a bitmap."""
-        self.budget.check_memory(bits.nbytes * 9 / 8)
-        nothing = np.empty(0, dtype=np.int64)
-        states = States(bits, np.empty(len(bits) // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
-        ranked_states.fill_ranks(states.bits, states.ranks)
-        return states
-
-    def solve(self, initial: int, goal: Sequence[Fact]) -> tuple[States, int, NDArray[np.unsignedinteger]]:
-        """Find the states, count their transitions, and find the distance of all states from the goal.
+    def solve(self, initial: int, goal: Sequence[Fact]) -> tuple[Indexed, int, NDArray[np.unsignedinteger]]:
+        """Return the reachable states, the number of their transitions, and the distance of each from the goal.
 
         The type's largest value marks dead ends.
         """
-        kept = self.checkpoint.load("backward") if self.checkpoint else None
+        checkpoint = self.forward.checkpoint
+        kept = checkpoint.load("backward") if checkpoint else None
         if kept is None:
-            states, transitions = self.reach(initial)
+            states, transitions = self.forward.reach(initial)
         else:
-            states, transitions = self._ranked(kept[1]["bits"]), kept[0]["transitions"]
-        total = int(states.ranks[-1]) if len(states.bits) else len(states.members)
-        costs = np.unique(self.backward.cost)
+            states, transitions = self.forward.ranked(kept[1]["bits"]), kept[0]["transitions"]
+        index = Indexed(self.forward.coding, self.forward.operators, self.forward.budget, states)
+        total = len(index)
+        costs = np.unique(self.operators.cost)
         if len(costs) > 1 or not costs.all():
-            distance = self._any_costs(states, total, list(self._with(states, total, goal)), int(costs.max()))
+            distance = self._any_costs(states, total, list(self._with(index, goal)), int(costs.max()))
         elif kept is None:
-            frontier = list(self._with(states, total, goal))
+            frontier = list(self._with(index, goal))
             distance = self._equal_costs(states, transitions, frontier, int(costs.sum()) or 1)
         else:
             frontier = [kept[1]["frontier"]]
             so_far = kept[1]["distance"], kept[0]["d"]
             distance = self._equal_costs(states, transitions, frontier, int(costs.sum()) or 1, so_far)
-        if self.checkpoint:
-            self.checkpoint.remove()
-        return states, transitions, distance
+        if checkpoint:
+            checkpoint.remove()
+        return index, transitions, distance
 
-    def _bitmap_fits(self, words: int, found: int) -> bool:
-        """Whether the states are many enough for a bitmap, and the memory for one and its ranks."""
-        bits = 64 * words
-        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.room
-
-    def _share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
-        """Do a piece of work for each part, on all threads."""
-        return on_threads(work, parts, self.threads)
-
-    def _ascending(self, frontier: list[Ints], in_use: int) -> deque[Ints]:
-        """Put a layer into blocks of ascending indices; empties the list.
-
-        In ascending order, each move's targets ascend as well: far fewer cache and page misses.
-        """
-        if len(frontier) == 1 and len(frontier[0]) <= RANKS_AT_A_TIME:
-            return deque([frontier.pop()])
-        indices = sum(map(len, frontier))
-        self.budget.check_memory(in_use + 16 * indices)
-        if indices <= RANKS_AT_A_TIME:  # too few to start threads for
-            layer = np.concatenate(frontier)
-            frontier.clear()
-            layer.sort()
-            return deque([layer])
-        runs = [frontier[start :: self.threads] for start in range(min(self.threads, len(frontier)))]
-        frontier.clear()
-
-        def blocks(run: list[Ints]) -> list[Ints]:
-            layer = np.concatenate(run)
-            run.clear()
-            layer.sort()
-            return np.split(layer, range(RANKS_AT_A_TIME, len(layer), RANKS_AT_A_TIME))
-
-        # Threads take blocks of different runs in turn: each run is read in its order.
-        mixed = zip_longest(*self._share(blocks, runs))
-        return deque(block for group in mixed for block in group if block is not None)
-
-    def _layer(self, push: Push, frontier: list[Ints], in_use: int, found: int) -> tuple[list[Ints], int]:
-        """Give the blocks of the next layer, and the transitions to it; empties the list of the present one."""
-        size = max(RANKS_AT_A_TIME, 4 * self.forward.most, 4 * self.backward.most)
-        in_use += 8 * sum(map(len, frontier))
-        waiting = self._ascending(frontier, in_use)
-        pushed: list[Ints] = []
-
-        def work(_: int) -> int:
-            out, filled, transitions = np.empty(size, dtype=np.int64), 0, 0
-            while waiting:
-                try:
-                    block = waiting.popleft()
-                except IndexError:  # another thread took it
-                    break
-                self.budget.check_time(found)
-                stop = 0
-                while True:
-                    stop, filled, count = push(block, stop, out, filled)
-                    transitions += count
-                    if stop == len(block):
-                        break
-                    pushed.append(out[:filled])
-                    self.budget.check_memory(in_use + 8 * size * (len(pushed) + 2 * self.threads))
-                    out, filled = np.empty(size, dtype=np.int64), 0
-            if filled:
-                pushed.append(out[:filled].copy() if filled < size // 2 else out[:filled])
-            return transitions
-
-        transitions = sum(self._share(work, range(min(self.threads, len(waiting)))))
-        return pushed, transitions
-
-    def _hashed_layer(self, frontier: list[Ints], keys: Ints, found: int) -> tuple[list[Ints], int, Ints]:
-        """Do the same with a hash table, and give it too: it is replaced as it fills up."""
-        transitions = new = 0
-        pushed: list[Ints] = []
-        waiting = self._ascending(frontier, keys.nbytes)
-        size = max(RANKS_AT_A_TIME, 4 * self.forward.most)
-        while waiting:
-            self.budget.check_states(found + new)
-            room = (len(keys) // 2 - found - new) // self.threads
-            if room < self.forward.most:
-                keys = self._grown(keys, found + new)
-                continue
-
-            def work(room: int, keys: Ints = keys, found: int = found + new) -> tuple[int, int]:
-                transitions = own = 0
-                while waiting and room - own >= self.forward.most:
-                    try:
-                        block = waiting.popleft()
-                    except IndexError:  # another thread took it
-                        break
-                    self.budget.check_time(found + own)
-                    self.budget.check_memory(keys.nbytes + 8 * size * (len(waiting) + len(pushed) + self.threads))
-                    out = np.empty(min(size, room - own), dtype=np.int64)
-                    stop, filled, count = expansion.spread_hashed(
-                        self.forward, self.coding.decoder, block, 0, keys, room - own, out, 0
-                    )
-                    if stop < len(block):
-                        waiting.appendleft(block[stop:])
-                    if filled:
-                        pushed.append(out[:filled].copy() if filled < len(out) // 2 else out[:filled])
-                    transitions += count
-                    own += filled
-                return transitions, own
-
-            for count, own in self._share(work, [room] * min(self.threads, len(waiting))):
-                transitions += count
-                new += own
-        return pushed, transitions, keys
-
-    def _grown(self, keys: Ints, held: int) -> Ints:
-        """Make a hash table at least twice as large, and large enough for one more state's successors."""
-        size = 1 << (max(2 * len(keys), 8 * self.threads * self.forward.most, 1 << 12) - 1).bit_length()
-        self.budget.check_memory(keys.nbytes + 8 * held + 8 * size)
-        larger = np.full(size, -1, dtype=np.int64)
-        ranked_states.insert_all(larger, keys[keys >= 0])
-        return larger
-
-    def blocks(self, states: States) -> Iterator[Ints]:
-        """List the indices of all states in ascending order, a block at a time."""
-        start, end = 0, len(states.bits) or len(states.members)
-        while start < end:
-            out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
-            start, filled = ranked_states.list_members(states, start, out)
-            yield out[:filled]
-
-    def _with(self, states: States, total: int, facts: Sequence[Fact]) -> Iterator[Ints]:
-        """List the indices of the states in which facts hold, in blocks."""
-        blocks: Iterable[Ints] = self.blocks(states)
-        candidates = self.coding.matching(facts, min(total, MOST_CANDIDATES))
+    def _with(self, index: Indexed, facts: Sequence[Fact]) -> Iterator[Ints]:
+        """Yield the ranks of the states in which facts hold, in blocks."""
+        coding, states, total = index.coding, index.states, len(index)
+        blocks: Iterable[Ints] = index.blocks()
+        candidates = coding.matching(facts, min(total, MOST_CANDIDATES))
         if candidates is not None:  # fewer than there are states
             numbers = np.empty(len(candidates), dtype=np.int64)
             ranked_states.numbers_of(states, candidates, numbers)
             blocks = [candidates[numbers >= 0]]
         for block in blocks:
-            self.budget.check_time(total)
+            self._budget.check_time(total)
             marks = np.empty(len(block), dtype=bool)
-            unranking.mark(self.coding.decoder, block, *self.coding.packing.condition(facts), marks)
+            unranking.mark(coding.decoder, block, *coding.packing.condition(facts), marks)
             if marks.any():
                 yield block[marks]
 
@@ -309,7 +110,7 @@ class Searches:
         total = int(states.ranks[-1]) if len(states.bits) else len(states.members)
         dtype: type[np.unsignedinteger] = np.uint8
         in_use = sum(array.nbytes for array in states) + total
-        self.budget.check_memory(in_use)
+        self._budget.check_memory(in_use)
         if so_far is not None:
             distance, d = so_far
             dtype = distance.dtype.type
@@ -321,14 +122,14 @@ class Searches:
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
         while frontier:
-            if self.checkpoint and self.checkpoint.due and len(states.bits):
+            if self.forward.checkpoint and self.forward.checkpoint.due and len(states.bits):
                 arrays = {"bits": states.bits, "distance": distance, "frontier": np.concatenate(frontier)}
-                self.checkpoint.save("backward", {"d": d, "transitions": transitions}, arrays)
+                self.forward.checkpoint.save("backward", {"d": d, "transitions": transitions}, arrays)
             d += cost
             if d >= np.iinfo(dtype).max:
                 narrow, dtype = np.iinfo(dtype).max, smallest_type(d)
                 in_use += distance.itemsize * total * 3
-                self.budget.check_memory(in_use)
+                self._budget.check_memory(in_use)
                 wider = distance.astype(dtype)
                 wider[distance == narrow] = np.iinfo(dtype).max
                 distance = wider
@@ -336,10 +137,10 @@ class Searches:
             if len(closed):
                 push = partial(self._label_and_spread, states, closed, distance, d - cost)
             else:
-                push = partial(expansion.spread_back, self.backward, self.coding.decoder, states, distance, d)
-            frontier, _ = self._layer(push, frontier, in_use, total)
+                push = partial(expansion.spread_back, self.operators, self.forward.coding.decoder, states, distance, d)
+            frontier, _ = self.forward.next_layer(push, self.operators.most, frontier, in_use, total)
             done += sum(map(len, frontier))
-            self.progress("cost-to-go", done, total)
+            self.forward.progress("cost-to-go", done, total)
         largest = d - cost  # the last layer was empty
         return distance if largest >= np.iinfo(np.uint8).max else distance.astype(smallest_type(largest), copy=False)
 
@@ -360,11 +161,11 @@ class Searches:
         """
         if start == 0:
             ranked_states.label(states, distance, d, block)
-        return expansion.spread(self.backward, self.coding.decoder, closed, block, start, out, filled)
+        return expansion.spread(self.operators, self.forward.coding.decoder, closed, block, start, out, filled)
 
     def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
         """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
-        fits = in_use + states.bits.nbytes <= self.budget.room * CLOSED
+        fits = in_use + states.bits.nbytes <= self._budget.room * CLOSED
         closed = np.empty(len(states.bits) if fits else 0, dtype=np.uint64)
         if len(closed):
             ranked_states.close(states, distance, np.iinfo(distance.dtype).max, closed)
@@ -374,8 +175,8 @@ class Searches:
         """Settle the states in the order of their distance (Dial 1969), costs of zero included."""
         work: type[np.unsignedinteger] = np.uint32 if largest * total < np.iinfo(np.uint32).max else np.uint64
         in_use = sum(array.nbytes for array in states) + total * (np.dtype(work).itemsize + 4)
-        self.budget.check_memory(in_use)
-        costs, kinds = np.unique(self.backward.cost, return_inverse=True)
+        self._budget.check_memory(in_use)
+        costs, kinds = np.unique(self.operators.cost, return_inverse=True)
         unreached = np.iinfo(work).max
         distance = np.full(total, unreached, dtype=work)
         for block in frontier:
@@ -383,9 +184,9 @@ class Searches:
         closed = self._closed(states, distance, in_use)
         in_use += closed.nbytes
         relax = partial(
-            relaxation.relax_moves, self.backward, self.coding.decoder, states, closed, kinds, costs, distance
+            relaxation.relax_moves, self.operators, self.forward.coding.decoder, states, closed, kinds, costs, distance
         )
-        self.progress("cost-to-go", 0, None)
+        self.forward.progress("cost-to-go", 0, None)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
         held = sum(map(len, frontier))  # indices that wait
@@ -395,12 +196,12 @@ class Searches:
             if settling is None:
                 heapq.heappop(order)
                 continue
-            self.budget.check_memory(in_use + 16 * held)
-            blocks = self._ascending(settling, in_use + 8 * held)
+            self._budget.check_memory(in_use + 16 * held)
+            blocks = self.forward.ascending(settling, in_use + 8 * held)
             held -= sum(map(len, blocks))
 
             def settle(_: int, d: int = d, blocks: deque[Ints] = blocks) -> list[tuple[Ints, Ints]]:
-                size = max(RANKS_AT_A_TIME, 4 * self.backward.most)
+                size = max(RANKS_AT_A_TIME, 4 * self.operators.most)
                 out, through = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64)
                 pushed: list[tuple[Ints, Ints]] = []
                 while blocks:
@@ -408,7 +209,7 @@ class Searches:
                         block = blocks.popleft()
                     except IndexError:  # another thread took it
                         break
-                    self.budget.check_time(total)
+                    self._budget.check_time(total)
                     stop = 0
                     while stop < len(block):
                         stop, filled = relax(block, stop, d, out, through)
@@ -418,7 +219,7 @@ class Searches:
                         pushed.append((ordered, begin))
                 return pushed
 
-            parts = self._share(settle, range(min(self.threads, len(blocks))))
+            parts = self.forward.share(settle, range(min(self.forward.threads, len(blocks))))
             for ordered, begin in (pair for part in parts for pair in part):
                 held += len(ordered)
                 for kind in np.flatnonzero(np.diff(begin[:-1])).tolist():

@@ -1,30 +1,257 @@
-"""The reachable states of any task as a list, and their exact cost-to-go: for what has no index.
+"""The reachable states of a task, breadth first from the initial state.
 
-Tasks with derived variables, with operators that split into very many moves, or whose indices take too many bits have
-none: packed states are numbered as they are found, forward from the initial state, and what every action leads to is
-kept until the search back from the goal is done. Blocks are expanded on several threads; their states are numbered in
-order, so that numbers do not depend on how many there are.
+`ForwardSearch` works on ranks, a sorted block of a layer at a time, and keeps no transitions. `enumerated` does for
+every task: packed states are numbered as they are found, and what every action leads to is kept until the search back
+from the goal is done. It is for tasks with derived variables, with operators that split into very many moves, or whose
+ranks take too many bits. Blocks are expanded on several threads; their states are numbered in order, so that numbers do
+not depend on how many threads there are.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
+from itertools import zip_longest
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
-from ..states.packing import Packing, Words
+from ..states.packing import Ints, Packing, Words
 from ..system.limits import Budget
 from ..system.progress_reports import Progress
-from .kernels import packed_successors
+from ..system.threads import on_threads
+from .checkpoint import Checkpoint
+from .kernels import expansion, packed_successors, ranked_states
+from .kernels.ranked_states import States
+from .kernels.ranked_successors import Tests
+from .ranking.state_ranking import Coding
 from .state_registry import Found, Numbered, _Growing
 from .successor_generator import STATES_AT_A_TIME, Expanded, expanded, rulebook
+
+RANKS_AT_A_TIME = 1 << 16
+"""Ranks in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
+
+SMALL_BITMAP = 1 << 29
+"""Bits of a bitmap that is not worth avoiding (64 MB)."""
+
+SPARSE = 1 << 10
+"""Ranks per state from which on a larger bitmap gives way to a hash table; tasks with more are rare."""
+
+T = TypeVar("T")
+
+Push = Callable[[Ints, int, Ints, int], tuple[int, int, int]]
+"""Pushes the next states of a block: from its ranks, where to begin, the output and how much of it is in use, to
+how far it came, how much of the output is in use, and how many transitions there were."""
+
+
+@dataclass(frozen=True)
+class ForwardSearch:
+    """The breadth-first search for the reachable states of a task whose states are ranked, on several threads.
+
+    The set of states is a bitmap over all ranks where that is small or well filled, a hash table of ranks where it is
+    not.
+
+    Attributes
+    ----------
+    coding : Coding
+    operators : Tests
+    budget : Budget
+    threads : int
+    progress : callable
+        Called after each layer with "states", and how many states have been found.
+    checkpoint : Checkpoint or None
+        Where searches of bitmaps keep what they have found.
+    """
+
+    coding: Coding
+    operators: Tests
+    budget: Budget
+    threads: int
+    progress: Progress
+    checkpoint: Checkpoint | None
+
+    def reach(self, initial: int) -> tuple[States, int]:
+        """Return the states that are reachable from a rank, and the number of their transitions."""
+        nothing = np.empty(0, dtype=np.int64)
+        words = -(-self.coding.size // 512) * 8
+        found, transitions = 1, 0
+        frontier = [np.array([initial])]
+        bits = np.empty(0, dtype=np.uint64)
+        keys = nothing
+        kept = self.checkpoint.load("forward") if self.checkpoint else None
+        if kept is not None:
+            bits, frontier = kept[1]["bits"], [kept[1]["frontier"]]
+            found, transitions = kept[0]["found"], kept[0]["transitions"]
+        elif not self._bitmap_fits(words, found):
+            keys = self._grown(nothing, 0)
+            ranked_states.insert_all(keys, frontier[0])
+        while frontier:
+            if self.checkpoint and self.checkpoint.due and len(bits):
+                counts = {"found": found, "transitions": transitions}
+                self.checkpoint.save("forward", counts, {"bits": bits, "frontier": np.concatenate(frontier)})
+            if not len(bits) and self._bitmap_fits(words, found):
+                bits = np.zeros(words, dtype=np.uint64)
+                for block in frontier if not len(keys) else [keys[keys >= 0]]:
+                    ranked_states.set_bits(bits, block)
+                keys = nothing
+            if len(bits):
+                push = partial(expansion.spread, self.operators, self.coding.decoder, bits)
+                frontier, count = self.next_layer(push, self.operators.most, frontier, bits.nbytes, found)
+            else:
+                frontier, count, keys = self._hashed_layer(frontier, keys, found)
+            transitions += count
+            found += sum(map(len, frontier))
+            self.progress("states", found, None)
+            self.budget.check_states(found)
+
+        if len(bits):
+            states = self.ranked(bits)
+        else:
+            self.budget.check_memory(keys.nbytes * 2 + found * 16)
+            members = keys[keys >= 0]
+            members.sort()
+            numbers = np.empty(len(keys), dtype=np.int64)
+            starts = range(0, len(members), RANKS_AT_A_TIME)
+            self.share(
+                lambda at: ranked_states.number_members(keys, members[at : at + RANKS_AT_A_TIME], at, numbers), starts
+            )
+            states = States(bits, nothing, members, keys, numbers)
+        return states, transitions
+
+    def ranked(self, bits: Words) -> States:
+        """Return the set of states whose ranks are marked in a bitmap."""
+        self.budget.check_memory(bits.nbytes * 9 / 8)
+        nothing = np.empty(0, dtype=np.int64)
+        states = States(bits, np.empty(len(bits) // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
+        ranked_states.fill_ranks(states.bits, states.ranks)
+        return states
+
+    def _bitmap_fits(self, words: int, found: int) -> bool:
+        """Whether the states are many enough for a bitmap, and the memory for one and its ranks."""
+        bits = 64 * words
+        return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.room
+
+    def share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
+        """Do a piece of work for each part, on all threads."""
+        return on_threads(work, parts, self.threads)
+
+    def ascending(self, frontier: list[Ints], in_use: int) -> deque[Ints]:
+        """Put a layer into blocks of ascending indices; empties the list.
+
+        In ascending order, each move's targets ascend as well: far fewer cache and page misses.
+        """
+        if len(frontier) == 1 and len(frontier[0]) <= RANKS_AT_A_TIME:
+            return deque([frontier.pop()])
+        indices = sum(map(len, frontier))
+        self.budget.check_memory(in_use + 16 * indices)
+        if indices <= RANKS_AT_A_TIME:  # too few to start threads for
+            layer = np.concatenate(frontier)
+            frontier.clear()
+            layer.sort()
+            return deque([layer])
+        runs = [frontier[start :: self.threads] for start in range(min(self.threads, len(frontier)))]
+        frontier.clear()
+
+        def blocks(run: list[Ints]) -> list[Ints]:
+            layer = np.concatenate(run)
+            run.clear()
+            layer.sort()
+            return np.split(layer, range(RANKS_AT_A_TIME, len(layer), RANKS_AT_A_TIME))
+
+        # Threads take blocks of different runs in turn: each run is read in its order.
+        mixed = zip_longest(*self.share(blocks, runs))
+        return deque(block for group in mixed for block in group if block is not None)
+
+    def next_layer(
+        self, push: Push, most: int, frontier: list[Ints], in_use: int, found: int
+    ) -> tuple[list[Ints], int]:
+        """Return the blocks of the next layer, and the number of transitions to it; the given list is emptied.
+
+        `most` is the largest number of ranks that `push` finds for one rank.
+        """
+        size = max(RANKS_AT_A_TIME, 4 * most)
+        in_use += 8 * sum(map(len, frontier))
+        waiting = self.ascending(frontier, in_use)
+        pushed: list[Ints] = []
+
+        def work(_: int) -> int:
+            out, filled, transitions = np.empty(size, dtype=np.int64), 0, 0
+            while waiting:
+                try:
+                    block = waiting.popleft()
+                except IndexError:  # another thread took it
+                    break
+                self.budget.check_time(found)
+                stop = 0
+                while True:
+                    stop, filled, count = push(block, stop, out, filled)
+                    transitions += count
+                    if stop == len(block):
+                        break
+                    pushed.append(out[:filled])
+                    self.budget.check_memory(in_use + 8 * size * (len(pushed) + 2 * self.threads))
+                    out, filled = np.empty(size, dtype=np.int64), 0
+            if filled:
+                pushed.append(out[:filled].copy() if filled < size // 2 else out[:filled])
+            return transitions
+
+        transitions = sum(self.share(work, range(min(self.threads, len(waiting)))))
+        return pushed, transitions
+
+    def _hashed_layer(self, frontier: list[Ints], keys: Ints, found: int) -> tuple[list[Ints], int, Ints]:
+        """Do the same with a hash table, and give it too: it is replaced as it fills up."""
+        transitions = new = 0
+        pushed: list[Ints] = []
+        waiting = self.ascending(frontier, keys.nbytes)
+        size = max(RANKS_AT_A_TIME, 4 * self.operators.most)
+        while waiting:
+            self.budget.check_states(found + new)
+            room = (len(keys) // 2 - found - new) // self.threads
+            if room < self.operators.most:
+                keys = self._grown(keys, found + new)
+                continue
+
+            def work(room: int, keys: Ints = keys, found: int = found + new) -> tuple[int, int]:
+                transitions = own = 0
+                while waiting and room - own >= self.operators.most:
+                    try:
+                        block = waiting.popleft()
+                    except IndexError:  # another thread took it
+                        break
+                    self.budget.check_time(found + own)
+                    self.budget.check_memory(keys.nbytes + 8 * size * (len(waiting) + len(pushed) + self.threads))
+                    out = np.empty(min(size, room - own), dtype=np.int64)
+                    stop, filled, count = expansion.spread_hashed(
+                        self.operators, self.coding.decoder, block, 0, keys, room - own, out, 0
+                    )
+                    if stop < len(block):
+                        waiting.appendleft(block[stop:])
+                    if filled:
+                        pushed.append(out[:filled].copy() if filled < len(out) // 2 else out[:filled])
+                    transitions += count
+                    own += filled
+                return transitions, own
+
+            for count, own in self.share(work, [room] * min(self.threads, len(waiting))):
+                transitions += count
+                new += own
+        return pushed, transitions, keys
+
+    def _grown(self, keys: Ints, held: int) -> Ints:
+        """Make a hash table at least twice as large, and large enough for one more state's successors."""
+        size = 1 << (max(2 * len(keys), 8 * self.threads * self.operators.most, 1 << 12) - 1).bit_length()
+        self.budget.check_memory(keys.nbytes + 8 * held + 8 * size)
+        larger = np.full(size, -1, dtype=np.int64)
+        ranked_states.insert_all(larger, keys[keys >= 0])
+        return larger
+
 
 Form = Callable[[Words], None]
 """What puts in the place of states, shape (n, words), others that do for them."""
@@ -55,7 +282,7 @@ class Listing:
     kinds: NDArray[np.unsignedinteger]
 
 
-class _Forward:
+class _RegistrySearch:
     """The search forward, breadth first: the states that have been found so far."""
 
     def __init__(self, task: Task, form: Form = as_they_are) -> None:
@@ -101,7 +328,7 @@ class _Forward:
 
 def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int:
     """Count the states that a task can reach; what they lead to is not kept."""
-    search = _Forward(task)
+    search = _RegistrySearch(task)
     with closing(search.parts(threads)) as parts:
         for _ in parts:
             progress("states", len(search.met), None)
@@ -122,7 +349,7 @@ def enumerated(
     `form` puts in the place of states others that do for them, before they are looked for.
     """
     costs, kind_of = np.unique(task.costs, return_inverse=True)
-    search, targets = _Forward(task, form), _Growing(np.int32)
+    search, targets = _RegistrySearch(task, form), _Growing(np.int32)
     counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)
     done = transitions = 0
     with closing(search.parts(threads)) as parts:

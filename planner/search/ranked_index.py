@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,34 +11,60 @@ from numpy.typing import NDArray
 from ..grounding.task import Fact
 from ..states.packing import Ints
 from ..states.successors import Transitions
-from .bucket_dijkstra import Searches
+from ..system.limits import Budget
+from .forward_search import RANKS_AT_A_TIME
 from .kernels import expansion, ranked_states, unranking
 from .kernels.ranked_states import States
+from .kernels.ranked_successors import Tests
+from .ranking.state_ranking import Coding
 
 
 @dataclass(frozen=True)
 class Indexed:
-    """States numbered by their index."""
+    """Reachable states, numbered in the order of their ranks.
 
-    searches: Searches
+    Attributes
+    ----------
+    coding : Coding
+    operators : Tests
+    budget : Budget
+        What the choices of all states may take.
+    states : States
+        The ranks of all reachable states.
+    """
+
+    coding: Coding
+    operators: Tests
+    budget: Budget
     states: States
+
+    def __len__(self) -> int:
+        return int(self.states.ranks[-1]) if len(self.states.bits) else len(self.states.members)
 
     def numbers(self, values: NDArray[np.int64]) -> Ints:
         """Give the states with values of shape (n, variables), -1 where there is none."""
         out = np.empty(len(values), dtype=np.int64)
-        ranked_states.numbers_of(self.states, self.searches.coding.encode(values), out)
+        ranked_states.numbers_of(self.states, self.coding.encode(values), out)
         return out
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
         """Give the values, shape (n, variables), of states of shape (n,)."""
         index = np.empty(len(numbers), dtype=np.int64)
         ranked_states.select(self.states, numbers, index)
-        return self.searches.coding.decode(index)
+        return self.coding.decode(index)
+
+    def blocks(self) -> Iterator[Ints]:
+        """Yield the ranks of all states in ascending order, a block at a time."""
+        start, end = 0, len(self.states.bits) or len(self.states.members)
+        while start < end:
+            out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
+            start, filled = ranked_states.list_members(self.states, start, out)
+            yield out[:filled]
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
         """Tell of every state, shape (states,), whether facts hold."""
-        coding, parts = self.searches.coding, [np.empty(0, dtype=bool)]
-        for block in self.searches.blocks(self.states):
+        coding, parts = self.coding, [np.empty(0, dtype=bool)]
+        for block in self.blocks():
             parts.append(np.empty(len(block), dtype=bool))
             unranking.mark(coding.decoder, block, *coding.packing.condition(facts), parts[-1])
         return np.concatenate(parts)
@@ -46,7 +72,7 @@ class Indexed:
     def transitions(self, states: int, transitions: int) -> Transitions:
         """Build the choices of all states; the arguments are how many there are of both."""
         needed = 8 * states + 12 * transitions
-        self.searches.budget.check_memory(needed)
+        self.budget.check_memory(needed)
         small = states <= np.iinfo(np.int32).max
         rows = Transitions(
             np.zeros(states + 1, dtype=np.int64),
@@ -54,9 +80,7 @@ class Indexed:
             np.empty(transitions, dtype=np.int32 if small else np.int64),
         )
         number = 0
-        for block in self.searches.blocks(self.states):
-            expansion.fill_transitions(
-                self.searches.forward, self.searches.coding.decoder, self.states, block, number, *rows
-            )
+        for block in self.blocks():
+            expansion.fill_transitions(self.operators, self.coding.decoder, self.states, block, number, *rows)
             number += len(block)
         return rows
