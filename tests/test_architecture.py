@@ -26,8 +26,8 @@ ROOMS = {
         expansion relaxation""",
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
     "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances checkpoint successor_generator state_registry forward_search ranked_index
-        bucket_dijkstra""",
+    "planner.search": """distances checkpoint successor_generator state_registry orbit_index forward_search
+        ranked_index bucket_dijkstra""",
     "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep orbits table_file on_demand
         portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",

@@ -111,7 +111,7 @@ def check(task: Task) -> tuple[Table, Orbits]:
     )
     asked = OnDemand(task, orbits=found)
     np.testing.assert_array_equal(asked.plan_lengths(asked.numbers(values)), table.plan_lengths(np.arange(len(table))))
-    numbers = found.rows(packing.pack(values))
+    numbers = found.index.rows(packing.pack(values))
     assert sorted(set(numbers.tolist())) == list(range(len(found)))
     group = symmetries(task)
     assert group is not None

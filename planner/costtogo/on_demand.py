@@ -92,7 +92,7 @@ class OnDemand:
 
     @cached_property
     def _book(self) -> Rulebook:
-        return rulebook(self.task, self.packing) if self.orbits is None else self.orbits.found.book
+        return rulebook(self.task, self.packing) if self.orbits is None else self.orbits.index.found.book
 
     @cached_property
     def _counting(self) -> OnDemand:

@@ -1,31 +1,28 @@
 """The exact cost-to-go of all states of a task with many symmetries, from one state of each orbit.
 
-What the sweep of a list does with states (`listing`), this does with their forms (`canonical`): every successor is
-replaced by the form of its orbit before it is looked for. What is left is a task of as many states as there are orbits,
+The search does with canonical states what it does elsewhere with states: every successor is replaced by the canonical
+state of its orbit before it is looked for. What is left is a task of as many states as there are orbits,
 with the same cost-to-go. That of any state is looked up by its form.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grounding.task import Fact, Task
+from ..grounding.task import Task
 from ..search.bucket_dijkstra import settled
 from ..search.distances import UNREACHED, compact
 from ..search.forward_search import enumerated
-from ..search.kernels import state_hash
-from ..search.state_registry import Found
-from ..search.successor_generator import expanded
+from ..search.orbit_index import OrbitIndex
 from ..search.symmetry.automorphisms import symmetries
 from ..search.symmetry.canonical_states import Forms, canonical
-from ..states.packing import Ints, Packing, Words
+from ..states.packing import Packing, Words
 from ..states.state_space import StateSpace
-from ..states.successors import Transitions
 from ..system.arrays import outline
 from ..system.limits import Budget, LimitError
 from ..system.machine import processors
@@ -48,9 +45,8 @@ class Orbits:
 
     Attributes
     ----------
-    forms : Forms
-    found : Found
-        One state of each orbit.
+    index : OrbitIndex
+        The orbits that have been found.
     distance : unsigned integer array, shape (orbits,)
         h*, the type's largest value for dead ends.
     lengths : int64 array, shape (orbits,), or None
@@ -61,8 +57,7 @@ class Orbits:
         Ground actions applicable in a state, added up over one state of each orbit.
     """
 
-    forms: Forms
-    found: Found
+    index: OrbitIndex
     distance: NDArray[np.unsignedinteger]
     lengths: NDArray[np.int64] | None
     order: int
@@ -73,17 +68,9 @@ class Orbits:
     def __len__(self) -> int:
         return len(self.distance)
 
-    def rows(self, states: Words) -> Ints:
-        """Give the orbits of packed states, shape (n, words); -1 where none has been found."""
-        own = states.copy()
-        canonical(self.forms, own)
-        rows = np.empty(len(own), dtype=np.int64)
-        state_hash.look_up(self.found.slots, self.found.states, own, rows)
-        return rows
-
     def lookup(self, states: Words) -> NDArray[np.float64]:
         """Give h* of packed states, shape (n, words): infinite at dead ends, NaN where nothing has been found."""
-        rows = self.rows(states)
+        rows = self.index.rows(states)
         distance = self.distance[rows]
         h = np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
         return np.where(rows >= 0, h, np.nan)
@@ -95,28 +82,7 @@ class Orbits:
 
     def table(self, task: Task) -> Table:
         """Give the cost-to-go of one state of each orbit; what leads to a state leads to that of its orbit there."""
-        return Table(StateSpace(task, len(self), 0, self.transition_count, self), self.distance)
-
-    def numbers(self, values: Ints) -> Ints:
-        """Give the orbits of states with values of shape (n, variables), -1 where none has been found."""
-        sizes = np.diff(self.forms.first, append=len(self.forms.at))
-        legal = np.all((values >= 0) & (values < sizes), axis=1)
-        return np.where(legal, self.rows(self.found.packing.pack(np.where(legal[:, None], values, 0))), -1)
-
-    def values(self, numbers: Ints) -> Ints:
-        """Give the values, shape (n, variables), of the states that stand for orbits of shape (n,)."""
-        return self.found.values(numbers)
-
-    def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of each of these states, shape (orbits,), whether facts hold."""
-        return self.found.where(facts)
-
-    def transitions(self, states: int, transitions: int) -> Transitions:  # noqa: ARG002
-        """Build the choices of all these states."""
-        counts, actions, after = (
-            np.concatenate(parts) for parts in zip(*expanded(self.found.book, self.found.states), strict=True)
-        )
-        return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, self.rows(after))
+        return Table(StateSpace(task, len(self), 0, self.transition_count, self.index), self.distance)
 
     def plan_lengths(self, task: Task, states: Words) -> NDArray[np.int64]:
         """Give the actions of the shortest of the cheapest plans from packed states; `UNREACHED` if there are none.
@@ -126,7 +92,7 @@ class Orbits:
         KeyError
             Nothing has been found of one of them.
         """
-        rows = self.rows(states)
+        rows = self.index.rows(states)
         if (rows < 0).any():
             raise KeyError(int(np.argmax(rows < 0)))
         return self.table(task).plan_lengths(rows) if self.lengths is None else np.asarray(self.lengths[rows])
@@ -195,4 +161,4 @@ def orbits(
         price = distance.astype(np.int64)
         lengths = np.where(dead, UNREACHED, price % LONG)
         distance = compact(np.where(dead, UNREACHED, price // LONG))
-    return Orbits(forms, listing.found, distance, lengths, group.order, len(listing.targets))
+    return Orbits(OrbitIndex(forms, listing.found), distance, lengths, group.order, len(listing.targets))
