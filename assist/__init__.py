@@ -14,9 +14,9 @@ study       studies: what is to be done, its carrying out, what was found (extra
 live        the live assistant: a team of real people, action by action
 cli         the command `kitassist`, a file for each of its commands
 
-What most users need is imported from here; each folder hands on what it has for those who need more.
+What most users need is imported from here; each folder exports what else it has.
 """
 
-from planner.system.lazy_imports import hand_on
+from planner.system.lazy_imports import lazy_exports
 
-__getattr__, __dir__, __all__ = hand_on(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -83,7 +83,7 @@ def without_processes() -> None:
             translated[texts] = translate(source, *limits)
         return translated[texts]
 
-    class Checker(validation_process.Checker):
+    class ValidationProcess(validation_process.ValidationProcess):
         def __init__(self, source: Any, limits: Any = None) -> None:  # noqa: ARG002
             self._source = source
 
@@ -93,7 +93,7 @@ def without_processes() -> None:
         def refusal(self, seconds: float = 0.0) -> Any:  # noqa: ARG002
             try:
                 self._problem = parsed(self._source.typed_domain.text, self._source.problem_text)
-            except validation.RefusedError as error:
+            except validation.InstanceRefusedError as error:
                 return error.refusal.placed(self._source)
             return None
 
@@ -104,7 +104,7 @@ def without_processes() -> None:
     assist.study.report._draw_all = lambda *_: None
     assist.live.server.serve = broken_live.work
     fast_downward.translate = translate_once
-    planner.grounding.load.Checker = planner.batch.solve_instance.Checker = Checker
+    planner.grounding.load.ValidationProcess = planner.batch.solve_instance.ValidationProcess = ValidationProcess
 
 
 def load(file: str) -> None:

@@ -159,12 +159,12 @@ def test_commands_are_thin() -> None:
 
 
 def handed_on(package: str) -> list[tuple[str, str]]:
-    """The names that a package hands on, each with the module that it is from."""
+    """Return the names that a package exports, each with the module that it is from."""
     folder = ROOT / package.replace(".", "/")
     found = []
     for node in ast.parse((folder / "__init__.pyi").read_text()).body:
         assert isinstance(node, ast.ImportFrom), f"{package}: its list imports and does nothing else"
-        assert node.level == 1, f"{package}: hands on what is its own"
+        assert node.level == 1, f"{package}: exports what is its own"
         found += [(alias.name, f"{package}.{node.module}") for alias in node.names if alias.name == alias.asname]
         assert len(node.names) == 1, f"{package}: one name a line, under its own name"
     return found
@@ -176,7 +176,7 @@ PACKAGES = ["planner", "assist", *(room for room in ROOMS if room.startswith("as
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_only_hands_on(package: str) -> None:
     tree = ast.parse((ROOT / package.replace(".", "/") / "__init__.py").read_text()).body
-    expected = "__getattr__, __dir__, __all__ = hand_on(__name__, __file__)"
+    expected = "__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)"
     assert [type(node).__name__ for node in tree] == ["Expr", "ImportFrom", "Assign"]
     assert ast.unparse(tree[2]) == ast.unparse(ast.parse(expected))
     names = handed_on(package)

@@ -18,7 +18,7 @@ from test_sweep import check, forward_search, module, random_task
 from planner import Effect, Operator, Task, Variable, instance, load
 from planner.search.ranking.linear_invariants import PRIME, determined, invariants
 from planner.search.ranking.mutexes import Mutexes
-from planner.search.ranking.state_ranking import Coding
+from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import split_operators
 from planner.search.ranking.variable_clusters import clusters
 
@@ -173,7 +173,7 @@ def test_the_tasks_have_what_is_looked_for() -> None:
 @given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), *[st.booleans()] * 2)
 def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool, few: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Coding, "of", classmethod(lambda *_: None))  # only the dense coding is left
+        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))  # only the dense coding is left
         if not few:  # these are listed before it is looked for
             patch.setattr(module, "FEW", -1)
             patch.setattr(module, "HUGE", math.inf)
@@ -227,7 +227,7 @@ def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
 def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: int, toggles: int, dead: int) -> None:
     """Their values together are more than 64 bits, and more variables are constant than a field counts."""
     with pytest.MonkeyPatch.context() as patch:  # only the dense coding is left
-        patch.setattr(Coding, "of", classmethod(lambda *_: None))
+        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
         patch.setattr(module, "FEW", -1)
         patch.setattr(module, "HUGE", math.inf)
         table = check(tied(count, size, toggles, dead))
@@ -239,7 +239,7 @@ def test_an_index_is_not_looked_for_all_the_time() -> None:
     task = composed(0, costs=range(1, 2))
     plain = module.sweep(task)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Coding, "of", classmethod(lambda *_: None))
+        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
         patch.setattr(module, "FEW", -1)
         patch.setattr(module, "LOOKING", -1)  # its share is over before it begins
         assert module.sweep(task).note is None

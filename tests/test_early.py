@@ -21,14 +21,14 @@ from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import COMPARING, SWEEPING, Record, SolveOptions, saved_files, solve_instance
+from planner.batch.solve_instance import COMPARING, SWEEPING, SolveOptions, SolveRecord, saved_files, solve_instance
 from planner.costtogo.first_answer import SHARE, Early
 from planner.costtogo.sweep import sweep
 from planner.grounding import fast_downward
 from planner.system.limits import Budget, LimitError, MemoryLimitError
 
 TINY = KITTING / "tiny.pddl"
-Told = list[tuple[Record, bool]]
+Told = list[tuple[SolveRecord, bool]]
 
 
 def solved_late(
@@ -36,7 +36,7 @@ def solved_late(
     place: Path | None,
     then: Callable[[Table], object],
     options: SolveOptions | None = None,
-) -> tuple[Told, Record]:
+) -> tuple[Told, SolveRecord]:
     """Solve a task whose sweep ends only when the first answer has been told; `then` is what it ends in."""
     original, first = planner.costtogo.portfolio.cost_to_go, threading.Event()
     told: Told = []
@@ -45,7 +45,7 @@ def solved_late(
         assert first.wait(60)
         return then(original(*arguments, **ways))  # type: ignore[arg-type]
 
-    def tell(record: Record, saved: bool) -> None:
+    def tell(record: SolveRecord, saved: bool) -> None:
         told.append((record, saved))
         first.set()
 
@@ -196,7 +196,7 @@ def test_what_a_worker_has_told_outlives_it(tmp_path: Path, monkeypatch: pytest.
         raise KeyboardInterrupt
 
     monkeypatch.setattr(batch, "outcomes", interrupted)
-    heard: list[Record] = []
+    heard: list[SolveRecord] = []
     with pytest.raises(KeyboardInterrupt):
         solve_batch([instance(TINY)], options, out=tmp_path / "second", tell=heard.append)
     assert heard == [record]

@@ -158,7 +158,7 @@ def test_a_task_from_the_cache_is_as_one_that_was_read(tmp_path: Path) -> None:
     one, other = (write_instance(tmp_path / name, domain, tiny) for name in ("one", "other"))
     with pytest.MonkeyPatch.context() as patch:
         refusal = Refusal("problem", 3, "it has its reasons")
-        patch.setattr("planner.pddl.validation_process.Checker.refusal", lambda *_: refusal)
+        patch.setattr("planner.pddl.validation_process.ValidationProcess.refusal", lambda *_: refusal)
         note = load(one, cache=tmp_path / "cache").note
         assert note is not None
         assert note.endswith("not checked by unified-planning: it has its reasons (line 3 of the problem)")

@@ -15,7 +15,7 @@ from plain import explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
 from planner.search.distances import backward, compact
-from planner.search.ranking.state_ranking import Coding
+from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import exactly_one, split_operators
 from planner.system.errors import DamagedFileError
 
@@ -235,7 +235,7 @@ def test_random_tasks_leave_variables_out():
     for _ in range(200):
         task = random_task(rng)
         groups, moves = exactly_one(task, split_operators(task) or [])
-        coding = Coding.of(task, groups, moves)
+        coding = StateRanking.of(task, groups, moves)
         assert coding is not None
         left_out += int((coding.stride == 0).sum())
         kept += int((coding.stride != 0).sum())

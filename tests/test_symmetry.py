@@ -36,7 +36,7 @@ from planner import (
 )
 from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.costtogo import on_demand
-from planner.costtogo.orbits import Orbits, orbits
+from planner.costtogo.orbits import OrbitTable, orbits
 from planner.costtogo.portfolio import PER_ORBIT
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import replay
@@ -101,7 +101,7 @@ def copies(rng: random.Random, count: int, costs: range) -> Task:
     )
 
 
-def check(task: Task) -> tuple[Table, Orbits]:
+def check(task: Task) -> tuple[Table, OrbitTable]:
     """Compare the cost-to-go of orbits with that of all states, and states of one orbit with each other."""
     table, found = sweep(task), orbits(task, max_orbits=10**6)
     values, packing = table.values(np.arange(len(table))), Packing.of(task)

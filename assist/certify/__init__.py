@@ -1,5 +1,5 @@
 """Bounds on what any team policy can get."""
 
-from planner.system.lazy_imports import hand_on
+from planner.system.lazy_imports import lazy_exports
 
-__getattr__, __dir__, __all__ = hand_on(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

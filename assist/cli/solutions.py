@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from planner.batch.solve_instance import SWEEPING, Record
+from planner.batch.solve_instance import SWEEPING, SolveRecord
 
 from .console import print_json, print_table
 
@@ -22,16 +22,16 @@ class Answers:
 
     def __init__(self, *, alone: bool, as_json: bool) -> None:
         """Show plans only where an instance is `alone`."""
-        self.records: dict[tuple[str, str], Record] = {}
+        self.records: dict[tuple[str, str], SolveRecord] = {}
         self._alone, self._json = alone, as_json
         self._stdout = sys.stdout  # a progress bar puts another one in its place
         self._shown = False
 
-    def add(self, record: Record) -> None:
+    def add(self, record: SolveRecord) -> None:
         """Take the record of an instance, which may not be the last one."""
         self.records[record["instance"], record["domain"]] = record
 
-    def first(self, record: Record) -> None:
+    def first(self, record: SolveRecord) -> None:
         """Show cost and plan of an instance on which work goes on."""
         self.add(record)
         if self._json or not self._alone or self._shown:
@@ -45,7 +45,7 @@ class Answers:
         known = "unsolvable" if record["cost"] is None else f"cost {record['cost']:,}, by the plan above"
         click.echo(f"{record['instance']}: {known}; going on with all states", err=True)
 
-    def show(self, records: list[Record]) -> None:
+    def show(self, records: list[SolveRecord]) -> None:
         """Show what there is in the end."""
         tell_errors(records)
         if self._json:
@@ -54,7 +54,7 @@ class Answers:
             show_solutions(records, plan=self._alone and not self._shown)
 
 
-def tell_errors(records: list[Record]) -> None:
+def tell_errors(records: list[SolveRecord]) -> None:
     """Say on stderr why an instance was not solved, or only its initial state was."""
     for record in records:
         if (error := record["error"]) is not None:
@@ -64,7 +64,7 @@ def tell_errors(records: list[Record]) -> None:
             click.echo(f"{record['instance']}: {record['note']}", err=True)
 
 
-def show_solutions(records: list[Record], *, plan: bool) -> None:
+def show_solutions(records: list[SolveRecord], *, plan: bool) -> None:
     """Print a row for each instance, before it the plan of the first one if that is wanted."""
     if plan and records[0]["plan"]:
         click.echo("\n".join(records[0]["plan"]))

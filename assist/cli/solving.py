@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from planner import Instance
-from planner.batch.solve_instance import COMPILING, Record
+from planner.batch.solve_instance import COMPILING, SolveRecord
 from planner.system.progress import compiling_line, stages
 
 
 @contextmanager
 def solving(
-    count: int, add: Callable[[Record], None]
-) -> Iterator[tuple[Callable[[Record], None], Callable[..., None]]]:
+    count: int, add: Callable[[SolveRecord], None]
+) -> Iterator[tuple[Callable[[SolveRecord], None], Callable[..., None]]]:
     """Show how far the instances are; give what is called with each record, and with each stage of an instance.
 
     Each record is handed to `add` as well.
@@ -22,7 +22,7 @@ def solving(
     say = compiling_line()
     with stages() as show:
 
-        def advance(record: Record) -> None:
+        def advance(record: SolveRecord) -> None:
             nonlocal solved
             solved += 1
             add(record)

@@ -1,5 +1,5 @@
 """One person's assistance problem, and its solutions between proven bounds."""
 
-from planner.system.lazy_imports import hand_on
+from planner.system.lazy_imports import lazy_exports
 
-__getattr__, __dir__, __all__ = hand_on(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

@@ -19,7 +19,7 @@ from ..grounding import fast_downward
 from ..pddl.instances import Instance
 from ..system.errors import DamagedFileError, ResultsExistError
 from ..system.files import append_record, read_records, remove_unfinished, write_records
-from .solve_instance import Record, SolveOptions, begun_sweep, saved_files
+from .solve_instance import SolveOptions, SolveRecord, begun_sweep, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
 Key = tuple[str, str]
@@ -64,7 +64,7 @@ class Results:
         named = {"instance", "domain", "place"}
         lines = {_key_of(line): line for line in read_records(prints) if named <= line.keys()}
         current = {key(instance): fingerprint(instance, options) for instance in instances}
-        self.records: dict[Key, Record] = {
+        self.records: dict[Key, SolveRecord] = {
             name: record
             for name, record in before.items()
             if name not in current or (name in lines and self._holds(record, lines[name], current[name]))
@@ -90,7 +90,7 @@ class Results:
         """Where the table and the plan of an instance belong, without their endings."""
         return self._folder / self._lines[key(instance)]["place"]
 
-    def add(self, record: Record, *, lasting: bool = True) -> None:
+    def add(self, record: SolveRecord, *, lasting: bool = True) -> None:
         """Add a record, which takes the place of an earlier one of the instance.
 
         A later run keeps it if it is `lasting`: its table and plan have been saved.
@@ -115,7 +115,7 @@ class Results:
         """Remove what stopped processes have left half-written."""
         remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
 
-    def _holds(self, record: Record, line: dict[str, Any], current: str | None) -> bool:
+    def _holds(self, record: SolveRecord, line: dict[str, Any], current: str | None) -> bool:
         if begun_sweep(self._folder / line["place"]).exists():
             return False  # it was solved on demand for lack of time, and the sweep can go on
         is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
@@ -157,11 +157,11 @@ def _programs() -> str:
     return found.hexdigest()
 
 
-def _digest(record: Record) -> str:
+def _digest(record: SolveRecord) -> str:
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
-def _records(file: Path) -> list[Record]:
+def _records(file: Path) -> list[SolveRecord]:
     records = read_records(file)
     for number, record in enumerate(records, start=1):
         if not _is_record(record):

@@ -20,7 +20,7 @@ from ..system.machine import available_memory, processors
 from ..system.progress_reports import Progress
 from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key
-from .solve_instance import Record, SolveOptions, solve_instance, unfinished, unsolved
+from .solve_instance import SolveOptions, SolveRecord, solve_instance, unfinished, unsolved
 
 GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
 
@@ -39,10 +39,10 @@ def solve_batch(
     jobs: int = 1,
     resume: bool = False,
     scheduler: str | None = None,
-    progress: Callable[[Record], None] | None = None,
+    progress: Callable[[SolveRecord], None] | None = None,
     stages: Callable[..., None] | None = None,
-    tell: Callable[[Record], None] | None = None,
-) -> list[Record]:
+    tell: Callable[[SolveRecord], None] | None = None,
+) -> list[SolveRecord]:
     """Solve many instances.
 
     Parameters
@@ -143,11 +143,11 @@ def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
     return replace(options, memory_limit=limit, threads=options.threads or threads)
 
 
-def _solve(work: Work, options: SolveOptions, progress: Progress) -> Record:
+def _solve(work: Work, options: SolveOptions, progress: Progress) -> SolveRecord:
     instance, place, file = work
     heard: bool | None = None
 
-    def tell(record: Record, saved: bool) -> None:
+    def tell(record: SolveRecord, saved: bool) -> None:
         nonlocal heard
         if file is not None:
             part = file.with_suffix(".part")
@@ -166,20 +166,20 @@ class _Ongoing:
     def __init__(
         self,
         folder: Path,
-        records: dict[Key, Record],
+        records: dict[Key, SolveRecord],
         results: Results | None,
-        tell: Callable[[Record], None] | None,
+        tell: Callable[[SolveRecord], None] | None,
     ) -> None:
         self._folder, self._records, self._results, self._tell = folder, records, results, tell
         self._files: dict[Key, Path] = {}
-        self._heard: dict[Key, Record] = {}
+        self._heard: dict[Key, SolveRecord] = {}
         self._lock = threading.Lock()  # a thread hears of instances, another of their end
 
     def file(self, instance: Instance) -> Path:
         """Name the file of an instance."""
         return self._files.setdefault(key(instance), self._folder / f"{len(self._files)}.json")
 
-    def latest(self, instance: Instance) -> tuple[Record, bool] | None:
+    def latest(self, instance: Instance) -> tuple[SolveRecord, bool] | None:
         """Give what is known of an instance, and whether its table and plan are saved; None while nothing is."""
         try:
             record, saved = json.loads(self.file(instance).read_text(encoding="utf-8"))
@@ -199,7 +199,7 @@ class _Ongoing:
         if self._tell is not None:
             self._tell(latest[0])
 
-    def end(self, instance: Instance, record: Record) -> None:
+    def end(self, instance: Instance, record: SolveRecord) -> None:
         """Keep the record of an instance on which no work goes on."""
         with self._lock:
             self._records[key(instance)] = record
@@ -207,7 +207,9 @@ class _Ongoing:
                 self._results.add(record)
 
 
-def _ended(instance: Instance, error: Exception, options: SolveOptions, latest: tuple[Record, bool] | None) -> Record:
+def _ended(
+    instance: Instance, error: Exception, options: SolveOptions, latest: tuple[SolveRecord, bool] | None
+) -> SolveRecord:
     """Give what is known of an instance whose worker has ended early."""
     record = _unsolved(instance, error, options)
     if latest is None or record["status"] != "limit":
@@ -215,7 +217,7 @@ def _ended(instance: Instance, error: Exception, options: SolveOptions, latest: 
     return unfinished(latest[0], record["error"]["message"])
 
 
-def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> Record:
+def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> SolveRecord:
     """Say why there is no result; a fault of this program stops one instance, not all."""
     if isinstance(error, TimeoutError):
         return unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")

@@ -28,7 +28,7 @@ from ..grounding.task import Effect, Operator, Task, Variable
 from ..pddl.instances import Instance, PDDLError
 from ..pddl.source import Source
 from ..pddl.validation import InvalidPlanError
-from ..pddl.validation_process import PATIENCE, Checker
+from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.errors import MismatchError
 from ..system.files import atomic
 from ..system.limits import MAX_STATES, LimitError, Limits
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..costtogo.on_demand import OnDemand
     from ..costtogo.table import Table
 
-Record = dict[str, Any]
+SolveRecord = dict[str, Any]
 
 SWEEP_SHARE = 0.75
 """Share of an instance's time in which all states are to be swept; what is left is for the initial one alone."""
@@ -99,12 +99,12 @@ class _Phases:
         limit: float | None,
         memory_mb: float | None,
         progress: Progress,
-        tell: Callable[[Record, bool], None] | None = None,
+        tell: Callable[[SolveRecord, bool], None] | None = None,
     ) -> None:
         self.seconds: dict[str, float] = {}
         self.memory_mb = memory_mb
         self.progress = progress
-        self.told: Record | None = None
+        self.told: SolveRecord | None = None
         self._tell = tell
         self.start = time.monotonic()
         self.deadline = None if limit is None else self.start + limit
@@ -132,13 +132,13 @@ class _Phases:
     def limits(self) -> Limits:
         return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
 
-    def tell(self, record: Record, *, saved: bool) -> None:
+    def tell(self, record: SolveRecord, *, saved: bool) -> None:
         """Tell what is known by now."""
         self.told = self.measured(record)
         if self._tell is not None:
             self._tell(self.told, saved)
 
-    def measured(self, record: Record) -> Record:
+    def measured(self, record: SolveRecord) -> SolveRecord:
         """Give a record with the time and the memory that it took."""
         seconds = {name: round(seconds, 6) for name, seconds in self.seconds.copy().items()}
         seconds["total"] = round(time.monotonic() - self.start, 6)
@@ -154,7 +154,7 @@ def versions() -> dict[str, str]:
     return {**found, "fast_downward": fast_downward.version(), "python": platform.python_version()}
 
 
-def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> Record:
+def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> SolveRecord:
     """Give the record of an instance of which nothing is known."""
     return {
         "instance": str(instance.problem),
@@ -183,9 +183,9 @@ def solve_instance(
     place: Path | None = None,
     *,
     progress: Progress | None = None,
-    tell: Callable[[Record, bool], None] | None = None,
+    tell: Callable[[SolveRecord, bool], None] | None = None,
     use: Callable[[Table], None] | None = None,
-) -> Record:
+) -> SolveRecord:
     """Solve one instance and describe the outcome.
 
     Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
@@ -213,7 +213,7 @@ def solve_instance(
     try:
         with phases.phase("read"):
             source = Source.of(instance)
-        with Checker(source, phases.limits()) as checker, ExitStack() as until_solved:
+        with ValidationProcess(source, phases.limits()) as checker, ExitStack() as until_solved:
             task = _grounded(source, checker, phases, until_solved)
             record = _solve(task, checker, options, place, phases, use)
     except PDDLError as error:
@@ -243,17 +243,17 @@ def solve_instance(
     return phases.measured(record)
 
 
-def unfinished(record: Record, why: str) -> Record:
+def unfinished(record: SolveRecord, why: str) -> SolveRecord:
     """Give the record of what was known when the work on an instance ended early, with the reason."""
     return {**record, "note": f"{record['note']}; {why}"}
 
 
-def _out_of_memory(instance: Instance, options: SolveOptions) -> Record:
+def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
     limit = f" ({options.memory_limit:g} MB)" if options.memory_limit else ""
     return unsolved(instance, "limit", f"out of memory{limit}")
 
 
-def _grounded(source: Source, checker: Checker, phases: _Phases, until_solved: ExitStack) -> Task:
+def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
     """Ground an instance; while other programs are at it, load what is needed until it is solved."""
     with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
         grounding = thread.submit(ground, source, checker, phases.limits())
@@ -288,12 +288,12 @@ class _Swept(NamedTuple):
 
 def _solve(
     task: Task,
-    checker: Checker,
+    checker: ValidationProcess,
     options: SolveOptions,
     place: Path | None,
     phases: _Phases,
     use: Callable[[Table], None] | None,
-) -> Record:
+) -> SolveRecord:
     def answered(answer: Answer) -> None:
         if place is not None and answer[1] is not None:
             save_plan(saved_files(place)[1], task, answer[1])
@@ -350,7 +350,7 @@ def _sweep(task: Task, options: SolveOptions, place: Path | None, phases: _Phase
         return _Swept(known, known.orbits.table(task), f"{known.reason}; swept are {known.orbits.described}")
 
 
-def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> Record:
+def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> SolveRecord:
     """Give the record of what has been found, compared with what costs no time.
 
     Raises
@@ -404,7 +404,7 @@ def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phase
     return record | _outcome(cost, plan) | {"note": _joined(*notes)}
 
 
-def _outcome(cost: float, plan: list[str] | None) -> Record:
+def _outcome(cost: float, plan: list[str] | None) -> SolveRecord:
     return {"status": "unsolvable"} if plan is None else {"cost": int(cost), "plan": plan}
 
 
@@ -432,7 +432,7 @@ def _allowed(table: Table, options: SolveOptions, phases: _Phases) -> tuple[int,
     return min(COMPARED, len(table)), min(phases.left(), seconds)
 
 
-def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Record, answer: Answer | None) -> None:
+def _compare(table: Table, options: SolveOptions, phases: _Phases, record: SolveRecord, answer: Answer | None) -> None:
     """Compare states of a table with A*; note in the record how many."""
     import numpy as np
 
@@ -459,7 +459,7 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Recor
         )  # fmt: skip
 
 
-def unsolved(instance: Instance, status: str, message: str) -> Record:
+def unsolved(instance: Instance, status: str, message: str) -> SolveRecord:
     """Give the record of an instance that was not solved, with the reason."""
     return empty_record(instance, status, _error(instance.problem, None, message))
 

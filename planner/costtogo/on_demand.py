@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
 from ..search.distances import UNREACHED
-from ..search.kernels.packed_successors import Rulebook
-from ..search.state_registry import Numbered
-from ..search.successor_generator import expanded, rulebook
+from ..search.kernels.packed_successors import PackedOperators
+from ..search.state_registry import StateRegistry
+from ..search.successor_generator import expanded, packed_operators
 from ..states.packing import Ints, Packing, Words, holds
 from ..states.state_space import state_numbers
 from ..states.successors import Successors, Transitions
@@ -35,7 +35,7 @@ from ..system.machine import processors
 from .astar import LARGEST, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_choices
-from .orbits import Orbits
+from .orbits import OrbitTable
 
 
 class OnDemand:
@@ -69,7 +69,7 @@ class OnDemand:
         jobs: int | None = None,
         limits: Limits = NO_LIMITS,
         reason: str | None = None,
-        orbits: Orbits | None = None,
+        orbits: OrbitTable | None = None,
     ) -> None:
         self.task = task
         self.orbits = orbits
@@ -83,7 +83,7 @@ class OnDemand:
         self._jobs = jobs or processors()
         self._limits = limits
         self._search: str | None = None
-        self._met = Numbered(self.packing.words)
+        self._met = StateRegistry(self.packing.words)
         self.initial = int(self._meet(self._successors.derive(self.packing.pack([task.initial])))[0])
 
     def __len__(self) -> int:
@@ -91,8 +91,8 @@ class OnDemand:
         return len(self._met)
 
     @cached_property
-    def _book(self) -> Rulebook:
-        return rulebook(self.task, self.packing) if self.orbits is None else self.orbits.index.found.book
+    def _book(self) -> PackedOperators:
+        return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.found.book
 
     @cached_property
     def _counting(self) -> OnDemand:
@@ -168,7 +168,7 @@ class OnDemand:
             self._ask(missing, progress)
         return self._costs(np.array([self._known[key] for key in keys], dtype=np.float64))
 
-    def under(self, limits: Limits, reason: str | None, orbits: Orbits | None = None) -> OnDemand:
+    def under(self, limits: Limits, reason: str | None, orbits: OrbitTable | None = None) -> OnDemand:
         """Give this, with what it knows and the states that it has met, under other limits and for another reason."""
         other = copy.copy(self)
         other._limits, other.reason, other.orbits = limits, reason, orbits or self.orbits

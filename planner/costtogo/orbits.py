@@ -40,7 +40,7 @@ LONG = 1 << 31
 
 
 @dataclass(frozen=True)
-class Orbits:
+class OrbitTable:
     """The cost-to-go of all states that a task can reach.
 
     Attributes
@@ -109,7 +109,7 @@ def orbits(
     stop: threading.Event | None = None,
     progress: Progress | None = None,
     lent: Callable[[], float] = float,
-) -> Orbits:
+) -> OrbitTable:
     """Find the cost-to-go of all states that a task can reach, from one state of each orbit.
 
     Parameters
@@ -161,4 +161,4 @@ def orbits(
         price = distance.astype(np.int64)
         lengths = np.where(dead, UNREACHED, price % LONG)
         distance = compact(np.where(dead, UNREACHED, price // LONG))
-    return Orbits(OrbitIndex(forms, listing.found), distance, lengths, group.order, len(listing.targets))
+    return OrbitTable(OrbitIndex(forms, listing.found), distance, lengths, group.order, len(listing.targets))

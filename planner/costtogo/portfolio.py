@@ -28,7 +28,7 @@ from ..system.limits import MAX_STATES, NO_LIMITS, LimitError, Limits, MemoryLim
 from ..system.progress import Progress, Wanted, shows_progress
 from .cache import Cache
 from .on_demand import OnDemand
-from .orbits import Orbits, orbits
+from .orbits import OrbitTable, orbits
 from .sweep import sweep
 from .table import Table
 
@@ -49,7 +49,7 @@ class _Unswept(NamedTuple):
     """Why a task was not swept, and its orbits, if these were."""
 
     reason: str
-    orbits: Orbits | None
+    orbits: OrbitTable | None
 
 
 class _Stop(threading.Event):

@@ -20,7 +20,7 @@ import numpy as np
 from ..grounding.task import Task
 from ..search.bucket_dijkstra import BucketDijkstra, settled
 from ..search.checkpoint import Checkpoint
-from ..search.forward_search import ForwardSearch, Listing, enumerated
+from ..search.forward_search import ExploredGraph, ForwardSearch, enumerated
 from ..search.ranking.state_ranking import MANY, denser, plain
 from ..search.ranking.transition_normal_form import split_operators
 from ..search.successor_generator import build_tests
@@ -126,7 +126,7 @@ def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress:
     return _settled(task, listing, budget, progress, None if why is None else note)
 
 
-def _settled(task: Task, listing: Listing, budget: Budget, progress: Progress, note: str | None) -> Table:
+def _settled(task: Task, listing: ExploredGraph, budget: Budget, progress: Progress, note: str | None) -> Table:
     """Find the distances of states that are listed."""
     distance = settled(task, listing, budget, progress)
     space = StateSpace(task, len(distance), 0, len(listing.targets), listing.found)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from ..pddl import built_problems, bundled, instance_finder, instances
 from ..pddl.source import Source
 from ..pddl.validation import Refusal
-from ..pddl.validation_process import PATIENCE, Checker
+from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
 from . import cross_check, fast_downward
@@ -61,7 +61,7 @@ def load(
         if (kept := _kept(stored)) is not None:
             return from_sas(kept[1], instance, kept[0])
     source = Source.of(instance)
-    with Checker(source, limits) as checker:
+    with ValidationProcess(source, limits) as checker:
         task = ground(source, checker, limits)
     # The files may have been changed since their digest was made.
     if stored is not None and stored.stem == fast_downward.digest(instance):
@@ -85,7 +85,7 @@ def _digest(content: str) -> str:
     return hashlib.sha256(content.encode()).hexdigest()
 
 
-def ground(source: Source, checker: Checker, limits: Limits = NO_LIMITS) -> Task:
+def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
     """Ground an instance that unified-planning is reading meanwhile.
 
     Where unified-planning refuses what Fast Downward's translator reads, the task's note says so: the files have been

@@ -1,6 +1,6 @@
 """Tasks that were built in Python: from a unified-planning `Problem` to the files that everything else reads.
 
-unified-planning allows names that PDDL does not (capitals, dots), and writes others in their place. `write` hands on
+unified-planning allows names that PDDL does not (capitals, dots), and writes others in their place. `write` returns
 which, so that `restore_names` can give the grounded task the names of the problem again. Costs that are sums or
 products, which Fast Downward does not read, are worked out for all objects before.
 """

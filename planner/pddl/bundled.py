@@ -17,7 +17,7 @@ README = "README.md"
 
 
 @dataclass(frozen=True)
-class Shipped:
+class BundledTask:
     """A task that comes with the package.
 
     Attributes
@@ -75,10 +75,10 @@ def near(name: str | Path) -> str:
     return f"; with the package come {', '.join(alike)}" if alike else ""
 
 
-def listed() -> list[Shipped]:
+def listed() -> list[BundledTask]:
     """Give the tasks that come with the package, in the order of their names."""
     return [
-        Shipped(name, file, _sentence(file) or _sentence(file.parent / DOMAIN_FILE), *_known(file))
+        BundledTask(name, file, _sentence(file) or _sentence(file.parent / DOMAIN_FILE), *_known(file))
         for name, file in problems().items()
     ]
 

@@ -50,7 +50,7 @@ class Refusal:
         return Refusal(self.file, rendered.line(self.line), self.message)
 
 
-class RefusedError(ValueError):
+class InstanceRefusedError(ValueError):
     """Carries a `Refusal`."""
 
     def __init__(self, refusal: Refusal) -> None:
@@ -70,7 +70,7 @@ def read(instance: Instance) -> Problem:
     source = Source.of(instance)
     try:
         return parsed(source.typed_domain.text, source.problem_text)
-    except RefusedError as error:
+    except InstanceRefusedError as error:
         refusal = error.refusal.placed(source)
         raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
 
@@ -98,7 +98,7 @@ def validate(problem: Problem, plan: Sequence[str]) -> None:
 
 
 def parsed(domain: str, problem: str) -> Problem:
-    """Read an instance's texts; a `RefusedError` tells why not."""
+    """Read an instance's texts; a `InstanceRefusedError` tells why not."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unified-planning and pyparsing warn of their own internals
         from unified_planning.io import PDDLReader
@@ -140,4 +140,4 @@ def _refuse(file: str, text: str, fault: Exception) -> NoReturn:
         message = f"type '{match[1]}' may be under one type only"
     else:
         message = f"it fails at it ({type(fault).__name__})" if line is None else "it does not accept what is written"
-    raise RefusedError(Refusal(file, line, message)) from None
+    raise InstanceRefusedError(Refusal(file, line, message)) from None

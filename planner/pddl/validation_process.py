@@ -1,8 +1,8 @@
 """unified-planning in a process of its own.
 
-A `Checker` reads an instance while Fast Downward's translator grounds it, and afterwards checks plans. Importing the
-library takes longer than most tasks, and its internal errors, its memory and its time stay there. The process waits
-for the next instance when it is done, and ends with the one that started it.
+A `ValidationProcess` reads an instance while Fast Downward's translator grounds it, and checks plans afterwards.
+Importing the library takes longer than most tasks. Its internal errors, its memory and its time stay in that process,
+which waits for the next instance when it is done, and ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import IO, Any
 from ..system.limits import NO_LIMITS, Limits, limit_memory
 from ..system.processes import guarded_group, python
 from .source import Source
-from .validation import InvalidPlanError, Refusal, RefusedError, parsed, validate
+from .validation import InstanceRefusedError, InvalidPlanError, Refusal, parsed, validate
 
 PATIENCE = 300.0
 """Seconds that unified-planning may take longer than Fast Downward's translator, and for a plan."""
@@ -43,7 +43,7 @@ LATEST = 8
 """Of so many a process knows what it has read, since the same ones are often loaded again."""
 
 
-class Checker:
+class ValidationProcess:
     """What unified-planning says of one instance; it begins to read at once. Use it as a context manager."""
 
     def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
@@ -53,7 +53,7 @@ class Checker:
         self._refusal: Refusal | None = None
         self._read = False
 
-    def __enter__(self) -> Checker:
+    def __enter__(self) -> ValidationProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -208,7 +208,7 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
                 validate(problem, question["plan"])
             else:
                 problem = known(question["domain"], question["problem"])
-        except RefusedError as error:
+        except InstanceRefusedError as error:
             said = asdict(error.refusal)
         except InvalidPlanError as error:
             said = {"rejected": str(error)}

@@ -21,11 +21,11 @@ from ..states.packing import Ints, Words
 from ..system.limits import Budget
 from ..system.progress_reports import Progress
 from .distances import UNREACHED, compact, smallest_type
-from .forward_search import RANKS_AT_A_TIME, ForwardSearch, Listing, Push
+from .forward_search import RANKS_AT_A_TIME, ExploredGraph, ForwardSearch, Push
 from .kernels import expansion, ranked_states, relaxation, unranking
-from .kernels.ranked_states import States
-from .kernels.ranked_successors import Tests
-from .ranked_index import Indexed
+from .kernels.ranked_states import RankSet
+from .kernels.ranked_successors import RankedOperators
+from .ranked_index import RankedIndex
 from .successor_generator import STATES_AT_A_TIME
 
 MOST_CANDIDATES = 1 << 26
@@ -49,13 +49,13 @@ class BucketDijkstra:
     """
 
     forward: ForwardSearch
-    operators: Tests
+    operators: RankedOperators
 
     @property
     def _budget(self) -> Budget:
         return self.forward.budget
 
-    def solve(self, initial: int, goal: Sequence[Fact]) -> tuple[Indexed, int, NDArray[np.unsignedinteger]]:
+    def solve(self, initial: int, goal: Sequence[Fact]) -> tuple[RankedIndex, int, NDArray[np.unsignedinteger]]:
         """Return the reachable states, the number of their transitions, and the distance of each from the goal.
 
         The type's largest value marks dead ends.
@@ -66,7 +66,7 @@ class BucketDijkstra:
             states, transitions = self.forward.reach(initial)
         else:
             states, transitions = self.forward.ranked(kept[1]["bits"]), kept[0]["transitions"]
-        index = Indexed(self.forward.coding, self.forward.operators, self.forward.budget, states)
+        index = RankedIndex(self.forward.coding, self.forward.operators, self.forward.budget, states)
         total = len(index)
         costs = np.unique(self.operators.cost)
         if len(costs) > 1 or not costs.all():
@@ -82,7 +82,7 @@ class BucketDijkstra:
             checkpoint.remove()
         return index, transitions, distance
 
-    def _with(self, index: Indexed, facts: Sequence[Fact]) -> Iterator[Ints]:
+    def _with(self, index: RankedIndex, facts: Sequence[Fact]) -> Iterator[Ints]:
         """Yield the ranks of the states in which facts hold, in blocks."""
         coding, states, total = index.coding, index.states, len(index)
         blocks: Iterable[Ints] = index.blocks()
@@ -100,7 +100,7 @@ class BucketDijkstra:
 
     def _equal_costs(
         self,
-        states: States,
+        states: RankSet,
         transitions: int,
         frontier: list[Ints],
         cost: int,
@@ -137,7 +137,9 @@ class BucketDijkstra:
             if len(closed):
                 push = partial(self._label_and_spread, states, closed, distance, d - cost)
             else:
-                push = partial(expansion.spread_back, self.operators, self.forward.coding.decoder, states, distance, d)
+                push = partial(
+                    expansion.expand_block_back, self.operators, self.forward.coding.decoder, states, distance, d
+                )
             frontier, _ = self.forward.next_layer(push, self.operators.most, frontier, in_use, total)
             done += sum(map(len, frontier))
             self.forward.progress("cost-to-go", done, total)
@@ -146,7 +148,7 @@ class BucketDijkstra:
 
     def _label_and_spread(
         self,
-        states: States,
+        states: RankSet,
         closed: Words,
         distance: NDArray[Any],
         d: int,
@@ -161,9 +163,9 @@ class BucketDijkstra:
         """
         if start == 0:
             ranked_states.label(states, distance, d, block)
-        return expansion.spread(self.operators, self.forward.coding.decoder, closed, block, start, out, filled)
+        return expansion.expand_block(self.operators, self.forward.coding.decoder, closed, block, start, out, filled)
 
-    def _closed(self, states: States, distance: NDArray[Any], in_use: int) -> Words:
+    def _closed(self, states: RankSet, distance: NDArray[Any], in_use: int) -> Words:
         """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
         fits = in_use + states.bits.nbytes <= self._budget.room * CLOSED
         closed = np.empty(len(states.bits) if fits else 0, dtype=np.uint64)
@@ -171,7 +173,7 @@ class BucketDijkstra:
             ranked_states.close(states, distance, np.iinfo(distance.dtype).max, closed)
         return closed
 
-    def _any_costs(self, states: States, total: int, frontier: list[Ints], largest: int) -> NDArray[Any]:
+    def _any_costs(self, states: RankSet, total: int, frontier: list[Ints], largest: int) -> NDArray[Any]:
         """Settle the states in the order of their distance (Dial 1969), costs of zero included."""
         work: type[np.unsignedinteger] = np.uint32 if largest * total < np.iinfo(np.uint32).max else np.uint64
         in_use = sum(array.nbytes for array in states) + total * (np.dtype(work).itemsize + 4)
@@ -236,7 +238,7 @@ class BucketDijkstra:
         return result
 
 
-def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:
+def settled(task: Task, listing: ExploredGraph, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:
     """Find the distance of all states from the goal, in the order of the distances (Dial 1969).
 
     The type's largest value marks dead ends.
@@ -245,7 +247,7 @@ def settled(task: Task, listing: Listing, budget: Budget, progress: Progress) ->
     progress("cost-to-go", 0, None)
     into = np.zeros(states + 2, dtype=np.int64)
     sources, kinds = np.empty_like(listing.targets), np.empty_like(listing.kinds)
-    relaxation.turn_round(listing.counts, listing.targets, listing.kinds, into, sources, kinds)
+    relaxation.transpose(listing.counts, listing.targets, listing.kinds, into, sources, kinds)
     costs = np.unique(task.costs).astype(np.int64) if task.costs else np.zeros(1, dtype=np.int64)
     distance = np.full(states, UNREACHED, dtype=np.int64)
     goal = np.flatnonzero(listing.found.where(task.goal))

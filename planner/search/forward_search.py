@@ -29,11 +29,11 @@ from ..system.progress_reports import Progress
 from ..system.threads import on_threads
 from .checkpoint import Checkpoint
 from .kernels import expansion, packed_successors, ranked_states
-from .kernels.ranked_states import States
-from .kernels.ranked_successors import Tests
-from .ranking.state_ranking import Coding
-from .state_registry import Found, Numbered, _Growing
-from .successor_generator import STATES_AT_A_TIME, Expanded, expanded, rulebook
+from .kernels.ranked_states import RankSet
+from .kernels.ranked_successors import RankedOperators
+from .ranking.state_ranking import StateRanking
+from .state_registry import RegistryIndex, StateRegistry, _Growing
+from .successor_generator import STATES_AT_A_TIME, Expanded, expanded, packed_operators
 
 RANKS_AT_A_TIME = 1 << 16
 """Ranks in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
@@ -70,14 +70,14 @@ class ForwardSearch:
         Where searches of bitmaps keep what they have found.
     """
 
-    coding: Coding
-    operators: Tests
+    coding: StateRanking
+    operators: RankedOperators
     budget: Budget
     threads: int
     progress: Progress
     checkpoint: Checkpoint | None
 
-    def reach(self, initial: int) -> tuple[States, int]:
+    def reach(self, initial: int) -> tuple[RankSet, int]:
         """Return the states that are reachable from a rank, and the number of their transitions."""
         nothing = np.empty(0, dtype=np.int64)
         words = -(-self.coding.size // 512) * 8
@@ -102,7 +102,7 @@ class ForwardSearch:
                     ranked_states.set_bits(bits, block)
                 keys = nothing
             if len(bits):
-                push = partial(expansion.spread, self.operators, self.coding.decoder, bits)
+                push = partial(expansion.expand_block, self.operators, self.coding.decoder, bits)
                 frontier, count = self.next_layer(push, self.operators.most, frontier, bits.nbytes, found)
             else:
                 frontier, count, keys = self._hashed_layer(frontier, keys, found)
@@ -122,14 +122,14 @@ class ForwardSearch:
             self.share(
                 lambda at: ranked_states.number_members(keys, members[at : at + RANKS_AT_A_TIME], at, numbers), starts
             )
-            states = States(bits, nothing, members, keys, numbers)
+            states = RankSet(bits, nothing, members, keys, numbers)
         return states, transitions
 
-    def ranked(self, bits: Words) -> States:
+    def ranked(self, bits: Words) -> RankSet:
         """Return the set of states whose ranks are marked in a bitmap."""
         self.budget.check_memory(bits.nbytes * 9 / 8)
         nothing = np.empty(0, dtype=np.int64)
-        states = States(bits, np.empty(len(bits) // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
+        states = RankSet(bits, np.empty(len(bits) // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
         ranked_states.fill_ranks(states.bits, states.ranks)
         return states
 
@@ -228,7 +228,7 @@ class ForwardSearch:
                     self.budget.check_time(found + own)
                     self.budget.check_memory(keys.nbytes + 8 * size * (len(waiting) + len(pushed) + self.threads))
                     out = np.empty(min(size, room - own), dtype=np.int64)
-                    stop, filled, count = expansion.spread_hashed(
+                    stop, filled, count = expansion.expand_block_hashed(
                         self.operators, self.coding.decoder, block, 0, keys, room - own, out, 0
                     )
                     if stop < len(block):
@@ -262,7 +262,7 @@ def as_they_are(_states: Words) -> None:
 
 
 @dataclass(frozen=True)
-class Listing:
+class ExploredGraph:
     """What the search forward has found.
 
     Attributes
@@ -276,7 +276,7 @@ class Listing:
         Which of the task's different costs each has; empty where all cost the same.
     """
 
-    found: Found
+    found: RegistryIndex
     counts: NDArray[np.int32]
     targets: NDArray[np.int32]
     kinds: NDArray[np.unsignedinteger]
@@ -287,9 +287,9 @@ class _RegistrySearch:
 
     def __init__(self, task: Task, form: Form = as_they_are) -> None:
         self.packing = Packing.of(task)
-        self.book = rulebook(task, self.packing)
+        self.book = packed_operators(task, self.packing)
         self.form = form
-        self.met = Numbered(self.packing.words)
+        self.met = StateRegistry(self.packing.words)
         initial = self.packing.pack([task.initial])
         packed_successors.derive(self.book.axioms, self.book.again, initial)
         form(initial)
@@ -343,7 +343,7 @@ def enumerated(
     progress: Progress,
     most: float = math.inf,
     form: Form = as_they_are,
-) -> Listing | None:
+) -> ExploredGraph | None:
     """Find the states that a task can reach, breadth first; None if they have `most` transitions or more.
 
     `form` puts in the place of states others that do for them, before they are looked for.
@@ -363,6 +363,6 @@ def enumerated(
                 return None
             search.check(budget, 24, (8 + 4 * (len(costs) > 1)) * transitions)
             progress("states", len(search.met), None)
-    found = Found(search.packing, search.book, search.met.trimmed(), search.met.slots)
+    found = RegistryIndex(search.packing, search.book, search.met.trimmed(), search.met.slots)
     kept = transitions if len(costs) > 1 else 0
-    return Listing(found, counts.trimmed(done), targets.trimmed(transitions), kinds.trimmed(kept))
+    return ExploredGraph(found, counts.trimmed(done), targets.trimmed(transitions), kinds.trimmed(kept))

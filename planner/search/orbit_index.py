@@ -12,7 +12,7 @@ from ..grounding.task import Fact
 from ..states.packing import Ints, Words
 from ..states.successors import Transitions
 from .kernels import state_hash
-from .state_registry import Found
+from .state_registry import RegistryIndex
 from .successor_generator import expanded
 from .symmetry.canonical_states import Forms, canonical
 
@@ -30,7 +30,7 @@ class OrbitIndex:
     """
 
     forms: Forms
-    found: Found
+    found: RegistryIndex
 
     def rows(self, states: Words) -> Ints:
         """Return the numbers of the orbits of packed states, shape (n, words); -1 where none has been found."""

@@ -14,13 +14,13 @@ from ..states.successors import Transitions
 from ..system.limits import Budget
 from .forward_search import RANKS_AT_A_TIME
 from .kernels import expansion, ranked_states, unranking
-from .kernels.ranked_states import States
-from .kernels.ranked_successors import Tests
-from .ranking.state_ranking import Coding
+from .kernels.ranked_states import RankSet
+from .kernels.ranked_successors import RankedOperators
+from .ranking.state_ranking import StateRanking
 
 
 @dataclass(frozen=True)
-class Indexed:
+class RankedIndex:
     """Reachable states, numbered in the order of their ranks.
 
     Attributes
@@ -33,10 +33,10 @@ class Indexed:
         The ranks of all reachable states.
     """
 
-    coding: Coding
-    operators: Tests
+    coding: StateRanking
+    operators: RankedOperators
     budget: Budget
-    states: States
+    states: RankSet
 
     def __len__(self) -> int:
         return int(self.states.ranks[-1]) if len(self.states.bits) else len(self.states.members)

@@ -15,7 +15,7 @@ from ..states.packing import Ints, Packing, Words, holds
 from ..states.successors import Transitions
 from ..system.limits import LimitError
 from .kernels import state_hash
-from .kernels.packed_successors import Rulebook
+from .kernels.packed_successors import PackedOperators
 from .successor_generator import expanded
 
 FULL = 0.7
@@ -27,7 +27,7 @@ MOST = np.iinfo(np.int32).max
 
 
 @dataclass(frozen=True)
-class Found:
+class RegistryIndex:
     """The states that have been found, in the order in which they were.
 
     Attributes
@@ -40,7 +40,7 @@ class Found:
     """
 
     packing: Packing
-    book: Rulebook
+    book: PackedOperators
     states: Words
     slots: Words
 
@@ -98,7 +98,7 @@ class _Growing:
         return self.rows
 
 
-class Numbered:
+class StateRegistry:
     """States that are numbered as they are met, in the order in which they are. Any thread may ask.
 
     Parameters

@@ -17,16 +17,16 @@ from ..grounding.task import Effect, Fact, Task
 from ..states.packing import Ints, Packing, Words, can_hold
 from ..states.successors import Successors
 from .kernels import packed_successors
-from .kernels.packed_successors import Rulebook, Rules, Trie
-from .kernels.ranked_successors import Candidates, Tests
-from .ranking.state_ranking import Coding
-from .ranking.transition_normal_form import Move
+from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
+from .kernels.ranked_successors import ApplicableSets, RankedOperators
+from .ranking.state_ranking import StateRanking
+from .ranking.transition_normal_form import TNFOperator
 
 FEW = 3
 """Values of a variable that are tested one after the other; more are a switch."""
 
 
-class _Trie:
+class _DecisionTreeBuilder:
     """Tests as they are laid out."""
 
     def __init__(self, packing: Packing) -> None:
@@ -125,11 +125,11 @@ class _Trie:
         )
 
 
-def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> Tests:
+def build_tests(moves: Sequence[TNFOperator], coding: StateRanking, costs: Sequence[int]) -> RankedOperators:
     """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
     changes = [coding.change(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
-    trie = _Trie(coding.packing)
+    trie = _DecisionTreeBuilder(coding.packing)
     chosen = candidates([moves[number] for number in possible], coding)
     if chosen is None:
         chosen = NO_CANDIDATES
@@ -169,7 +169,7 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
         for cluster, kind in wanted
     ]
     ordered = [moves[number] for number in trie.order]
-    return Tests(
+    return RankedOperators(
         chosen,
         *trie.arrays(),
         np.array(constants, np.int64),
@@ -182,14 +182,14 @@ def build_tests(moves: Sequence[Move], coding: Coding, costs: Sequence[int]) -> 
     )
 
 
-def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> Trie:
+def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> DecisionTree:
     """Arrange operators by their preconditions, which do not contradict themselves."""
     return tries_of([conditions], packing)[0]
 
 
-def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> tuple[Trie, Ints]:
+def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> tuple[DecisionTree, Ints]:
     """Arrange several groups one after the other, numbered through; tell where each begins, and where all end."""
-    trie, most, begin, number = _Trie(packing), 0, [0], 0
+    trie, most, begin, number = _DecisionTreeBuilder(packing), 0, [0], 0
     for conditions in groups:
         root = trie.test(0, 0, 0)  # it always holds
         most = max(most, trie.build([(facts, number + place) for place, facts in enumerate(conditions)]))
@@ -197,7 +197,7 @@ def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> t
         begin.append(len(trie.word))
         number += len(conditions)
     trie.first.append(len(trie.order))
-    return Trie(*trie.arrays(), np.array(trie.order, np.int64), max(1, most)), np.array(begin, np.int64)
+    return DecisionTree(*trie.arrays(), np.array(trie.order, np.int64), max(1, most)), np.array(begin, np.int64)
 
 
 STATES_AT_A_TIME = 1 << 12
@@ -216,14 +216,14 @@ Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
 """How many actions each of some states has, which, and what they lead to."""
 
 
-def rulebook(task: Task, packing: Packing) -> Rulebook:
+def packed_operators(task: Task, packing: Packing) -> PackedOperators:
     """Lay out a task's transition function."""
     successors = Successors(task, packing)
     possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
     stages = list(_axioms(task, packing, successors))
-    return Rulebook(
+    return PackedOperators(
         trie_of(conditions, packing),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
         _rules([_grouped(task.operators[number].effects, successors.effects[number]) for number in order], packing),
@@ -280,7 +280,7 @@ def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
     return np.array(number, np.int64), np.array(first, np.uint64), np.array(second, np.uint64)
 
 
-def expanded(book: Rulebook, states: Words) -> Iterator[Expanded]:
+def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
     stop = 0
     room = 8 * STATES_AT_A_TIME + book.trie.most
@@ -296,7 +296,7 @@ LARGEST = 1 << 21
 """Bytes that the sets of moves may take."""
 
 
-NO_CANDIDATES = Candidates(
+NO_CANDIDATES = ApplicableSets(
     np.empty((0, 0), np.uint64),
     np.zeros(1, np.int64),
     np.empty(0, np.int64),
@@ -305,7 +305,7 @@ NO_CANDIDATES = Candidates(
 )
 
 
-def candidates(moves: Sequence[Move], coding: Coding) -> Candidates | None:
+def candidates(moves: Sequence[TNFOperator], coding: StateRanking) -> ApplicableSets | None:
     """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they are too large."""
     if not moves:
         return NO_CANDIDATES
@@ -333,7 +333,7 @@ def candidates(moves: Sequence[Move], coding: Coding) -> Candidates | None:
         tests += [(int(word), int(masks[word]), int(values[word])) for word in np.flatnonzero(masks)]
         begin.append(len(tests))
     word, mask, value = zip(*tests, strict=True) if tests else ((), (), ())
-    return Candidates(
+    return ApplicableSets(
         packed.view("<u8").astype(np.uint64),
         np.array(begin, np.int64),
         np.array(word, np.int64),
@@ -342,7 +342,7 @@ def candidates(moves: Sequence[Move], coding: Coding) -> Candidates | None:
     )
 
 
-def _families(coding: Coding) -> list[list[int]]:
+def _families(coding: StateRanking) -> list[list[int]]:
     """Name the clusters that each of the decoder's tables stands for: of chunks of digits, then of steps."""
     digits = iter(sorted(np.flatnonzero(coding.stride).tolist(), key=lambda number: int(coding.stride[number])))
     families = []
@@ -355,7 +355,7 @@ def _families(coding: Coding) -> list[list[int]]:
     return [*families, *([number] for number in range(len(coding.clusters) - steps, len(coding.clusters)))]
 
 
-def _allowed(moves: Sequence[Move], coding: Coding) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
+def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
     """Tell which values of each variable, shape (n, moves), moves allow, and which facts of each are told by none."""
     digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
     needed: list[tuple[int, int, int]] = []  # variable, value, move

@@ -1,7 +1,7 @@
 """Every reachable state of a task, numbered, and what each action leads to.
 
 A `StateSpace` is what a sweep finds: how many states there are, which number each has, and, only when asked
-for, the choices of all of them. How states are numbered is behind the `Numbering` that it holds: `listing`
+for, the choices of all of them. How states are numbered is behind the `StateIndex` that it holds: `listing`
 keeps the packed states themselves, in the order in which they are found; `sweep` has a more compact one.
 """
 
@@ -40,7 +40,7 @@ def state_numbers(states: ArrayLike, count: int) -> Ints:
     return array.astype(np.int64, copy=False)
 
 
-class Numbering(Protocol):
+class StateIndex(Protocol):
     """How states are numbered: what a `StateSpace` needs of any way to enumerate them."""
 
     def numbers(self, values: Ints) -> Ints:
@@ -77,7 +77,7 @@ class StateSpace:
     size: int
     initial: int
     transition_count: int
-    numbering: Numbering
+    numbering: StateIndex
 
     __repr__ = outline
 

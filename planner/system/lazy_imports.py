@@ -1,6 +1,6 @@
 """Packages that hand on names, and load the modules that these are from when they are first asked for.
 
-What a package hands on stands in its `__init__.pyi`, which type checkers and editors read as well. A command that only
+What a package exports stands in its `__init__.pyi`, which type checkers and editors read as well. A command that only
 shows its help, or a script that only plans, so does not load what compiles, draws or makes tables.
 """
 
@@ -23,7 +23,7 @@ class _Package(ModuleType):
             super().__setattr__(name, value)
 
 
-def hand_on(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Give a package the `__getattr__`, `__dir__` and `__all__` that its list asks for.
 
     Parameters

@@ -14,7 +14,7 @@ PENDING = 256
 
 
 @njit(nogil=True, error_model="numpy")
-def spread(tests, decoder, closed, block, start, out, filled):
+def expand_block(tests, decoder, closed, block, start, out, filled):
     """Push the successors that are not closed yet, and close them.
 
     Several threads may work on one bitmap: which of them pushes a successor is left open, but one does. The words of
@@ -56,10 +56,10 @@ def spread(tests, decoder, closed, block, start, out, filled):
 
 
 @njit(nogil=True, error_model="numpy")
-def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
+def expand_block_hashed(tests, decoder, block, start, keys, room, out, filled):
     """Push the successors that are not in a hash table yet, at most `room`, and put them there.
 
-    Returns as `spread` does. Several threads may work on one table.
+    Returns as `expand_block` does. Several threads may work on one table.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)
@@ -94,11 +94,11 @@ def spread_hashed(tests, decoder, block, start, keys, room, out, filled):
 
 
 @njit(nogil=True, error_model="numpy")
-def spread_back(tests, decoder, states, distance, d, block, start, out, filled):
+def expand_block_back(tests, decoder, states, distance, d, block, start, out, filled):
     """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
 
-    Returns as `spread` does. Several threads may work on one array of distances. For sets of states without a bitmap,
-    and where the memory is short of one for `spread`.
+    Returns what `expand_block` returns. Several threads may work on one array of distances. It is for sets of states
+    without a bitmap, and for tasks where memory is short of a second bitmap.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)

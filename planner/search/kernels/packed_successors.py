@@ -15,7 +15,7 @@ from ...states.packing import Ints, Words
 from ...system.jit import njit
 
 
-class Trie(NamedTuple):
+class DecisionTree(NamedTuple):
     """Which operators can be applied, or which rules: tests in depth-first order, as in `kernels.Tests`.
 
     Attributes
@@ -57,7 +57,7 @@ class Rules(NamedTuple):
     write_keep, write_value : uint64 arrays
     """
 
-    trie: Trie
+    trie: DecisionTree
     begin: Ints
     writes: Ints
     write_word: Ints
@@ -65,7 +65,7 @@ class Rules(NamedTuple):
     write_value: Words
 
 
-class Rulebook(NamedTuple):
+class PackedOperators(NamedTuple):
     """A task's transition function; operators are in the order of their actions.
 
     Attributes
@@ -80,7 +80,7 @@ class Rulebook(NamedTuple):
         Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
     """
 
-    trie: Trie
+    trie: DecisionTree
     action: Ints
     effects: Rules
     axioms: Rules

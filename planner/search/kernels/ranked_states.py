@@ -58,7 +58,7 @@ def number_members(keys, members, start, numbers):
         numbers[find_slot(keys, members[i])] = start + i
 
 
-class States(NamedTuple):
+class RankSet(NamedTuple):
     """The set of reachable indices: as a bitmap, or as a sorted list and a hash table.
 
     Attributes

@@ -2,7 +2,7 @@
 
 Kernels work on one block of indices, so that limits are checked between calls. Those that push stop where the
 output may not hold the successors of one more state, and say how far they came. `coding` explains indices,
-`Decoder` and `Tests`.
+`UnrankingTables` and `RankedOperators`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from .atomics import lowest_bit
 from .unranking import CLUSTER, NOWHERE, PRIME
 
 
-class Candidates(NamedTuple):
+class ApplicableSets(NamedTuple):
     """The sets of moves that rows leave, and what is to be tested of them.
 
     Attributes
@@ -39,7 +39,7 @@ class Candidates(NamedTuple):
     value: Words
 
 
-class Tests(NamedTuple):
+class RankedOperators(NamedTuple):
     """The moves of a task: the candidates of each row, or a trie of tests in depth-first order; the other is empty.
 
     Attributes
@@ -70,7 +70,7 @@ class Tests(NamedTuple):
         No more moves than this can be applied in one state.
     """
 
-    candidates: Candidates
+    candidates: ApplicableSets
     word: Ints
     mask: Words
     value: Words

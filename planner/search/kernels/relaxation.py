@@ -85,7 +85,7 @@ def by_kind(out, through, begin, ordered):
 
 
 @njit(nogil=True, error_model="numpy")
-def turn_round(counts, targets, kinds, into, sources, source_kinds):
+def transpose(counts, targets, kinds, into, sources, source_kinds):
     """Sort transitions by what they lead to: those that lead to `s` are `into[s]:into[s + 1]`; `into` is zeros before.
 
     `into` has two entries more than there are states.

@@ -11,7 +11,7 @@ from ...states.packing import Ints, Words
 from ...system.jit import njit
 
 
-class Decoder(NamedTuple):
+class UnrankingTables(NamedTuple):
     """Tables that give the packed state of an index (a namedtuple: numba takes it apart).
 
     The digits of an index fall into chunks, the lowest first. A packed state is the sum, modulo 2**64, of

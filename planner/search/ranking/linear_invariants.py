@@ -20,7 +20,7 @@ from ...grounding.task import Task
 from ...states.packing import Ints
 from ...system.jit import njit
 from ..kernels.unranking import PRIME
-from .transition_normal_form import Move
+from .transition_normal_form import TNFOperator
 
 MOST_WORK = 1 << 32
 """Steps of elimination (facts^2 times distinct changes), beyond which invariants are not looked for."""
@@ -47,7 +47,7 @@ class Determined:
     total: int
 
 
-def determined(task: Task, moves: Sequence[Move]) -> list[Determined]:
+def determined(task: Task, moves: Sequence[TNFOperator]) -> list[Determined]:
     """Choose variables that the others determine.
 
     Large variables that take few invariants are preferred. Each depends on variables that are not among those chosen
@@ -84,7 +84,7 @@ def determined(task: Task, moves: Sequence[Move]) -> list[Determined]:
     return found[::-1]
 
 
-def invariants(task: Task, moves: Sequence[Move]) -> Ints:
+def invariants(task: Task, moves: Sequence[TNFOperator]) -> Ints:
     """Give a basis of all invariants modulo `PRIME`, shape (n, facts), each checked against every move."""
     first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
     changes = np.zeros((len(moves), int(first[-1])), dtype=np.int64)

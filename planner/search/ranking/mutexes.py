@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...grounding.task import Task
 from ...states.packing import Ints
 from ...system.jit import njit
-from .transition_normal_form import Move
+from .transition_normal_form import TNFOperator
 
 MOST_WORK = 1 << 26
 """Moves times facts, beyond which mutexes are not looked for."""
@@ -42,11 +42,11 @@ class Mutexes:
 
     first: Ints
     together: NDArray[np.bool_]
-    moves: list[Move]
+    moves: list[TNFOperator]
     barred: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, task: Task, moves: Sequence[Move]) -> Mutexes | None:
+    def of(cls, task: Task, moves: Sequence[TNFOperator]) -> Mutexes | None:
         """Compute them; None if that would take long."""
         first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
         if len(moves) * int(first[-1]) > MOST_WORK:

@@ -1,12 +1,12 @@
 """States as numbers on which a move is an addition.
 
-An *index* is a mixed-radix number whose digits are clusters of variables: a cluster's digit is the place of its
-variables' values in the list of those that they can take together. Variables that follow from the others are left
-out. There are two codings. `Coding.of` takes every variable as a cluster of its own and leaves out what follows from
-groups of facts of which exactly one holds for ever; on these indices a move adds a constant. Where that gives very
-many, `Coding.dense` looks deeper: for variables that any linear invariant determines (`invariants`), and for clusters
-of variables that take few values together (`clusters`); there a move adds what it finds in a table, by the cluster's
-digit.
+A *rank* is a mixed-radix number whose digits are clusters of variables: a cluster's digit is the place of its
+variables' values in the list of those that they can take together. Variables that follow from the others are left out.
+There are two rankings. `StateRanking.of` takes every variable as a cluster of its own and leaves out what follows from
+groups of facts of which exactly one holds for ever; on these ranks a move adds a constant. Where that gives very many
+ranks, `StateRanking.dense` looks deeper: for variables that any linear invariant determines (`linear_invariants`), and
+for clusters of variables that take few values together (`variable_clusters`). There a move adds what it finds in a
+table, by the cluster's digit.
 
 A state is decoded by adding up table entries. Which moves can be applied in it is found by intersecting sets, one for
 each entry (`candidates`), or by a trie of tests (`trie`).
@@ -24,10 +24,10 @@ from numpy.typing import ArrayLike
 
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
-from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, Decoder, decode_all
+from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
-from .transition_normal_form import Move, exactly_one
+from .transition_normal_form import TNFOperator, exactly_one
 from .variable_clusters import Cluster, clusters
 
 CHUNK = 1 << 11
@@ -62,7 +62,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Coding:
+class StateRanking:
     """Reachable states as indices.
 
     Attributes
@@ -90,11 +90,11 @@ class Coding:
     stride: Ints
     size: int
     field: dict[int, tuple[int, int]]
-    decoder: Decoder
+    decoder: UnrankingTables
     implied: dict[Fact, Sum]
 
     @classmethod
-    def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[Move]) -> Coding | None:
+    def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator]) -> StateRanking | None:
         """Number the states by single variables, but those that the groups imply; None if 63 bits do not do."""
         sizes = [len(variable.facts) for variable in task.variables]
         sums = _implied(sizes, groups)
@@ -111,7 +111,7 @@ class Coding:
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder, sums)
 
     @classmethod
-    def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> Coding | None:
+    def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> StateRanking | None:
         """Number the states by clusters, but for the variables that invariants determine; None as above.
 
         The moves are those of the mutexes. `check` is called again and again, and may raise `LimitError`.
@@ -140,7 +140,7 @@ class Coding:
         decoder = _dense_decoder(packing, sizes, own, digits, left_out, field)
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
 
-    def change(self, move: Move) -> Change | None:
+    def change(self, move: TNFOperator) -> Change | None:
         """Say what a move adds to the index; None if it can never be applied."""
         constant = 0
         lookups = []
@@ -240,18 +240,18 @@ class Coding:
         return self.packing.unpack(words)
 
 
-def plain(task: Task, moves: list[Move]) -> tuple[Coding | None, list[Move]]:
+def plain(task: Task, moves: list[TNFOperator]) -> tuple[StateRanking | None, list[TNFOperator]]:
     """Give the coding by single variables, if 62 bits do, and leave out moves that can never be applied.
 
     Where there is none, or one of more than `MANY` indices, `denser` may find a better one.
     """
     groups, possible = exactly_one(task, moves)
-    return Coding.of(task, groups, possible), possible
+    return StateRanking.of(task, groups, possible), possible
 
 
 def denser(
-    task: Task, coding: Coding | None, moves: list[Move], check: Callable[[], None] = lambda: None
-) -> tuple[Coding | None, list[Move]]:
+    task: Task, coding: StateRanking | None, moves: list[TNFOperator], check: Callable[[], None] = lambda: None
+) -> tuple[StateRanking | None, list[TNFOperator]]:
     """Look for a coding of fewer indices than one that is there, and leave out more moves.
 
     `check` is called again and again, and may raise `LimitError`.
@@ -259,7 +259,7 @@ def denser(
     check()
     mutexes = Mutexes.of(task, moves)
     check()
-    found = None if mutexes is None else Coding.dense(task, mutexes, check)
+    found = None if mutexes is None else StateRanking.dense(task, mutexes, check)
     if mutexes is None or found is None or (coding is not None and found.size >= coding.size):
         return coding, moves
     return found, mutexes.moves
@@ -365,7 +365,7 @@ def _dense_decoder(
     digits: Sequence[int],
     left_out: Sequence[Determined],
     field: dict[int, tuple[int, int]],
-) -> Decoder:
+) -> UnrankingTables:
     """Tabulate what each cluster's values contribute to the packed state and to the sums that tell the others."""
     first = np.concatenate([[0], np.cumsum(sizes)])
     words = packing.words + -(-len(field) // FIELDS)
@@ -418,7 +418,7 @@ def _decoder(
     constant: Words,
     steps: Sequence[tuple[tuple[int, int], Words]],
     told: ArrayLike,
-) -> Decoder:
+) -> UnrankingTables:
     """Put the digits' tables together, those of several small digits into one."""
     chunks: list[list[Words]] = [[]]
     for part in parts:
@@ -441,7 +441,7 @@ def _decoder(
         row[:] = word, shift, at
         tables.append(part)
         at += len(part)
-    return Decoder(
+    return UnrankingTables(
         np.array(radix, np.uint64),
         np.array(first, np.int64),
         np.concatenate(tables),

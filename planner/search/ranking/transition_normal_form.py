@@ -20,7 +20,7 @@ MANY_EACH = 4
 
 
 @dataclass(frozen=True)
-class Move:
+class TNFOperator:
     """A ground action in all states in which `facts` hold.
 
     Attributes
@@ -36,12 +36,12 @@ class Move:
     facts: dict[int, int]
     after: dict[int, int]
 
-    def inverse(self) -> Move:
+    def inverse(self) -> TNFOperator:
         """The move that leads back."""
-        return Move(self.action, {**self.facts, **self.after}, {v: self.facts[v] for v in self.after})
+        return TNFOperator(self.action, {**self.facts, **self.after}, {v: self.facts[v] for v in self.after})
 
 
-def split_operators(task: Task) -> list[Move] | None:
+def split_operators(task: Task) -> list[TNFOperator] | None:
     """Split all operators of a task into moves, or none if they would be too many.
 
     The moves of one action exclude each other: where two operators of an action are applicable, the first
@@ -50,7 +50,7 @@ def split_operators(task: Task) -> list[Move] | None:
     sizes = [len(variable.facts) for variable in task.variables]
     most = max(MOST_MOVES, MANY_EACH * len(task.operators))
     earlier: dict[int, list[Sequence[Fact]]] = {}
-    moves: list[Move] = []
+    moves: list[TNFOperator] = []
     for operator in task.operators:
         others = earlier.setdefault(operator.action, [])
         for move in _split(operator, others, sizes):
@@ -61,7 +61,7 @@ def split_operators(task: Task) -> list[Move] | None:
     return moves
 
 
-def _split(operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int]) -> Iterator[Move]:
+def _split(operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int]) -> Iterator[TNFOperator]:
     """Split one operator, but for the states in which one of the excluded conditions holds."""
     facts = dict(operator.preconditions)
     if any(facts[variable] != value for variable, value in operator.preconditions):
@@ -80,7 +80,7 @@ def _split(operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequen
             if all(known.get(variable) == value for variable, value in effect.conditions):
                 after[effect.variable] = effect.value
         changes = {variable: value for variable, value in after.items() if known[variable] != value}
-        yield Move(operator.action, known, changes)
+        yield TNFOperator(operator.action, known, changes)
 
 
 def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: dict[int, int]) -> int | None:
@@ -96,7 +96,7 @@ def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: di
     return -1
 
 
-def exactly_one(task: Task, moves: list[Move]) -> tuple[list[frozenset[Fact]], list[Move]]:
+def exactly_one(task: Task, moves: list[TNFOperator]) -> tuple[list[frozenset[Fact]], list[TNFOperator]]:
     """Prove that of certain groups of facts exactly one holds in every reachable state.
 
     Candidates are the translator's mutex groups. Proven by induction are those of which one fact holds
@@ -117,7 +117,7 @@ def exactly_one(task: Task, moves: list[Move]) -> tuple[list[frozenset[Fact]], l
         for group in groups:
             for fact in group:
                 of_fact.setdefault(fact, []).append(group)
-        possible: list[Move] = []
+        possible: list[TNFOperator] = []
         broken: set[frozenset[Fact]] = set()
         for move in moves:
             needed = Counter(group for fact in move.facts.items() for group in of_fact.get(fact, ()))
