@@ -85,6 +85,47 @@ def test_an_edit_of_any_file_that_code_was_compiled_from_is_seen(
     assert called() == (20_303, True)
 
 
+TYPED = """
+from typing import NamedTuple
+from planner.system.jit import njit
+
+class Pair(NamedTuple):
+    a: int
+
+@njit()
+def first(pair):
+    return pair.a
+
+def start():
+    return first(Pair(7)), sum(first.stats.cache_hits.values()) > 0
+"""
+
+
+def test_code_whose_types_were_renamed_or_are_gone_is_compiled_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """numba reads the types of all cached code before it looks whether that is stale."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    file = tmp_path / "renamed.py"
+
+    def started(text: str) -> tuple[int, bool]:
+        file.write_text(text)
+        sys.modules.pop("renamed", None)
+        stamp.cache_clear()
+        linecache.clearcache()
+        found: tuple[int, bool] = import_module("renamed").start()
+        return found
+
+    assert started(TYPED) == (7, False)
+    assert started(TYPED) == (7, True)
+    assert started(TYPED.replace("Pair", "Couple")) == (7, False)
+    assert started(TYPED.replace("Pair", "Couple")) == (7, True)
+    for index in (tmp_path / "__pycache__").glob("*.nbi"):
+        index.write_bytes(index.read_bytes()[:-20])
+    assert started(TYPED.replace("Pair", "Couple")) == (7, False)
+
+
 def test_numba_can_be_switched_off() -> None:
     code = "from assist.people.compiled import moved; print(moved(0.5, 0.0, 1.0))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}

@@ -71,8 +71,8 @@ def test_values_that_are_no_state_have_no_orbit(name: str) -> None:
         changed,
     ):
         own = table.space.numbering.numbers(values)
-        np.testing.assert_array_equal(found.numbers(values) >= 0, own >= 0)
-    assert (found.numbers(some) >= 0).all()
+        np.testing.assert_array_equal(found.index.numbers(values) >= 0, own >= 0)
+    assert (found.index.numbers(some) >= 0).all()
     small = found.table(table.task)
     for value in (-1, max(sizes), 2**62):
         with pytest.raises(KeyError):

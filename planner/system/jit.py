@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import linecache
+import pickle
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -50,10 +51,28 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def compiled(function: Callable[..., Any]) -> Any:
         dispatcher = numba.njit(cache=True, **options)(function)
         if not numba.config.DISABLE_JIT:
-            dispatcher._cache._cache_file._source_stamp = stamp(function.__module__)
+            files = dispatcher._cache._cache_file
+            files._source_stamp = stamp(function.__module__)
+            files._load_index = _readable(files._load_index)
         return dispatcher
 
     return compiled
+
+
+def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]]:
+    """Return a function that loads an index of cached code, and takes one that cannot be read for an empty one.
+
+    numba reads the whole index before it compares stamps. The index names the types of arguments, and a class among
+    them may have been renamed or moved since.
+    """
+
+    def loaded() -> dict[Any, str]:
+        try:
+            return load()
+        except (AttributeError, ImportError, pickle.UnpicklingError, EOFError):
+            return {}
+
+    return loaded
 
 
 @cache
