@@ -34,7 +34,7 @@ ROOMS = {
     "planner": "engine",
     "assist.people": "arguments choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
-        solver""",
+        solver silence""",
     "assist.learning": """actions log_files log recording observations choosing likelihood profiles estimates weighing
         hierarchy misconception diagnostics population record people comparison summary""",
     "assist.team": "travel state attention subproblem settings bounded wide priority policies pool",

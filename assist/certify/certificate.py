@@ -108,7 +108,9 @@ def returns(
         if parts and deadline is not None and time.perf_counter() > deadline:
             break
         numbers = np.arange(start, min(episodes, start + portion))
-        run = simulate(pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model")
+        run = simulate(
+            pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model", explain=False
+        )
         left = (~run.finished).sum(axis=1) * dearest * gamma**end / (1 - gamma)
         parts.append(run.discounted_return - left)
     return np.concatenate(parts)

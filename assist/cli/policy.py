@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ def policy(
     out: Path | None, as_json: bool, **person: Any,
 ) -> None:  # fmt: skip
     """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
+    from ..person.silence import silence_of
     from ..person.solver import solve
 
     if out is not None and out.suffix != ".npz":
@@ -54,15 +56,18 @@ def policy(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
                 bounds=lambda _, *found: show(line_of(*found)),
             )  # fmt: skip
+            silence = silence_of(solution)
         if out is not None:
             solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)
     frontier = problem.pomdp.frontier
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),
         "method": problem.known.method, "frontier": 0 if frontier is None else len(frontier.states),
-        "versions": versions(),
+        "silence": silence and asdict(silence), "versions": versions(),
     }  # fmt: skip
     if as_json:
         print_json(record)
     else:
         show_bounds(record)
+        if silence is not None:
+            click.echo(f"{silence} (--c-suggest)")

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
@@ -214,6 +214,12 @@ class AssistPOMDP:
             chosen=chosen, unsuggested=unsuggested, low=low, weight=weight, frontier=frontier,
         )  # fmt: skip
 
+    def priced(self, c_suggest: float) -> AssistPOMDP:
+        """Return the same problem where a suggestion costs something else."""
+        check_costs(self.gamma, c_suggest=c_suggest)
+        costs = np.where(self.suggested == NOTHING, self.robot_costs, c_suggest)
+        return replace(self, c_suggest=c_suggest, robot_costs=costs)
+
     @cached_property
     def final(self) -> NDArray[np.bool_]:
         """Where the problem ends, shape (n,): at goals and on the frontier."""
@@ -319,7 +325,7 @@ class Later:
     """
 
     def __init__(self, pomdp: AssistPOMDP, solver: Callable[[AssistPOMDP], Policy]) -> None:
-        self.pomdp, self._solver = pomdp, solver
+        self.pomdp, self.solver = pomdp, solver
         self._lock, self._solved = threading.Lock(), list[Policy]()
 
     def __repr__(self) -> str:
@@ -329,7 +335,7 @@ class Later:
         """Give the policy; worked out once."""
         with self._lock:
             if not self._solved:
-                self._solved.append(self._solver(self.pomdp))
+                self._solved.append(self.solver(self.pomdp))
             return self._solved[0]
 
     def __getstate__(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import cache, partial
 from typing import get_args
 
@@ -21,9 +22,11 @@ from planner import LimitError
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
-from ..team.policies import prepare
+from ..person.silence import LARGEST, silence
+from ..team.attention import NoAssistance
+from ..team.policies import made_again, prepare
 from ..team.pool import MEMORY_LIMIT_MB, Pool
-from ..team.state import TeamPolicy
+from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .episodes import Episodes, Trace
 from .ground import Ground, Group, Whole, Wide, World
@@ -52,6 +55,7 @@ def simulate(
     trace: Trace | None = None,
     jobs: int = 1,
     memory_limit_mb: float = MEMORY_LIMIT_MB,
+    explain: bool = True,
     progress: Wanted = None,
 ) -> Episodes:
     """Simulate episodes of teams drawn from a pool.
@@ -82,6 +86,9 @@ def simulate(
         Threads that simulate at a time. The policy is then called by several; results do not depend on it.
     memory_limit_mb : float
         What the records of all episodes may take, in megabytes.
+    explain : bool
+        Whether to find out, where a policy that weighs costs never says anything, at which cost of suggestions it does
+        (`Episodes.silence`). That takes a few times as long as the simulation, or some seconds.
     progress : callable or bool, optional
         Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are
         simulated.
@@ -140,10 +147,53 @@ def simulate(
             travel=travel, presence=presence, world=world, trace=trace, progress=advance, ground=ground,
         ).run()  # fmt: skip
 
-    if jobs == 1:
-        return Episodes.joined([run(chunk) for chunk in chunks])
     with ThreadPoolExecutor(jobs) as workers:
-        return Episodes.joined(list(workers.map(run, chunks)))
+        found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
+    again = made_again(policy, pool.policies, travel)
+    if not explain or again is None or found.interventions.any() or not found.actions.any():
+        return found
+    few = _few(pool, found)
+
+    def said(c_suggest: float) -> bool:
+        progress(f"trying c_suggest {c_suggest:g}", 0, None)
+        other = pool.priced(c_suggest)
+        speaks = _UntilSaid(made_again(policy, other.policies, travel) or policy)
+        simulate(
+            other, speaks, humans=found.people[:few], episodes=numbers[:few], seed=luck, travel=travel,
+            presence=presence, world=world, explain=False,
+        )  # fmt: skip
+        return speaks.said
+
+    return replace(found, silence=silence(pool.setting.c_suggest, said if few else None))
+
+
+class _UntilSaid:
+    """A policy that says nothing more after it has said something, to anybody."""
+
+    def __init__(self, policy: TeamPolicy) -> None:
+        self._policy, self.said = policy, False
+
+    def __call__(self, team: TeamState, /) -> TeamAction:
+        action = NoAssistance()(team) if self.said else self._policy(team)
+        self.said = self.said or bool(action.robot.any())
+        return action
+
+
+def _few(pool: Pool, episodes: Episodes) -> int:
+    """Count episodes, from the first on, whose people can be solved anew within `LARGEST` states in all."""
+    count = min(len(episodes), BLOCK)
+    if pool.wide:
+        return 0
+    while (
+        count
+        and sum(
+            len(pool.policies[model].pomdp.robot_actions)
+            for model in np.unique(pool.model[episodes.people[:count]]).tolist()
+        )
+        > LARGEST
+    ):
+        count //= 2
+    return count
 
 
 def _drawn(pool: Pool, luck: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:

@@ -93,7 +93,8 @@ def run_study(
             if isinstance(outcome, Outcome):
                 kept[cell] = outcome.lines
                 append(out / EPISODES, outcome.lines)
-                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds})
+                more = {"silence": outcome.silence} if outcome.silence else {}
+                append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds, **more})
             else:
                 failed.append((cell, outcome))
             advance(study.episodes(cell))
@@ -250,6 +251,16 @@ def load_study(folder: str | Path) -> pd.DataFrame:
         for name in (*KEY[:-1], "policy"):
             frame[name] = pd.Categorical(frame[name], categories=frame[name].unique())
     return frame
+
+
+def silences(folder: str | Path) -> list[dict[str, Any]]:
+    """Return the records of cells in which a policy never said anything: `silence` has the reason by policy.
+
+    Parameters
+    ----------
+    folder : path
+    """
+    return [record for record in read_records(Path(folder) / PROFILE) if record.get("silence")]
 
 
 def profile(folder: str | Path) -> dict[str, float]:

@@ -6,7 +6,7 @@ Everything is computed over pools of people, not over their episodes; see `assis
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,8 +48,8 @@ class Found:
         population.
     """
 
-    def __init__(self, study: Study, episodes: pd.DataFrame) -> None:
-        self.study, self.episodes = study, episodes
+    def __init__(self, study: Study, episodes: pd.DataFrame, silences: Sequence[dict[str, Any]] = ()) -> None:
+        self.study, self.episodes, self.silences = study, episodes, silences
         keys = [*ARM, "policy", "humans", "repeat"]
         measured = episodes.groupby(keys, observed=True)[list(MEASURES.values())].mean()
         pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
@@ -105,6 +105,7 @@ class Found:
             "headline": self.headline(),
             "cells": self.cells(),
             "comparisons": self.comparisons(),
+            "silent": self.silent(),
             "decline": self.decline(),
             "contrasts": self.contrasts(),
             "readings": self.readings(),
@@ -183,6 +184,17 @@ class Found:
                             found += [
                                 {**arm, **named, **record} for record in _compared(part, measure, policy, against)
                             ]
+        return found
+
+    def silent(self) -> list[dict[str, Any]]:
+        """Return the arms and policies in which nothing was ever said, and why."""
+        found = []
+        most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)["interventions"].max()
+        for record in self.silences:
+            arm = {name: record[name] for name in ARM}
+            for policy, silence in record["silence"].items():
+                if most.get((*arm.values(), policy), 1) == 0:
+                    found.append({**arm, "policy": policy, **silence})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

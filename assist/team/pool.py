@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,6 +199,13 @@ class Pool:
             tuple(policy for pool in pools for policy in pool.policies),
             np.concatenate([pool.model + offset for pool, offset in zip(pools, offsets, strict=True)]),
         )
+
+    def priced(self, c_suggest: float) -> Pool:
+        """Return the same people where a suggestion costs something else, on tasks that are looked at whole."""
+        policies = tuple(
+            Later(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
+        )
+        return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
 
     @property
     def wide(self) -> bool:
