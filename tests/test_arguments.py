@@ -116,6 +116,11 @@ def test_a_way_that_memory_does_not_hold(tiny: Table) -> None:
         simulate(pool, "priority", humans=2, episodes=2, seed=0)
     with pytest.raises(LimitError, match="MB of memory"):
         upper_bound(pool, window=0)
+    for given in ({"setting": Setting(knowledge="exact")}, {"states": 5}):
+        with pytest.raises(LimitError, match=r"^1,000,000,000 people take about"):
+            Pool.sample(tiny, 10**9, seed=0, **given)
+    with pytest.raises(ValueError, match=r"^places 1,000,000,000: expected at most 1,000,000"):
+        Travel.of(10**9)
     with pytest.raises(LimitError, match="with 10000000 steps of prices, take about"):  # before they are listed
         upper_bound(replace(pool, setting=Setting()), window=10**7)
 

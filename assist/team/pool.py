@@ -35,6 +35,9 @@ MEMORY_LIMIT_MB = 4000.0
 OF_THE_TEAM = ("gamma", "c_move", "travel_time", "max_steps")
 """Fields of a setting that all people of a team share."""
 
+PERSON = 2000
+"""Bytes that a person takes at least, with their policy."""
+
 ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
@@ -150,6 +153,7 @@ class Pool:
                 if given:
                     raise ValueError(f"{name}: expected a task that is looked at whole, of at most {LARGEST:,} states")
             require_goal(float(table.lookup([table.initial])[0]))
+            _allow_people(size, 0, memory_limit_mb)
             everybody = population.sample(None, size, rng)
             ground = Ground(table, prior, region)
             anybody = WidePolicy(ground, setting)
@@ -164,6 +168,7 @@ class Pool:
         robots = 1 + int(offered.sum(axis=1).max(initial=0)) * (1 + setting.execute)
         one = policy_bytes(len(choices), slots=choices.applicable.shape[1], robots=robots)
         _allow(one, len(choices), models, memory_limit_mb)
+        _allow_people(size, choices.h.nbytes, memory_limit_mb)
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
         advance = adding(progress, "setting people's POMDPs up", len(known))
@@ -241,4 +246,14 @@ def _allow(one: int, states: int, models: int, limit_mb: float) -> None:
         raise LimitError(
             f"policies for {who} on a task of {states:,} states take about {needed:,.0f} MB of memory, and "
             f"{limit_mb:,.0f} MB are allowed; expected {less}a higher memory limit"
+        )
+
+
+def _allow_people(size: int, one: int, limit_mb: float) -> None:
+    """Refuse people who would not fit the memory, each with so many bytes for what they take for the cost-to-go."""
+    needed = size * (PERSON + one) / 1e6
+    if needed > positive("memory_limit_mb", limit_mb):
+        raise LimitError(
+            f"{size:,} people take about {needed:,.0f} MB of memory, and {limit_mb:,.0f} MB are allowed; expected a "
+            "smaller pool, or a higher memory limit"
         )

@@ -14,6 +14,9 @@ from planner.system.arrays import frozen
 from ..people.arguments import MOST, number, whole
 from ..people.decision import Floats
 
+PLACES = 1_000_000
+"""People whom a robot may be with."""
+
 LONGEST = 1_000_000_000
 """Steps that a way takes are fewer than these."""
 
@@ -68,6 +71,8 @@ class Travel:
             1 between any two places unless given.
         """
         places = whole("places", places, 1)
+        if places > PLACES:
+            raise ValueError(f"places {places:,}: expected at most {PLACES:,}")
         travel_time = number("travel_time", travel_time)
         if not 0 <= travel_time <= MOST:
             raise ValueError(f"travel_time {travel_time:g}: expected a number from 0 to {MOST:g}")
