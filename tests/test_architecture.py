@@ -34,10 +34,10 @@ ROOMS = {
     "planner": "engine",
     "assist.people": "arguments choices misconception decision terms memory choice_model own human compiled belief",
     "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
-        solver silence""",
+        solver suggestion_threshold""",
     "assist.learning": """actions log_files log recording observations choosing likelihood profiles estimates weighing
         hierarchy misconception diagnostics population record people comparison summary""",
-    "assist.team": "travel state attention subproblem settings bounded wide priority policies pool",
+    "assist.team": "travel state attention subproblem policy_on_part settings bounded wide priority policies pool",
     "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
     "assist.certify": "certificate prices lattice conflicts confidence clairvoyant bound",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",

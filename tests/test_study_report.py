@@ -17,7 +17,7 @@ from studies import TINY, write
 
 from assist.study.protocol import read
 from assist.study.report import Report
-from assist.study.runner import load_study, run_study, silences
+from assist.study.runner import load_study, run_study, without_suggestions
 from assist.study.study import Study
 from assist.study.summary import Found
 from assist.study.wording import interval
@@ -61,7 +61,7 @@ def test_the_summary_is_computed_over_pools(small_study: tuple[Study, Path, dict
         assert headline[key]["mean"] == pytest.approx(saved)
         assert headline[key] == headline["instances"]["tiny"][key]
         assert headline[key]["low"] <= saved <= headline[key]["high"]
-    found = Found(study, frame, silences(out))
+    found = Found(study, frame, without_suggestions(out))
     assert found.summary() == printed
 
 

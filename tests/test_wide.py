@@ -18,10 +18,10 @@ from assist.person.solver import solve
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.presence import Presence
 from assist.simulation.simulate import simulate
+from assist.team.policy_on_part import is_for_one_step, is_on_part, on_parts
 from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
-from assist.team.subproblem import is_for_one_step, is_on_part, on_parts
 from planner import CostToGo, Instance, OnDemand, Table
 
 EVERYTHING = 10**6  # states of a region

@@ -43,8 +43,8 @@ def policy(
     out: Path | None, as_json: bool, **person: Any,
 ) -> None:  # fmt: skip
     """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
-    from ..person.silence import silence_of
     from ..person.solver import solve
+    from ..person.suggestion_threshold import threshold_of
 
     if out is not None and out.suffix != ".npz":
         raise click.UsageError(f"--out {out}: expected a name that ends in .npz")
@@ -56,18 +56,18 @@ def policy(
                 problem.pomdp, gap=gap, time_limit=time_limit, memory_limit_mb=memory_limit,
                 bounds=lambda _, *found: show(line_of(*found)),
             )  # fmt: skip
-            silence = silence_of(solution)
+            threshold = threshold_of(solution)
         if out is not None:
             solution.save(out, values=problem.known.values(problem.states), task_states=problem.states)
     frontier = problem.pomdp.frontier
     record = {
         "instance": str(found.problem), "domain": str(found.domain), **solution.as_dict(),
         "method": problem.known.method, "frontier": 0 if frontier is None else len(frontier.states),
-        "silence": silence and asdict(silence), "versions": versions(),
+        "suggestion_threshold": threshold and asdict(threshold), "versions": versions(),
     }  # fmt: skip
     if as_json:
         print_json(record)
     else:
         show_bounds(record)
-        if silence is not None:
-            click.echo(f"{silence} (--c-suggest)")
+        if threshold is not None:
+            click.echo(f"{threshold} (--c-suggest)")

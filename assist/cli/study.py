@@ -39,7 +39,7 @@ def study(
     """
     from ..study.cells import check
     from ..study.protocol import read
-    from ..study.report import headline, require, silent, write_report
+    from ..study.report import headline, require, threshold_notes, write_report
     from ..study.runner import run_study
     from ..study.study import StudyError
     from ..team.state import PolicyError
@@ -67,6 +67,6 @@ def study(
     for row in rows:
         table.add_row(*row)
     print_table(table)
-    for line in silent(summary):
+    for line in threshold_notes(summary):
         click.echo(line)
     click.echo(f"{pools}; the report is {out / 'report.md'}")

@@ -32,5 +32,5 @@ def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
     what = "of one episode" if count == 1 else f"mean ± standard error over {count} episodes"
     click.echo(what if drawn == pool else f"{what}; {drawn} of {pool} people drawn")
     for summary in summaries:
-        if summary.silence is not None:
-            click.echo(f"{summary.policy}: {summary.silence} (--c-suggest)")
+        if summary.suggestion_threshold is not None:
+            click.echo(f"{summary.policy}: {summary.suggestion_threshold} (--c-suggest)")

@@ -9,8 +9,8 @@ from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
 from .region import Region as Region
-from .silence import Silence as Silence
-from .silence import silence_of as silence_of
 from .solver import Solution as Solution
 from .solver import solve as solve
+from .suggestion_threshold import SuggestionThreshold as SuggestionThreshold
+from .suggestion_threshold import threshold_of as threshold_of
 from .visited import Visited as Visited

@@ -15,7 +15,7 @@ from planner.system.arrays import outline
 from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
-from ..person.silence import Silence
+from ..person.suggestion_threshold import SuggestionThreshold
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Episodes:
     discounted_return : float array, shape (N,)
     cut_off : bool array, shape (N,)
         Whether a person had neither finished nor left at the step limit.
-    silence : Silence or None
-        Why nothing was ever said, where the policy weighs costs.
+    suggestion_threshold : SuggestionThreshold or None
+        Set where the policy weighs costs and made no suggestion.
     """
 
     policy: str
@@ -103,14 +103,14 @@ class Episodes:
     steps: NDArray[np.int64]
     discounted_return: Floats
     cut_off: NDArray[np.bool_]
-    silence: Silence | None = None
+    suggestion_threshold: SuggestionThreshold | None = None
 
     __repr__ = outline
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
         """Put the episodes of one policy together."""
-        names = [field.name for field in fields(cls) if field.name not in ("policy", "silence")]
+        names = [field.name for field in fields(cls) if field.name not in ("policy", "suggestion_threshold")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return cls(parts[0].policy, **arrays)
 
@@ -126,7 +126,7 @@ class Episodes:
             moves=_mean_and_error(self.moves),
             discounted_return=_mean_and_error(self.discounted_return),
             cut_off=int(self.cut_off.sum()),
-            silence=self.silence,
+            suggestion_threshold=self.suggestion_threshold,
         )
 
     def to_frame(self) -> Any:
@@ -213,8 +213,8 @@ class Summary:
         each of the two, changes of place and return per episode.
     cut_off : int
         Episodes in which a person had neither finished nor left at the step limit.
-    silence : Silence or None
-        Why nothing was ever said, where the policy weighs costs.
+    suggestion_threshold : SuggestionThreshold or None
+        Set where the policy weighs costs and made no suggestion.
     """
 
     policy: str
@@ -226,7 +226,7 @@ class Summary:
     moves: tuple[float, float]
     discounted_return: tuple[float, float]
     cut_off: int
-    silence: Silence | None = None
+    suggestion_threshold: SuggestionThreshold | None = None
 
     def record(self) -> dict[str, Any]:
         """Give it as plain data; a standard error that is not known is None."""
@@ -235,7 +235,11 @@ class Summary:
             mean, error = getattr(self, name)
             record[label] = _record(mean, error)
         record |= {"suggestions": _record(*self.suggestions), "executions": _record(*self.executions)}
-        return {**record, "cut_off": self.cut_off, "silence": self.silence and asdict(self.silence)}
+        return {
+            **record,
+            "cut_off": self.cut_off,
+            "suggestion_threshold": self.suggestion_threshold and asdict(self.suggestion_threshold),
+        }
 
     def __str__(self) -> str:
         shown = [
@@ -247,7 +251,7 @@ class Summary:
             if what != "executions" or mean
         ]  # fmt: skip
         cut = f", {self.cut_off} of them cut off" if self.cut_off else ""
-        why = "" if self.silence is None else f"; {self.silence}"
+        why = "" if self.suggestion_threshold is None else f"; {self.suggestion_threshold}"
         return f"{self.policy}: {', '.join(shown)} ({self.episodes} episode{'s'[: self.episodes > 1]}{cut}){why}"
 
 

@@ -22,9 +22,9 @@ from planner import LimitError
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
-from ..person.silence import LARGEST, silence
+from ..person.suggestion_threshold import LARGEST, search_threshold
 from ..team.attention import NoAssistance
-from ..team.policies import made_again, prepare
+from ..team.policies import prepare
 from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
@@ -87,8 +87,8 @@ def simulate(
     memory_limit_mb : float
         What the records of all episodes may take, in megabytes.
     explain : bool
-        Whether to find out, where a policy that weighs costs never says anything, at which cost of suggestions it does
-        (`Episodes.silence`). That takes a few times as long as the simulation, or some seconds.
+        Whether to find out, where a policy that weighs costs makes no suggestion, from which cost of suggestions on it
+        does (`Episodes.suggestion_threshold`). That takes a few times as long as the simulation, or some seconds.
     progress : callable or bool, optional
         Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are
         simulated.
@@ -149,38 +149,38 @@ def simulate(
 
     with ThreadPoolExecutor(jobs) as workers:
         found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
-    again = made_again(policy, pool.policies, travel)
-    if not explain or again is None or found.interventions.any() or not found.actions.any():
+    remade = getattr(policy, "with_policies", None)  # of policies that weigh costs
+    if not explain or remade is None or found.interventions.any() or not found.actions.any():
         return found
     few = _few(pool, found)
 
-    def said(c_suggest: float) -> bool:
+    def suggests(c_suggest: float) -> bool:
         progress(f"trying c_suggest {c_suggest:g}", 0, None)
         other = pool.priced(c_suggest)
-        speaks = _UntilSaid(made_again(policy, other.policies, travel) or policy)
+        once = _UntilFirstSuggestion(remade(other.policies, travel))
         simulate(
-            other, speaks, humans=found.people[:few], episodes=numbers[:few], seed=luck, travel=travel,
+            other, once, humans=found.people[:few], episodes=numbers[:few], seed=luck, travel=travel,
             presence=presence, world=world, explain=False,
         )  # fmt: skip
-        return speaks.said
+        return once.suggested
 
-    return replace(found, silence=silence(pool.setting.c_suggest, said if few else None))
+    return replace(found, suggestion_threshold=search_threshold(pool.setting.c_suggest, suggests if few else None))
 
 
-class _UntilSaid:
-    """A policy that says nothing more after it has said something, to anybody."""
+class _UntilFirstSuggestion:
+    """A policy that makes no more suggestions after its first one: whether there is one is then known."""
 
     def __init__(self, policy: TeamPolicy) -> None:
-        self._policy, self.said = policy, False
+        self._policy, self.suggested = policy, False
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        action = NoAssistance()(team) if self.said else self._policy(team)
-        self.said = self.said or bool(action.robot.any())
+        action = NoAssistance()(team) if self.suggested else self._policy(team)
+        self.suggested = self.suggested or bool(action.robot.any())
         return action
 
 
 def _few(pool: Pool, episodes: Episodes) -> int:
-    """Count episodes, from the first on, whose people can be solved anew within `LARGEST` states in all."""
+    """Return how many of the first episodes have people whose problems have at most `LARGEST` states in all."""
     count = min(len(episodes), BLOCK)
     if pool.wide:
         return 0

@@ -73,13 +73,13 @@ class Outcome:
         A line of JSON for each episode.
     seconds : dict
         How long each part of the work took.
-    silence : dict
-        Of each policy that weighs costs and never said anything to the largest teams of the first pool, why.
+    thresholds : dict
+        The threshold of each policy that weighs costs and made no suggestion to the largest teams of the first pool.
     """
 
     lines: str
     seconds: dict[str, float]
-    silence: dict[str, dict[str, Any]]
+    thresholds: dict[str, dict[str, Any]]
 
 
 def carry_out(cell: Cell, study: Study) -> Outcome:
@@ -103,7 +103,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
     pool = pool_of(study, cell)
     lap("people's POMDPs")
     condition = study.condition(cell.condition)
-    lines, silence = [], {}
+    lines, thresholds = [], {}
     for name in condition.policies:
         chosen = policy_of(study, name, pool)
         lap(f"preparing {name}")
@@ -113,12 +113,12 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
                 pool, chosen, humans=teams, episodes=len(teams), seed=study.luck(cell.repeat), name=name,
                 explain=cell.repeat == 0 and humans == max(condition.humans),
             )  # fmt: skip
-            if episodes.silence is not None:
-                silence[name] = asdict(episodes.silence)
+            if episodes.suggestion_threshold is not None:
+                thresholds[name] = asdict(episodes.suggestion_threshold)
             lap(f"simulating {name}")
             lines += [json.dumps(record) + "\n" for record in _records(cell, episodes, humans, study.trials)]
             lap("records")
-    return Outcome("".join(lines), seconds, silence)
+    return Outcome("".join(lines), seconds, thresholds)
 
 
 def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterator[dict[str, Any]]:

@@ -19,11 +19,11 @@ from planner.system.errors import MissingExtraError
 from planner.system.files import atomic, remove_unfinished
 from planner.system.workers import outcomes
 
-from ..person.silence import Silence
+from ..person.suggestion_threshold import SuggestionThreshold
 from ..plots import style
 from . import claims
 from .pictures import Picture, of_kinds, of_whom, pictures
-from .runner import load_study, silences
+from .runner import load_study, without_suggestions
 from .statistics import FEW_POOLS
 from .study import OWN, Study
 from .summary import ARM, BASELINES, MEASURES, Found, average
@@ -85,7 +85,7 @@ class Report:
     @classmethod
     def of(cls, study: Study, folder: str | Path) -> Report:
         """Work out what a study's results say."""
-        found = Found(study, load_study(Path(folder)), silences(folder))
+        found = Found(study, load_study(Path(folder)), without_suggestions(folder))
         summary = found.summary()
         shown = tuple(pictures(found, summary))
         text = "\n\n".join(_sections(found, summary, {each.name: each.text for each in shown})) + "\n"
@@ -160,7 +160,7 @@ def _sections(found: Found, summary: Record, shown: dict[str, str]) -> Iterator[
     yield f"# {study.title}"
     yield from _what_was_run(study, summary)
     yield from _headline(study, summary)
-    yield from (f"**Note.** {line}." for line in silent(summary))
+    yield from (f"**Note.** {line}." for line in threshold_notes(summary))
     yield from claims.claims(study, summary)
     yield from _team_sizes(found, summary)
     yield from picture("team-size")
@@ -247,11 +247,11 @@ def _headline(study: Study, summary: Record) -> Iterator[str]:
         yield f"Figures of {reference.name}: {reference.source}."
 
 
-def silent(summary: Record) -> Iterator[str]:
-    """Say where a policy equals no assistance; lower costs were tried on the first pool."""
-    for row in summary["silent"]:
+def threshold_notes(summary: Record) -> Iterator[str]:
+    """Yield a note for each policy that equals no assistance; lower costs were tried on the first pool."""
+    for row in summary["without_suggestions"]:
         where = ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
-        why = Silence(row["c_suggest"], row["worth_at"], row["looked"])
+        why = SuggestionThreshold(row["c_suggest"], row["worth_at"], row["searched"])
         yield f"{row['policy']} is no assistance ({where}): {why}"
 
 

@@ -93,7 +93,7 @@ def run_study(
             if isinstance(outcome, Outcome):
                 kept[cell] = outcome.lines
                 append(out / EPISODES, outcome.lines)
-                more = {"silence": outcome.silence} if outcome.silence else {}
+                more = {"suggestion_thresholds": outcome.thresholds} if outcome.thresholds else {}
                 append_record(out / PROFILE, {**asdict(cell), "seconds": outcome.seconds, **more})
             else:
                 failed.append((cell, outcome))
@@ -253,14 +253,14 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     return frame
 
 
-def silences(folder: str | Path) -> list[dict[str, Any]]:
-    """Return the records of cells in which a policy never said anything: `silence` has the reason by policy.
+def without_suggestions(folder: str | Path) -> list[dict[str, Any]]:
+    """Return the records of cells in which a policy made no suggestion; `suggestion_thresholds` is by policy.
 
     Parameters
     ----------
     folder : path
     """
-    return [record for record in read_records(Path(folder) / PROFILE) if record.get("silence")]
+    return [record for record in read_records(Path(folder) / PROFILE) if record.get("suggestion_thresholds")]
 
 
 def profile(folder: str | Path) -> dict[str, float]:

@@ -48,8 +48,10 @@ class Found:
         population.
     """
 
-    def __init__(self, study: Study, episodes: pd.DataFrame, silences: Sequence[dict[str, Any]] = ()) -> None:
-        self.study, self.episodes, self.silences = study, episodes, silences
+    def __init__(
+        self, study: Study, episodes: pd.DataFrame, without_suggestions: Sequence[dict[str, Any]] = ()
+    ) -> None:
+        self.study, self.episodes, self.without_suggestions = study, episodes, without_suggestions
         keys = [*ARM, "policy", "humans", "repeat"]
         measured = episodes.groupby(keys, observed=True)[list(MEASURES.values())].mean()
         pools = measured.rename(columns={column: name for name, column in MEASURES.items()}).reset_index()
@@ -105,7 +107,7 @@ class Found:
             "headline": self.headline(),
             "cells": self.cells(),
             "comparisons": self.comparisons(),
-            "silent": self.silent(),
+            "without_suggestions": self.arms_without_suggestions(),
             "decline": self.decline(),
             "contrasts": self.contrasts(),
             "readings": self.readings(),
@@ -186,15 +188,15 @@ class Found:
                             ]
         return found
 
-    def silent(self) -> list[dict[str, Any]]:
-        """Return the arms and policies in which nothing was ever said, and why."""
+    def arms_without_suggestions(self) -> list[dict[str, Any]]:
+        """Return the arms and policies in which no suggestion was made, with the threshold of each."""
         found = []
         most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)["interventions"].max()
-        for record in self.silences:
+        for record in self.without_suggestions:
             arm = {name: record[name] for name in ARM}
-            for policy, silence in record["silence"].items():
+            for policy, threshold in record["suggestion_thresholds"].items():
                 if most.get((*arm.values(), policy), 1) == 0:
-                    found.append({**arm, "policy": policy, **silence})
+                    found.append({**arm, "policy": policy, **threshold})
         return found
 
     def decline(self) -> list[dict[str, Any]]:

@@ -15,6 +15,7 @@ from ..people.decision import Floats
 from ..person.pomdp import Policy, work_out
 from ..person.qmdp import evaluate
 from .state import NOBODY, ByPolicy, TeamAction, TeamState
+from .travel import Travel
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,10 @@ class AttentionSwitching:
             return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
 
         return cls(ByPolicy(policies, never))
+
+    def with_policies(self, policies: Sequence[Policy], _travel: Travel) -> AttentionSwitching:
+        """Return the same team policy for other policies of the people by themselves."""
+        return self if self.never is None else self.against_never(policies)
 
     def prepare(self, policy: Policy) -> None:
         """Work out now what it takes to help the people of a policy."""

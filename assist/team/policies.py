@@ -15,9 +15,9 @@ from planner.system.errors import expected
 from ..people import own
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
+from .policy_on_part import on_parts
 from .priority import Priority
 from .state import PolicyError, TeamAction, TeamPolicy, TeamState
-from .subproblem import on_parts
 from .travel import Travel
 
 POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
@@ -61,19 +61,6 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
     if name == "priority":
         return Priority.of(policies, travel)
     raise ValueError(f"unknown policy {name!r}; {expected(name, POLICIES, ', or a function')}")
-
-
-def made_again(policy: TeamPolicy, policies: Sequence[Policy], travel: Travel) -> TeamPolicy | None:
-    """Return a policy that weighs the costs of suggestions as it is with other policies for the people by themselves.
-
-    None for one that does not weigh them, as far as is known.
-    """
-    if isinstance(policy, AttentionSwitching):
-        return policy if policy.never is None else AttentionSwitching.against_never(policies)
-    if isinstance(policy, Priority):
-        several = len(policy.price) > 1
-        return Priority.of(policies, travel, policy.price[:-1] if several else policy.price[0])
-    return None
 
 
 def prepare(

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
+from .policy_on_part import is_for_one_step, is_on_part, on_parts
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
-from .subproblem import HERE, Visits, backwards, is_for_one_step, is_on_part, on_parts
+from .subproblem import HERE, Visits, backwards
 from .travel import Travel
 
 PRICE = 0.15
@@ -135,6 +136,10 @@ class Priority:
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
         return cls(entry, steps, longest, prices, ByPolicy(whole, presence))
+
+    def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Priority:
+        """Return the same team policy, at the same prices, for other policies of the people by themselves."""
+        return Priority.of(policies, travel, self.price[:-1] if len(self.price) > 1 else self.price[0])
 
     def prepare(self, policy: Policy) -> None:
         """Work out now what it takes to help the people of a policy."""

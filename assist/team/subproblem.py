@@ -13,20 +13,18 @@ price depends on it, and the robot's position (`Layout`). What the robot can do 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner import CostToGo, LimitError
+from planner import LimitError
 from planner.system.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..person.pomdp import AssistPOMDP, Frontier, Policy
+from ..person.pomdp import AssistPOMDP, Frontier
 from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1
@@ -386,61 +384,3 @@ def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -
         floor = -np.inf if alone.frontier.floor is None else alone.frontier.floor
         lower[position != HERE] = floor - paid[position != HERE, None]
     return Frontier(states, np.minimum(lower, 0.0), upper)
-
-
-class PolicyOnPart(Policy, Protocol):
-    """A person's policy on a part of a task, which is solved when it is first needed.
-
-    The class attribute `on_part` marks such a policy. A look at its `pomdp` would already make one.
-
-    Attributes
-    ----------
-    on_part : bool
-        True.
-    """
-
-    on_part: ClassVar[bool]
-
-    @property
-    def known(self) -> CostToGo:
-        """The cost-to-go of the whole task."""
-        ...
-
-    def prepare(self) -> Any:
-        """Solve the person's problem with a robot that is always there; once."""
-        ...
-
-    def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> Any:
-        """Solve the person's problem with a robot that comes and goes; once. Arguments as in `Visits.of`."""
-        ...
-
-
-class LocalPolicy(Policy, Protocol):
-    """What a `PolicyOnPart` gives for one step: a policy on the states in which people are and those that come next.
-
-    Attributes
-    ----------
-    for_one_step : bool
-        True.
-    """
-
-    for_one_step: ClassVar[bool]
-
-    def visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> tuple[Visits, QMDP]:
-        """Return the problem with a robot that comes and goes, and the policy there; arguments as in `Visits.of`."""
-        ...
-
-
-def is_on_part(policy: Policy) -> TypeGuard[PolicyOnPart]:
-    """Return whether a policy is on a part of a task."""
-    return getattr(type(policy), "on_part", False)
-
-
-def is_for_one_step(policy: Policy) -> TypeGuard[LocalPolicy]:
-    """Return whether a policy holds for one step only."""
-    return getattr(type(policy), "for_one_step", False)
-
-
-def on_parts(policies: Iterable[Policy]) -> list[PolicyOnPart]:
-    """Return those of some policies that are on a part of a task."""
-    return [policy for policy in policies if is_on_part(policy)]

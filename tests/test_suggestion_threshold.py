@@ -1,4 +1,4 @@
-"""Policies that weigh costs and say nothing: that they say so, and at which cost of suggestions they would speak."""
+"""Thresholds of policies that weigh costs and make no suggestion."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from studies import write
 from assist import Pool, simulate
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
-from assist.person import AssistPOMDP, Solution, silence_of, solve
-from assist.person.silence import Silence, silence
+from assist.person import AssistPOMDP, Solution, solve, threshold_of
+from assist.person.suggestion_threshold import SuggestionThreshold, search_threshold
 from assist.study.protocol import read
 from assist.study.report import write_report
 from assist.study.runner import run_study
@@ -52,38 +52,38 @@ def pool_at(table: Table, c_suggest: float, **options: Any) -> Pool:
 def test_the_largest_cost_is_found(threshold: float) -> None:
     tried: list[float] = []
 
-    def said(cost: float) -> bool:
+    def suggests(cost: float) -> bool:
         tried.append(cost)
         return cost <= threshold
 
-    found = silence(1.0, said)
+    found = search_threshold(1.0, suggests)
     assert found.worth_at is not None
     assert threshold / 1.3 < found.worth_at <= threshold
-    assert found == Silence(1.0, max(cost for cost in tried if cost <= threshold), looked=True)
+    assert found == SuggestionThreshold(1.0, max(cost for cost in tried if cost <= threshold), searched=True)
     assert len(tried) <= 8
 
 
-def test_what_is_said_of_silence() -> None:
+def test_a_threshold_in_words() -> None:
     worth = "no suggestion was worth its cost (c_suggest 2)"
     for found, text in (
-        (silence(2.0, lambda cost: cost < 0.5), f"{worth}; from 0.4 downwards some are"),
-        (silence(2.0, lambda _: False), f"{worth}; none would be if they were free"),
-        (silence(2.0, lambda cost: cost == 0), f"{worth}; some would be if they were free"),
-        (silence(2.0, None), worth),
+        (search_threshold(2.0, lambda cost: cost < 0.5), f"{worth}; from 0.4 downwards some are"),
+        (search_threshold(2.0, lambda _: False), f"{worth}; none would be if they were free"),
+        (search_threshold(2.0, lambda cost: cost == 0), f"{worth}; some would be if they were free"),
+        (search_threshold(2.0, None), worth),
     ):
         assert str(found).replace("0.44", "0.4").replace("0.42", "0.4") == text
-    assert silence(0.0, lambda _: True) == Silence(0.0, None, looked=True)
+    assert search_threshold(0.0, lambda _: True) == SuggestionThreshold(0.0, None, searched=True)
 
 
 @pytest.mark.parametrize("policy", ["attention", "attention-never", "priority"])
-def test_a_silent_policy_says_at_which_cost_it_speaks(policy: str, tiny: Table) -> None:
+def test_a_policy_without_suggestions_has_a_threshold(policy: str, tiny: Table) -> None:
     """The same people with the same luck are spoken to at that cost, and not at the next that was tried."""
 
     def run(c_suggest: float, **options: Any) -> Any:
         return simulate(pool_at(tiny, c_suggest), policy, humans=2, episodes=20, seed=3, **options)
 
     dear = run(40.0)
-    found = dear.silence
+    found = dear.suggestion_threshold
     assert found is not None
     assert found.worth_at is not None
     assert not dear.interventions.any()
@@ -91,11 +91,11 @@ def test_a_silent_policy_says_at_which_cost_it_speaks(policy: str, tiny: Table) 
     assert not run(found.worth_at * 1.5).interventions.any()
     summary = dear.summary()
     assert str(summary).endswith(f"; {found}")
-    assert summary.record()["silence"] == {"c_suggest": 40.0, "worth_at": found.worth_at, "looked": True}
-    assert run(40.0, explain=False).silence is None
-    assert run(40.0, jobs=2).silence == found
+    assert summary.record()["suggestion_threshold"] == {"c_suggest": 40.0, "worth_at": found.worth_at, "searched": True}
+    assert run(40.0, explain=False).suggestion_threshold is None
+    assert run(40.0, jobs=2).suggestion_threshold == found
     speaks = run(found.worth_at)
-    assert speaks.silence is None
+    assert speaks.suggestion_threshold is None
     assert "worth" not in str(speaks.summary())
 
 
@@ -106,18 +106,22 @@ def test_only_policies_that_weigh_costs_are_asked(tiny: Table) -> None:
         return AttentionSwitching()(team)
 
     for policy in ("none", own):
-        assert simulate(pool, policy, humans=2, episodes=5, seed=3).silence is None
+        assert simulate(pool, policy, humans=2, episodes=5, seed=3).suggestion_threshold is None
     same = [simulate(pool, one, humans=2, episodes=5, seed=3) for one in ("attention", AttentionSwitching())]
-    assert same[0].silence == same[1].silence is not None
+    assert same[0].suggestion_threshold == same[1].suggestion_threshold is not None
 
 
 def test_nobody_listens_and_nobody_is_looked_at(tiny: Table) -> None:
     deaf = Population(theta=(0.5, 0.5))  # whatever is suggested changes nothing
     setting = Setting(c_suggest=1.0, c_move=0.5, eta=0.0)
     pool = Pool.sample(tiny, 2, seed=1, setting=setting, population=deaf)
-    assert simulate(pool, "attention", humans=2, episodes=5, seed=3).silence == Silence(1.0, None, looked=True)
+    assert simulate(pool, "attention", humans=2, episodes=5, seed=3).suggestion_threshold == SuggestionThreshold(
+        1.0, None, searched=True
+    )
     large = pool_at(tiny, 40.0, states=5, region=9)
-    assert simulate(large, "attention", humans=2, episodes=5, seed=3).silence == Silence(40.0, None, looked=False)
+    assert simulate(large, "attention", humans=2, episodes=5, seed=3).suggestion_threshold == SuggestionThreshold(
+        40.0, None, searched=False
+    )
 
 
 def person(tiny: Table, c_suggest: float) -> Solution:
@@ -125,10 +129,10 @@ def person(tiny: Table, c_suggest: float) -> Solution:
 
 
 def test_a_person_who_is_best_left_alone(tiny: Table) -> None:
-    found = silence_of(person(tiny, 40.0))
+    found = threshold_of(person(tiny, 40.0))
     assert found is not None
     assert found.worth_at is not None
-    assert silence_of(person(tiny, found.worth_at)) is None
+    assert threshold_of(person(tiny, found.worth_at)) is None
     solution = person(tiny, 40.0).pomdp.priced(2.0)
     assert set(np.unique(solution.robot_costs)) == {0.0, 2.0}
 
@@ -136,16 +140,16 @@ def test_a_person_who_is_best_left_alone(tiny: Table) -> None:
 def test_commands_say_it() -> None:
     options = (TINY, "--c-suggest", 40, "--json")
     result = invoke("policy", *options)
-    found = json.loads(result.stdout)["silence"]
+    found = json.loads(result.stdout)["suggestion_threshold"]
     assert found["c_suggest"] == 40.0
     assert found["worth_at"] > 0
-    assert json.loads(invoke("policy", TINY, "--c-suggest", 0.2, "--json").stdout)["silence"] is None
-    said = f"{Silence(40.0, found['worth_at'], looked=True)} (--c-suggest)"
-    assert invoke("policy", *options[:-1]).stdout.splitlines()[-1] == said
+    assert json.loads(invoke("policy", TINY, "--c-suggest", 0.2, "--json").stdout)["suggestion_threshold"] is None
+    line = f"{SuggestionThreshold(40.0, found['worth_at'], searched=True)} (--c-suggest)"
+    assert invoke("policy", *options[:-1]).stdout.splitlines()[-1] == line
     team = (*options, "--humans", 2, "--episodes", 5, "--policy", "none", "--policy", "attention")
     none, attention = json.loads(invoke("simulate", *team).stdout)["policies"]
-    assert none["silence"] is None
-    assert attention["silence"]["worth_at"] > 0
+    assert none["suggestion_threshold"] is None
+    assert attention["suggestion_threshold"]["worth_at"] > 0
     lines = invoke("simulate", *(word for word in team if word != "--json")).stdout.splitlines()
     assert lines[-1].startswith("attention: no suggestion was worth its cost (c_suggest 40); from ")
 
@@ -159,10 +163,16 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
     out = tmp_path / "out"
     assert run_study(study, out) == []
     summary = write_report(study, out)
-    (row,) = summary["silent"]
-    assert (row["policy"], row["setting"], row["c_suggest"], row["looked"]) == ("attention", "c_suggest 40", 40.0, True)
-    note = f"attention is no assistance (first, c_suggest 40, everybody, tiny): {Silence(40.0, row['worth_at'], True)}"
-    assert list(report.silent(summary)) == [note]
+    (row,) = summary["without_suggestions"]
+    assert (row["policy"], row["setting"], row["c_suggest"], row["searched"]) == (
+        "attention",
+        "c_suggest 40",
+        40.0,
+        True,
+    )
+    threshold = SuggestionThreshold(40.0, row["worth_at"], searched=True)
+    note = f"attention is no assistance (first, c_suggest 40, everybody, tiny): {threshold}"
+    assert list(report.threshold_notes(summary)) == [note]
     assert f"\n\n**Note.** {note}.\n\n" in (out / "report.md").read_text()
     assert run_study(study, out, resume=True) == []
     assert write_report(study, out) == summary
