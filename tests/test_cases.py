@@ -74,6 +74,12 @@ CASES = {
     "costs of a hundred million": Case(go="100000000", pick="70000000", cost=440_000_002),
     "costs whose sum exceeds 32 bits": Case(go="1500000000", cost=4_500_000_004),
     "costs that exceed 32 bits": Case(go="5000000000", cost=15_000_000_004),
+    "a cost beyond all": Case(go="1000000000001", said="domain.pddl:7: a cost of 1000000000001 is too large"),
+    "a value beyond all": Case(
+        (("(= (far kit shelf) 2)", "(= (far kit shelf) 100000000000000000000)"),), go="(far ?a ?b)",
+        said="p.pddl:4: a cost of 100000000000000000000 is too large; expected at most 1000000000000",
+    ),
+    "the largest costs": Case(go="1000000000000", cost=3_000_000_000_004),
     "a cost of a function that is not there": Case(go="(fra ?a ?b)", said="did you mean 'far'"),
     "a cost in words": Case(go="two", said="domain.pddl:7: action 'go' costs 'two'"),
     "a wrong type beside a derived predicate": Case(

@@ -311,10 +311,15 @@ def test_distances_take_the_smallest_type(bits, dtype):
 
 
 def test_costs_beyond_32_bits():
-    task = counter(4, costs=(1 << 40, 3, 0, 1 << 33))
+    task = counter(4, costs=(1 << 39, 3, 0, 1 << 33))
     check(task)
     table = sweep(task)
-    assert table.distance[table.initial] == (8 << 40) + 4 * 3 + (1 << 33)
+    assert table.distance[table.initial] == (8 << 39) + 4 * 3 + (1 << 33)
+
+
+def test_costs_whose_sums_no_array_holds():
+    with pytest.raises(LimitError, match="a cost of 1000000000001 is too large; expected at most 1000000000000"):
+        sweep(counter(2, costs=(1, 10**12 + 1)))
 
 
 def wide(bits: int) -> Task:

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ..grounding.task import Task
+from ..pddl.formulas import LARGEST_COST
 from ..search.bucket_dijkstra import BucketDijkstra, settled
 from ..search.checkpoint import Checkpoint
 from ..search.forward_search import ExploredGraph, ForwardSearch, enumerated
@@ -25,7 +26,7 @@ from ..search.ranking.state_ranking import MANY, denser, plain
 from ..search.ranking.transition_normal_form import split_operators
 from ..search.successor_generator import build_tests
 from ..states.state_space import StateSpace
-from ..system.limits import Budget, LimitError, MemoryLimitError
+from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
 from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
@@ -82,9 +83,11 @@ def sweep(
     Raises
     ------
     LimitError
-        One of the limits does not suffice.
+        One of the limits does not suffice, or a cost is larger than `LARGEST_COST`.
     """
     assert callable(progress)
+    if (dearest := max(task.costs, default=0)) > LARGEST_COST:
+        raise CostLimitError(f"{task.instance}: a cost of {dearest} is too large; expected at most {LARGEST_COST}")
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
     if any(variable.axiom_layer >= 0 for variable in task.variables):

@@ -25,6 +25,9 @@ SUMS = ("+", "-", "*", "/")
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 EFFECTS = ("and", "not", "when", "forall", "increase")
 
+LARGEST_COST = 10**12
+"""No action may cost more: costs-to-go are kept in 64 bits, and told as floats, which are whole up to 2^53."""
+
 Scope = Mapping[str, Typed]
 """What each variable stands for, by the name that it has in the file: its own name, and its types."""
 
@@ -289,9 +292,15 @@ class Formulas:
         cost = Cost(whole_number(written), tuple(written.words), formula.place)
         return listed(formula, formula.parts[0], parts[0], written), cost
 
+    def limited(self, at: Expression, number: int) -> None:
+        """Refuse a cost that is too large."""
+        if number > LARGEST_COST:
+            refuse(self.file, at, f"a cost of {shown(at)} is too large; expected at most {LARGEST_COST}")
+
     def _amount(self, amount: Expression, scope: Scope, action: str) -> Expression:
         """Check what an action costs: a whole number, or a declared function of as many arguments as it takes."""
         if (number := whole_number(amount)) is not None:
+            self.limited(amount, number)
             return word(amount, str(number))
         if re.fullmatch(r"-[\d.]+", amount.word) or (amount.head == "-" and len(amount.parts) == 2):
             refuse(self.file, amount, f"action '{action}' costs '{amount}'; costs may not be negative")

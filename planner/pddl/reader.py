@@ -338,6 +338,7 @@ def _value(file: Path, fact: Expression, formulas: Formulas) -> tuple[tuple[str,
     value = whole_number(number)
     if value is None:
         refuse(file, number, f"'{shown(number)}' is no whole number of 0 or more, as costs have to be")
+    formulas.limited(number, value)
     if of.head == "total-cost" and (value or len(of.parts) > 1):
         refuse(file, fact, "the sum of costs begins with 0: expected (= (total-cost) 0)")
     return (of.head, *(part.word for part in arguments)), value
