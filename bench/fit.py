@@ -280,7 +280,7 @@ def information(
         for beta in betas:
             observations, people = simulated(np.full(count, beta))
             errors.append(f"{standard_error(observations, people):.2f}")
-        own = np.mean([((o.regret > 0) & (o.chosen != o.suggested)).sum() for o in observations])
+        own = np.mean([(o.mistake & (o.chosen != o.suggested)).sum() for o in observations])
         rows.append({
             "instance": f"`{instance.removeprefix('kitting/')}`",
             "smallest mistake": f"{10 / largest_beta(observations, Method()):g}",

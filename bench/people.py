@@ -31,7 +31,7 @@ from tables import cell, record_option, write_record
 from assist.learning import Log, Method, observe, replay
 from assist.learning.comparison import Fold, held_out, summed_up
 from assist.learning.hierarchy import fit_hierarchy, fit_terms
-from assist.learning.observations import Observations
+from assist.learning.observations import Evaluated, Observations
 from assist.learning.recording import Recording, situation
 from assist.learning.weighing import Likelihood
 from assist.people import TERMS, Situation, Term, features
@@ -150,7 +150,9 @@ def observations_of(problem: int, every: list[Solved], folder: Path) -> list[Obs
     for name, weight in context(recording, solved, table).items():
         values |= {f"{one} x {name}": values[one] * weight[:, None] for one in CROSSED[name]}
     del values["cost"]
-    return observe(recording, h, table.space.goal, tuple(values), np.stack([*values.values()], axis=2))
+    every = np.arange(len(table))
+    known = Evaluated.of(table, every, h, every, len(table))
+    return observe(recording, known, table.space.goal, tuple(values), np.stack([*values.values()], axis=2))
 
 
 def read_data(every: list[Solved]) -> Data:

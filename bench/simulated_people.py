@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assist.learning import Log, Observations, observe, replay
+from assist.learning import Evaluated, Log, Observations, observe, replay
 from assist.learning.recording import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
@@ -167,9 +167,9 @@ def observed(answers: CostToGo, rows: list[dict], terms: Mapping[str, Term] | No
     """Read what `record` has written, as `kitassist fit` does."""
     recording, faults = replay(Log.of(rows), answers)
     assert not faults
-    h, goal = np.full(len(answers), np.nan), np.zeros(len(answers), dtype=bool)
-    wanted = recording.wanted()
-    h[wanted], goal[wanted] = answers.lookup(wanted), answers.is_goal(wanted)
+    wanted, goal = recording.wanted(), np.zeros(len(answers), dtype=bool)
+    known = Evaluated.of(answers, wanted, answers.lookup(wanted), wanted, len(answers))
+    goal[wanted] = answers.is_goal(wanted)
     if terms is None:
-        return observe(recording, h, goal)
-    return observe(recording, h, goal, tuple(terms), features(situation(recording, answers), terms))
+        return observe(recording, known, goal)
+    return observe(recording, known, goal, tuple(terms), features(situation(recording, answers), terms))

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..learning.comparison import Comparison
     from ..learning.likelihood import Method
     from ..learning.log import Fault, Log
+    from ..learning.observations import Evaluated
     from ..learning.people import People
     from ..learning.recording import Recording
 
@@ -101,7 +102,7 @@ class Replayed(NamedTuple):
     log: Log
     walked: OnDemand
     recording: Recording
-    h: NDArray[np.float64]
+    known: Evaluated
     faults: tuple[Fault, ...]
     method: Method
     jobs: int
@@ -163,8 +164,8 @@ def replayed(
         require_actions(log, recording, walked)
     except LogError as error:
         fail(str(error), EXIT_FAILED)
-    h = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
-    return Replayed(log, walked, recording, h, faults, method, jobs)
+    known = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
+    return Replayed(log, walked, recording, known, faults, method, jobs)
 
 
 def people_of(
@@ -189,7 +190,7 @@ def people_of(
     try:
         with progress_bar("fitting people", len(known.recording.people)) as advance:
             return learn(
-                known.log, known.walked, known.recording, known.h, faults=known.faults, method=known.method,
+                known.log, known.walked, known.recording, known.known, faults=known.faults, method=known.method,
                 misconceptions=misconceptions, terms=terms, chooses=chooses, table=table, seed=seed, jobs=known.jobs,
                 progress=advance,
             )  # fmt: skip
@@ -204,7 +205,7 @@ def comparison_of(known: Replayed, folds: int) -> Comparison:
     from ..people.terms import TERMS
 
     try:
-        observations, _ = observed(known.log, known.walked, known.recording, known.h, TERMS)
+        observations, _ = observed(known.log, known.walked, known.recording, known.known, TERMS)
         with progress_bar("comparing models", len(TERMS) + 2) as advance:
             return compare_observed(observations, known.method, folds=folds, name=str(known.log.name), progress=advance)
     except LogError as error:
@@ -237,11 +238,13 @@ def _columns(given: tuple[str, ...]) -> dict[str, str]:
 def _evaluate(
     walked: OnDemand, wanted: NDArray[np.int64], max_states: int, time_limit: float | None, cache: Path | None,
     jobs: int, *, strict: bool,
-) -> NDArray[np.float64]:  # fmt: skip
-    """Give h* of all states that were met, NaN but for the wanted ones: from a sweep, or one by one on demand.
+) -> Evaluated:  # fmt: skip
+    """Evaluate the wanted ones of the states that were met: from a sweep, or one by one on demand.
 
     States that took too long have NaN unless `strict`, where they are an error.
     """
+    from ..learning.observations import Evaluated
+
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     kept = Cache(walked.task, cache)
     what = f"evaluating {len(wanted):,} states"
@@ -251,19 +254,17 @@ def _evaluate(
             walked.task, values, max_states=max_states, cache=kept, jobs=jobs, limits=limits,
             progress=lambda of_all, done, total: show(f"{what}; all of the task, {of_all}", done, total),
         )  # fmt: skip
-    h = np.full(len(walked), np.nan)
-    if not isinstance(costs, OnDemand):
-        h[wanted] = costs.lookup(costs.numbers(values))
-        return h
     numbers = costs.numbers(values)
+    if not isinstance(costs, OnDemand):
+        return Evaluated.of(costs, numbers, costs.lookup(numbers), wanted, len(walked))
     if np.isnan(costs.known(numbers)).any():
         click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
     with progress_bar("evaluating states", len(wanted)) as advance:
         try:
-            h[wanted] = costs.lookup(numbers, advance)
+            h = costs.lookup(numbers, advance)
         except LimitError as error:
             if strict:
                 raise
-            h[wanted] = costs.known(numbers)
+            h = costs.known(numbers)
             click.echo(f"{error}; actions that depend on them are left out", err=True)
-    return h
+    return Evaluated.of(costs, numbers, h, wanted, len(walked))

@@ -17,6 +17,7 @@ from .log import Log as Log
 from .log import read_log as read_log
 from .misconception import Misconception as Misconception
 from .misconception import fit_misconception as fit_misconception
+from .observations import Evaluated as Evaluated
 from .observations import Observations as Observations
 from .observations import observe as observe
 from .people import LogError as LogError

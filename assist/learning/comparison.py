@@ -149,8 +149,8 @@ def compare(
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
-    recording, h, _ = replayed(costs, log, drop=drop, rename=rename, strict=strict)
-    observations = observed(log, costs, recording, h, terms)[0]
+    recording, known, _ = replayed(costs, log, drop=drop, rename=rename, strict=strict)
+    observations = observed(log, costs, recording, known, terms)[0]
     advance = adding(progress, "comparing models", len(terms) + 1 + (len(terms) > 1))
     return compare_observed(observations, method, folds=folds, name=log.name, progress=advance)
 

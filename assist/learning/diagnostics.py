@@ -133,7 +133,7 @@ def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
     spread = np.sqrt(np.einsum("fna,fna,na->f", f, f, p))
     total = np.sqrt(np.einsum("fna,fna,na->f", features, features, p))
     usable = spread > 1e-3 * np.maximum(total, 1e-9)
-    mistakes = float((p * (gap > 0)).sum())
+    mistakes = float(p[~o.optimal[kept]].sum())
     if not usable.any() or mistakes < 1:
         return UNCHECKED
     f = f[usable] / spread[usable][:, None, None]

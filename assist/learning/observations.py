@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planner import CostToGo
 from planner.system.arrays import outline, read_only
 
 from ..people.decision import NOTHING, Floats
@@ -42,6 +43,39 @@ class Chances:
 
 
 @dataclass(frozen=True)
+class Evaluated:
+    """What is known of the states that choices lead to; n states.
+
+    Attributes
+    ----------
+    h : float array, shape (n,)
+        h*, infinite at dead ends; NaN where it is not known.
+    lengths : float array, shape (n,), or None
+        How many actions the shortest of the cheapest plans has, as `CostToGo.plan_lengths` counts; infinite where that
+        is not known, None where no action is free.
+    """
+
+    h: Floats
+    lengths: Floats | None
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    @classmethod
+    def of(cls, costs: CostToGo, states: Ints, h: Floats, at: Ints, size: int) -> Evaluated:
+        """Take in h* of some states, shape (N,), NaN where it is not known; `at` are their places among all."""
+        known = ~np.isnan(h)
+        own, lengths = np.full(size, np.nan), None
+        own[at] = h
+        if 0 in costs.task.costs:
+            lengths = np.full(size, np.inf)
+            lengths[at[known]] = costs.plan_lengths(states[known])
+        return cls(own, lengths)
+
+
+@dataclass(frozen=True)
 class Observations:
     """What one person could choose from and what they chose; N steps of up to A choices.
 
@@ -53,6 +87,9 @@ class Observations:
     excess : float array, shape (N, A)
         Q(x, a) - min over a' of Q(x, a'), in cost units, for h* in place of h: how much an action costs more than
         the best. Infinite for a needless action into a dead end, 0 where all actions lead to one.
+    optimal : bool array, shape (N, A)
+        Whether a cheapest way to the goal begins with the choice, as `planner.optimal_choices` has it: where actions
+        are free, one with the fewest actions.
     applicable : bool array, shape (N, A)
     targets : int array, shape (N, A)
         The state after each choice.
@@ -80,6 +117,7 @@ class Observations:
     person: str
     episodes: tuple[str, ...]
     excess: Floats
+    optimal: NDArray[np.bool_]
     applicable: NDArray[np.bool_]
     targets: Ints
     ahead: Floats
@@ -108,14 +146,19 @@ class Observations:
         return self.excess[np.arange(len(self)), self.chosen]
 
     @property
+    def mistake(self) -> NDArray[np.bool_]:
+        """Whether each action was not an optimal choice, shape (N,)."""
+        return ~self.optimal[np.arange(len(self)), self.chosen]
+
+    @property
     def suboptimal(self) -> int:
-        """How many actions no cheapest way to the goal begins with, where there was one."""
-        return int((self.regret > 0).sum())
+        """How many actions were not optimal choices."""
+        return int(self.mistake.sum())
 
 
 def observe(
     recording: Recording,
-    h: Floats,
+    known: Evaluated,
     goal: NDArray[np.bool_],
     terms: tuple[str, ...] = (),
     features: Floats | None = None,
@@ -125,8 +168,8 @@ def observe(
     Parameters
     ----------
     recording : Recording
-    h : float array, shape (states,)
-        h* of the states that `recording.wanted()` names, infinite at dead ends; others are not read.
+    known : Evaluated
+        Of the states that `recording.wanted()` names; others are not read.
     goal : bool array, shape (states,)
         Which of them are goal states.
     terms : tuple of str
@@ -136,12 +179,16 @@ def observe(
     """
     r = recording
     features = np.zeros((*r.applicable.shape, 0)) if features is None else features
-    ahead = np.where(r.applicable, h[r.targets], np.inf)
+    ahead = np.where(r.applicable, known.h[r.targets], np.inf)
     q = np.where(r.applicable, r.costs + ahead, np.inf)
     best = q.min(axis=1, initial=np.inf)
     with np.errstate(invalid="ignore"):
         excess = np.where(np.isinf(best)[:, None], 0.0, q - best[:, None])
     excess = np.where(r.applicable, excess, np.inf)
+    optimal = np.isfinite(q) & (q == best[:, None])
+    if known.lengths is not None:
+        length = np.where(optimal, known.lengths[r.targets], np.inf)
+        optimal &= length == length.min(axis=1, keepdims=True)
     rows = np.arange(len(r))
     told = r.suggested != NOTHING
     # V = -h*: the cost-to-go is exact, so that it equals the smallest Q.
@@ -156,7 +203,7 @@ def observe(
         names = tuple(r.episodes[e] for e in r.episode[own & begins])
         result.append(
             Observations(
-                person, names, excess[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
+                person, names, excess[own], optimal[own], r.applicable[own], r.targets[own], ahead[own], r.chosen[own],
                 r.suggested[own], gain[own], begins[own], r.state[own], best[own],
                 goal[r.targets[own]] & r.applicable[own], terms, features[own],
             )

@@ -18,7 +18,6 @@ from planner.system.arrays import outline
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.choice_model import ChoiceModel
-from ..people.decision import Floats
 from ..people.human import Mixture
 from ..people.terms import TERMS, Term, features
 from .choosing import with_model
@@ -28,7 +27,7 @@ from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
 from .log import Fault, Log, in_order
 from .misconception import fit_misconception, require_memory
-from .observations import Ints, Observations, observe
+from .observations import Evaluated, Ints, Observations, observe
 from .population import ETAS, PopulationFit, fit_population, population_of
 from .record import Record, nothing_known
 from .recording import Recording, replay, situation
@@ -194,10 +193,10 @@ def fit(
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
-    recording, h, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
+    recording, known, faults = replayed(costs, log, drop=drop, rename=rename, strict=strict)
     advance = adding(progress, "fitting people", len(recording.people))
     return learn(
-        log, costs, recording, h, faults=faults, method=method, misconceptions=misconceptions, terms=terms,
+        log, costs, recording, known, faults=faults, method=method, misconceptions=misconceptions, terms=terms,
         chooses=chooses, table=costs if isinstance(costs, Table) else None, seed=seed, jobs=jobs, progress=advance,
     )  # fmt: skip
 
@@ -209,7 +208,7 @@ def replayed(
     drop: Sequence[str] = (),
     rename: Mapping[str, str] | None = None,
     strict: bool = False,
-) -> tuple[Recording, Floats, tuple[Fault, ...]]:
+) -> tuple[Recording, Evaluated, tuple[Fault, ...]]:
     """Follow a log through its task, and look up the cost-to-go of what was met; parameters as of `fit`."""
     recording, found = replay(log, costs, drop=drop, rename=rename)
     faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
@@ -220,16 +219,16 @@ def replayed(
         others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
         warnings.warn(message + others, stacklevel=WHO_ASKED)
     require_actions(log, recording, costs)
-    wanted, h = recording.wanted(), np.full(len(costs), np.nan)
+    wanted = recording.wanted()
     try:
-        h[wanted] = costs.lookup(wanted)
+        h = costs.lookup(wanted)
     except LimitError as error:
         known = getattr(costs, "known", None)
         if strict or known is None:
             raise
         warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=WHO_ASKED)
-        h[wanted] = known(wanted)
-    return recording, h, faults
+        h = known(wanted)
+    return recording, Evaluated.of(costs, wanted, h, wanted, len(costs)), faults
 
 
 def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
@@ -248,7 +247,7 @@ def learn(
     log: Log,
     costs: CostToGo,
     recording: Recording,
-    h: Floats,
+    known: Evaluated,
     *,
     faults: tuple[Fault, ...] = (),
     method: Method | None = None,
@@ -266,8 +265,8 @@ def learn(
     ----------
     costs : CostToGo
         Of the task, as it was replayed on; it is not asked for costs.
-    h : float array, shape (states,)
-        h* of the states that `recording.wanted()` names, NaN where it is not known.
+    known : Evaluated
+        Of the states that `recording.wanted()` names.
     faults, method, misconceptions, terms, chooses, seed, jobs
         As for `fit`; faults are all that was found.
     progress : callable, optional
@@ -280,7 +279,7 @@ def learn(
         raise ValueError("a choice model, and misconceptions or terms: expected one of them")
     if misconceptions and terms:
         raise ValueError("misconceptions and terms: expected one of them, since nobody has estimated both at once")
-    observations, left_out = observed(log, costs, recording, h, terms)
+    observations, left_out = observed(log, costs, recording, known, terms)
     if chooses is not None:
         if table is None:
             raise ValueError("people who choose by a model of their own: expected a table of the whole task")
@@ -319,13 +318,13 @@ def learn(
 
 
 def observed(
-    log: Log, costs: CostToGo, recording: Recording, h: Floats, terms: Terms = False
+    log: Log, costs: CostToGo, recording: Recording, known: Evaluated, terms: Terms = False
 ) -> tuple[list[Observations], dict[str, int]]:
     """Give what each person could choose from and what they chose, and how many actions of whom are left out.
 
     Parameters
     ----------
-    log, costs, recording, h, terms
+    log, costs, recording, known, terms
         As for `learn`.
 
     Raises
@@ -333,14 +332,14 @@ def observed(
     LogError
         Of nothing the cost-to-go is known, or nobody can reach the goal.
     """
-    recording, left_out = recording.evaluated(h)
+    recording, left_out = recording.evaluated(known.h)
     if not len(recording):
         raise LogError(f"{log.name}: the states after every action took too long")
-    if not math.isfinite(h[recording.wanted()].min()):
+    if not math.isfinite(known.h[recording.wanted()].min()):
         raise LogError(f"{log.name}: no state that was visited has a way to the goal, so that all actions are alike")
-    wanted, goal = recording.wanted(), np.zeros(len(h), dtype=bool)
+    wanted, goal = recording.wanted(), np.zeros(len(known.h), dtype=bool)
     goal[wanted] = costs.is_goal(wanted)
     if not terms:
-        return observe(recording, h, goal), left_out
+        return observe(recording, known, goal), left_out
     own = TERMS if terms is True else terms
-    return observe(recording, h, goal, tuple(own), features(situation(recording, costs), own)), left_out
+    return observe(recording, known, goal, tuple(own), features(situation(recording, costs), own)), left_out

@@ -95,7 +95,7 @@ class Record:
 
     @property
     def suboptimal_actions(self) -> int:
-        """How many actions no cheapest way to the goal begins with, where there was one."""
+        """How many actions were not optimal choices."""
         return self.fit.observations.suboptimal
 
     @property
