@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import copy
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+import numpy as np
 import pytest
+from conftest import KITTING
 
+from planner.search.state_registry import StateRegistry, _Growing
 from planner.system import threads
 from planner.system.threads import on_threads
 
@@ -93,3 +100,94 @@ def test_ctrl_c_leaves_no_thread_at_work(when: str) -> None:
         assert len(others) < 10
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_rows_that_somebody_looks_at_stay_where_they_are() -> None:
+    growing = _Growing(np.int64, 2)
+    growing.append(0, np.ones((3, 2), dtype=np.int64))
+    address = growing.rows.ctypes.data
+    looked_at = growing.rows[:3]
+    growing.append(3, np.full((1 << 16, 2), 7))
+    assert growing.rows.ctypes.data != address
+    assert looked_at.base is not growing.rows
+    assert looked_at.tolist() == [[1, 1]] * 3
+    assert growing.trimmed(4).tolist() == [[1, 1]] * 3 + [[7, 7]]
+    growing = _Growing(np.int64)
+    before = id(growing.rows)
+    growing.append(0, np.arange(1 << 16))
+    assert id(growing.rows) == before  # nobody does: the array itself has grown
+
+
+def test_a_copy_of_numbered_states_is_one_moment_of_them() -> None:
+    """Another thread goes on numbering meanwhile."""
+    met, over = StateRegistry(1), threading.Event()
+
+    def number() -> None:
+        for begin in range(0, 1 << 17, 256):
+            if over.is_set():
+                break
+            met.numbers(np.arange(begin, begin + 256, dtype=np.uint64)[:, None])
+
+    thread = threading.Thread(target=number)
+    thread.start()
+    try:
+        for _ in range(20):
+            other = copy.deepcopy(met)
+            held = len(other)
+            assert other.states(slice(0, held))[:, 0].tolist() == list(range(held))
+            assert other.numbers(np.arange(held, dtype=np.uint64)[:, None]).tolist() == list(range(held))
+    finally:
+        over.set()
+        thread.join()
+
+
+INTERRUPTED = """
+import _thread, sys
+sys.path[:0] = {paths!r}
+import numpy as np
+from importlib import import_module
+from test_dense import tied
+from planner import OnDemand, instance, load, sweep
+shipped = {shipped!r}
+module, task = import_module("planner.costtogo.sweep"), tied(1, 2, 26)
+before = _thread._count()
+
+def begun(*_):
+    global begun
+    begun = lambda *_: None
+    print("begun", flush=True)
+
+try:
+    {work}
+    print("it has come to an end")
+except KeyboardInterrupt:
+    print(_thread._count() - before, "threads at work")
+"""
+WORK = {
+    "by index": "sweep(task, threads=3, progress=lambda *_: begun())",
+    "listed": "module.split_operators = lambda *_: None; sweep(task, threads=3, progress=lambda *_: begun())",
+    "on demand": """
+    module = import_module("planner.costtogo.on_demand")
+    search, asked = module.astar, OnDemand(load(instance(shipped)), jobs=3)
+    before = _thread._count()  # loading has started one that serves the process
+    asked._search = "astar(blind(),max_time=infinity)"
+    module.astar = lambda *given, **options: (begun(), search(*given, **options))[1]
+    asked.lookup([asked.initial])
+""",
+}
+
+
+@pytest.mark.parametrize("work", WORK)
+def test_ctrl_c_in_a_sweep_leaves_no_thread_at_work(work: str) -> None:
+    """Sweeps of 2^27 states, and a blind search through 10^11, take much longer than the signal."""
+    large = str(KITTING / "ladder-6x12.pddl")
+    paths = [str(Path(__file__).parent), *sys.path[1:]]
+    script = INTERRUPTED.format(paths=paths, shipped=large, work=WORK[work])
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "begun\n"
+            process.send_signal(signal.SIGINT)
+            assert process.communicate(timeout=120)[0] == "0 threads at work\n"
+        finally:
+            process.kill()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -77,15 +78,18 @@ class RegistryIndex:
 
 
 class _Growing:
-    """Rows that are appended to; the memory grows by a third at a time, without a second copy where the system can."""
+    """Rows that are appended to; the memory grows by a third at a time, without a second copy where the system can.
+
+    Where something else refers to the old rows these stay as they are, and the new ones are a copy.
+    """
 
     def __init__(self, dtype: Any, *width: int) -> None:
         self.rows = np.zeros((1 << 12, *width), dtype=dtype)
 
     def make_room(self, rows: int) -> None:
-        """Have at least so many rows; views of the old ones must not be in use any more."""
+        """Have at least so many rows."""
         if rows > len(self.rows):
-            self.rows.resize((max(rows, len(self.rows) * 4 // 3), *self.rows.shape[1:]), refcheck=False)
+            self._resize(max(rows, len(self.rows) * 4 // 3))
 
     def append(self, rows: int, more: NDArray[Any]) -> None:
         """Write what comes after so many rows."""
@@ -94,8 +98,17 @@ class _Growing:
 
     def trimmed(self, rows: int) -> NDArray[Any]:
         """Give the rows, of which so many are in use."""
-        self.rows.resize((rows, *self.rows.shape[1:]), refcheck=False)
+        self._resize(rows)
         return self.rows
+
+    def _resize(self, rows: int) -> None:
+        shape = (rows, *self.rows.shape[1:])
+        try:
+            self.rows.resize(shape)  # in place, which numpy refuses where anything else refers to the array
+        except ValueError:
+            held, self.rows = self.rows, np.zeros(shape, dtype=self.rows.dtype)
+            kept = min(rows, len(held))
+            self.rows[:kept] = held[:kept]
 
 
 class StateRegistry:
@@ -114,7 +127,9 @@ class StateRegistry:
         self._lock = threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "_lock"}
+        with self._lock:  # what is copied or written meanwhile is no longer that of this object
+            own = {**vars(self), "_states": copy.deepcopy(self._states), "slots": self.slots.copy()}
+        return {name: value for name, value in own.items() if name != "_lock"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state, _lock=threading.Lock())
