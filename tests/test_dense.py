@@ -191,6 +191,7 @@ def test_a_counted_task_has_a_dense_index() -> None:
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "MANY", 1 << 20)
+        patch.setattr(module, "FEW", -1)
         table = module.sweep(task)
     assert len(table) == 41_472
     assert table.space.numbering.coding.size < 64 * len(table)

@@ -13,6 +13,7 @@ which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given p
 from __future__ import annotations
 
 import copy
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
@@ -237,16 +238,19 @@ class OnDemand:
                 with suppress(LimitError):  # of a plan too long to be told: a state nearer to the goal may be asked for
                     self._remember(self._labels(self._rows([self.initial]), chosen.plan))
 
+        over = threading.Event()
+        limits = self._limits.ended_by(over)
+
         def search(key: bytes) -> dict[bytes, float]:
             if key in self._known:  # a plan that was found meanwhile leads through it
                 return {}
-            if self._limits.stop is not None and self._limits.stop.is_set():
+            if limits.stop is not None and limits.stop.is_set():
                 raise LimitError("stopped")
             row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
             if holds(row, *self._goal)[0]:
                 return {key: 0.0}
             values = tuple(self.packing.unpack(row)[0].tolist())
-            return self._labels(row, astar(self._priced, values, search=self._search, limits=self._limits)[1])
+            return self._labels(row, astar(self._priced, values, search=self._search, limits=limits)[1])
 
         failure: LimitError | None = None
         with ThreadPoolExecutor(self._jobs) as pool:
@@ -260,7 +264,8 @@ class OnDemand:
                     self._remember(found)
                     if progress is not None:
                         progress(1)
-            except BaseException:
+            except BaseException:  # Ctrl-C as well
+                over.set()
                 pool.shutdown(cancel_futures=True)
                 raise
         if failure is not None:

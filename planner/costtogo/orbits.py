@@ -131,7 +131,8 @@ def orbits(
         There are more orbits than allowed, or no symmetries, or there is no time or memory left.
     """
     budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, lent)
-    group = symmetries(task, check=lambda: budget.check_time(0))
+    looking, forming = budget.during("symmetries were looked for"), budget.during("orbits were listed")
+    group = symmetries(task, check=lambda: looking(0))
     if group is None:
         raise LimitError("no symmetries")
     if group.order * max_orbits < states:
@@ -147,7 +148,7 @@ def orbits(
 
     def form(states: Words) -> None:
         for begin in range(0, len(states), part):
-            budget.check_time(0)
+            forming(0)
             canonical(forms, states[begin : begin + part])
 
     listing = enumerated(task, budget, threads or processors(), told, most, form)

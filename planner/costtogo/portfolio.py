@@ -210,8 +210,8 @@ def _race(
             late.set()
 
     with ThreadPoolExecutor(1) as pool:
-        sweep_of_all = pool.submit(sweeping)
         try:
+            sweep_of_all = pool.submit(sweeping)
             if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
                 return table
             enough.pause(SECOND)

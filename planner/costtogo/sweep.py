@@ -12,7 +12,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,8 @@ from ..pddl.formulas import LARGEST_COST
 from ..search.bucket_dijkstra import BucketDijkstra, settled
 from ..search.checkpoint import Checkpoint
 from ..search.forward_search import ExploredGraph, ForwardSearch, enumerated
-from ..search.ranking.state_ranking import MANY, denser, plain
+from ..search.kernels.ranked_successors import RankedOperators
+from ..search.ranking.state_ranking import MANY, PHASE, denser, plain
 from ..search.ranking.transition_normal_form import split_operators
 from ..search.successor_generator import build_tests
 from ..states.state_space import StateSpace
@@ -33,6 +33,9 @@ from .table import Table
 
 FEW = 128
 """Transitions for each move that are listed before a dense index is looked for, which takes longer than that."""
+
+ANYWAY = 1 << 13
+"""Moves that are counted beside those of the task, as looking takes seconds where listing a million takes one."""
 
 HUGE = 1 << 38
 """Indices of which no bitmap is made: a list takes less time than a hash table of them, but more memory."""
@@ -90,35 +93,60 @@ def sweep(
         raise CostLimitError(f"{task.instance}: a cost of {dearest} is too large; expected at most {LARGEST_COST}")
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
+    search = _search(task, budget, threads, progress, None if checkpoint is None else Path(checkpoint))
+    if isinstance(search, Table):
+        return search
+    if isinstance(search, str):
+        return _listed(task, budget, threads, search, progress)
+    ranking, kept = search.forward.coding, search.forward.checkpoint
+    index, transitions, distance = search.solve(int(ranking.encode(task.initial)[0]), task.goal)
+    initial = int(index.numbers(np.array([task.initial]))[0])
+    note = None if kept is None else kept.fault
+    return Table(StateSpace(task, len(distance), initial, transitions, index), distance, note)
+
+
+def _search(
+    task: Task, budget: Budget, threads: int, progress: Progress, checkpoint: Path | None
+) -> BucketDijkstra | Table | str:
+    """Return the search by an index, or why there is none, or the table where listing is done before one is found."""
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        return _listed(task, budget, threads, "it has derived variables", progress)
-    moves = split_operators(task)
-    if moves is None:
-        return _listed(task, budget, threads, "its operators split into very many moves", progress)
-    coding, moves = plain(task, moves)
+        return "it has derived variables"
+    try:
+        moves = split_operators(task, budget.during("operators were split"))
+        if moves is None:
+            return "its operators split into very many moves"
+        coding, moves = plain(task, moves, budget)
+    except (MemoryLimitError, MemoryError):
+        return "looking for an index took too much memory"
     if coding is None or coding.size > MANY:
         with suppress(MemoryLimitError, MemoryError):  # an index may take less
-            few = enumerated(task, budget, threads, progress, FEW * len(moves))
+            few = enumerated(task, budget, threads, progress, FEW * (len(moves) + ANYWAY))
             if few is not None:
                 return _settled(task, few, budget, progress, None)
         why = "its states take more than 62 bits each"
         try:
-            coding, moves = denser(task, coding, moves, partial(budget.part(LOOKING).check_time, 1))
+            coding, moves = denser(task, coding, moves, budget.part(LOOKING))
+        except (MemoryLimitError, MemoryError):
+            why = "looking for an index took too much memory"
         except LimitError:
-            budget.check_time(1)
+            budget.during(PHASE)(0)
             why = "looking for an index took too long"
         if coding is None:
-            return _listed(task, budget, threads, why, progress)
+            return why
     if coding.size > HUGE:
         with suppress(MemoryLimitError, MemoryError):
             return _listed(task, budget, threads, None, progress)
-    kept = None if checkpoint is None else Checkpoint(Path(checkpoint), task, coding.decoder)
-    forward = ForwardSearch(coding, build_tests(moves, coding, task.costs), budget, threads, progress, kept)
-    backward = BucketDijkstra(forward, build_tests([move.inverse() for move in moves], coding, task.costs))
-    index, transitions, distance = backward.solve(int(coding.encode(task.initial)[0]), task.goal)
-    initial = int(index.numbers(np.array([task.initial]))[0])
-    note = None if kept is None else kept.fault
-    return Table(StateSpace(task, len(distance), initial, transitions, index), distance, note)
+    # What is laid out is in use all the time.
+    left = budget.beside(coding.decoder.rows.nbytes)
+    operators: list[RankedOperators] = []
+    try:
+        for own in (moves, [move.inverse() for move in moves]):
+            operators.append(build_tests(own, coding, task.costs, left.during("operators were laid out")))
+            left = left.beside(operators[-1].table.nbytes + operators[-1].candidates.sets.nbytes)
+    except (MemoryLimitError, MemoryError):
+        return "its index takes too much memory"
+    kept = None if checkpoint is None else Checkpoint(checkpoint, task, coding.decoder)
+    return BucketDijkstra(ForwardSearch(coding, operators[0], left, threads, progress, kept), operators[1])
 
 
 def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:

@@ -71,7 +71,7 @@ def verify(
     def asked(state: int) -> float | None:
         if state in said:
             return said[state]
-        own = limits if limits.stop is not None else replace(limits, stop=over)
+        own = limits.ended_by(over)
         if seconds is not None:
             left = seconds - (time.monotonic() - start)
             own = replace(own, seconds=left if limits.seconds is None else min(left, limits.seconds))
@@ -108,7 +108,7 @@ def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], lim
     done = threading.Event()
     with ThreadPoolExecutor(len(searches)) as pool:
         try:
-            own = replace(limits, stop=done)
+            own = limits.ended_by(done)
             for each in as_completed([pool.submit(astar, task, state, search=one, limits=own) for one in searches]):
                 with suppress(LimitError):
                     return each.result()[0]

@@ -33,7 +33,7 @@ from .kernels.ranked_states import RankSet
 from .kernels.ranked_successors import RankedOperators
 from .ranking.state_ranking import StateRanking
 from .state_registry import RegistryIndex, StateRegistry, _Growing
-from .successor_generator import STATES_AT_A_TIME, Expanded, expanded, packed_operators
+from .successor_generator import STATES_AT_A_TIME, TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
 
 RANKS_AT_A_TIME = 1 << 16
 """Ranks in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
@@ -285,9 +285,10 @@ class ExploredGraph:
 class _RegistrySearch:
     """The search forward, breadth first: the states that have been found so far."""
 
-    def __init__(self, task: Task, form: Form = as_they_are) -> None:
+    def __init__(self, task: Task, budget: Budget, form: Form = as_they_are) -> None:
         self.packing = Packing.of(task)
-        self.book = packed_operators(task, self.packing)
+        self.budget = budget
+        self.book = packed_operators(task, self.packing, budget.during("operators were laid out"))
         self.form = form
         self.met = StateRegistry(self.packing.words)
         initial = self.packing.pack([task.initial])
@@ -298,41 +299,45 @@ class _RegistrySearch:
     def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
         """Expand all states in order, some at a time: how many actions each has, which, and what they lead to."""
         waiting: deque[Future[list[Expanded]]] = deque()
-        done = given = 0
+        done = given = transitions = 0
+        at_once = min(STATES_AT_A_TIME, 1 << 8)
         with ThreadPoolExecutor(threads) as pool:
             try:
                 while done < len(self.met):
                     while given < len(self.met) and len(waiting) <= threads:
-                        block = self.met.states(slice(given, min(given + STATES_AT_A_TIME, len(self.met))))
+                        block = self.met.states(slice(given, min(given + at_once, len(self.met))))
                         waiting.append(pool.submit(self._expanded, block))
                         given += len(block)
                     for counts, actions, after in waiting.popleft().result():
-                        done += len(counts)
+                        done, transitions = done + len(counts), transitions + len(actions)
                         yield counts, actions, self.met.numbers(after)
+                    at_once = max(1, min(STATES_AT_A_TIME, TRANSITIONS_AT_A_TIME * done // max(1, transitions)))
             finally:
                 for future in waiting:
                     future.cancel()
 
     def _expanded(self, states: Words) -> list[Expanded]:
-        parts = list(expanded(self.book, states))
-        for _, _, after in parts:
-            self.form(after)
+        parts = []
+        for part in expanded(self.book, states):
+            self.budget.check_time(len(self.met))
+            self.form(part[2])
+            parts.append(part)
         return parts
 
-    def check(self, budget: Budget, per_state: int, others: int) -> None:
+    def check(self, per_state: int, others: int) -> None:
         """Check the limits; given are bytes that are in use beside a state's words, for each of them and in all."""
-        budget.check_states(len(self.met))
-        budget.check_time(len(self.met))
-        budget.check_memory(self.met.slots.nbytes + (8 * self.packing.words + per_state) * len(self.met) + others)
+        self.budget.check_states(len(self.met))
+        self.budget.check_time(len(self.met))
+        self.budget.check_memory(self.met.slots.nbytes + (8 * self.packing.words + per_state) * len(self.met) + others)
 
 
 def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int:
     """Count the states that a task can reach; what they lead to is not kept."""
-    search = _RegistrySearch(task)
+    search = _RegistrySearch(task, budget)
     with closing(search.parts(threads)) as parts:
         for _ in parts:
             progress("states", len(search.met), None)
-            search.check(budget, 0, 0)
+            search.check(0, 0)
     return len(search.met)
 
 
@@ -349,7 +354,7 @@ def enumerated(
     `form` puts in the place of states others that do for them, before they are looked for.
     """
     costs, kind_of = np.unique(task.costs, return_inverse=True)
-    search, targets = _RegistrySearch(task, form), _Growing(np.int32)
+    search, targets = _RegistrySearch(task, budget, form), _Growing(np.int32)
     counts, kinds = _Growing(np.int32), _Growing(np.uint16 if len(costs) <= 1 << 16 else np.uint32)
     done = transitions = 0
     with closing(search.parts(threads)) as parts:
@@ -361,7 +366,7 @@ def enumerated(
             done, transitions = done + len(part_counts), transitions + len(numbers)
             if transitions >= most:
                 return None
-            search.check(budget, 24, (8 + 4 * (len(costs) > 1)) * transitions)
+            search.check(24, (8 + 4 * (len(costs) > 1)) * transitions)
             progress("states", len(search.met), None)
     found = RegistryIndex(search.packing, search.book, search.met.trimmed(), search.met.slots)
     kept = transitions if len(costs) > 1 else 0

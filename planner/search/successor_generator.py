@@ -6,6 +6,7 @@ many values of one variable are tested, a *switch* goes to those of the value at
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from ..grounding.task import Effect, Fact, Task
 from ..states.packing import Ints, Packing, Words, can_hold
 from ..states.successors import Successors
+from ..system.limits import Check, unchecked
 from .kernels import packed_successors
 from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
@@ -29,8 +31,8 @@ FEW = 3
 class _DecisionTreeBuilder:
     """Tests as they are laid out."""
 
-    def __init__(self, packing: Packing) -> None:
-        self.packing = packing
+    def __init__(self, packing: Packing, check: Check) -> None:
+        self.packing, self.check = packing, check
         self.word: list[int] = []
         self.mask: list[int] = []
         self.value: list[int] = []
@@ -75,6 +77,7 @@ class _DecisionTreeBuilder:
             return inside
 
         while left:
+            self.check(0)
             best = max(counts, key=lambda fact: (counts[fact], -fact[0], -fact[1]))
             v = best[0]
             present = sorted(value for value in values[v] if counts[v, value])
@@ -125,12 +128,53 @@ class _DecisionTreeBuilder:
         )
 
 
-def build_tests(moves: Sequence[TNFOperator], coding: StateRanking, costs: Sequence[int]) -> RankedOperators:
+class _ChangeTables:
+    """Tables of changes, one for each cluster: a row for each of its values, an entry for each kind of change."""
+
+    def __init__(self, coding: StateRanking, check: Check) -> None:
+        self.coding, self.check = coding, check
+        self.kinds: dict[int, dict[bytes, int]] = {}  # by cluster, and by the hash of a column of its table
+        self.columns: dict[int, list[NDArray[np.int32]]] = {}
+        self.size = 0
+
+    def add(self, move: TNFOperator) -> tuple[int, list[tuple[int, int]]] | None:
+        """Return what a move adds at once, and a cluster and a kind for what it looks up; None if it is impossible."""
+        self.check(8 * self.size)
+        change = self.coding.change(move)
+        if change is None:
+            return None
+        wanted = []
+        for cluster, column in change.lookups:
+            kinds = self.kinds.setdefault(cluster, {})
+            key = hashlib.blake2b(column.data, digest_size=16).digest()
+            if key not in kinds:
+                kinds[key] = len(kinds)
+                self.columns.setdefault(cluster, []).append(column)
+                self.size += len(column)
+            wanted.append((cluster, kinds[key]))
+        return change.constant, wanted
+
+    def laid_out(self) -> tuple[NDArray[np.int32], dict[int, int]]:
+        """Return all tables one after the other, and where each cluster's begins."""
+        self.check(8 * self.size)
+        table, begin, at = np.empty(self.size, dtype=np.int32), {}, 0
+        for cluster, columns in self.columns.items():
+            begin[cluster] = at
+            at += len(columns) * len(columns[0])
+            np.stack(columns, axis=1, out=table[begin[cluster] : at].reshape(-1, len(columns)))
+        return table, begin
+
+
+def build_tests(
+    moves: Sequence[TNFOperator], coding: StateRanking, costs: Sequence[int], check: Check = unchecked
+) -> RankedOperators:
     """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
-    changes = [coding.change(move) for move in moves]
+    tables = _ChangeTables(coding, check)
+    changes = [tables.add(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
-    trie = _DecisionTreeBuilder(coding.packing)
-    chosen = candidates([moves[number] for number in possible], coding)
+    table, begin = tables.laid_out()
+    trie = _DecisionTreeBuilder(coding.packing, lambda needed: check(table.nbytes + needed))
+    chosen = candidates([moves[number] for number in possible], coding, trie.check)
     if chosen is None:
         chosen = NO_CANDIDATES
         trie.test(0, 0, 0)  # it always holds
@@ -141,31 +185,17 @@ def build_tests(moves: Sequence[TNFOperator], coding: StateRanking, costs: Seque
         most = int(np.bitwise_count(chosen.sets).sum(axis=1).max(initial=1))
     trie.first.append(len(trie.order))
 
-    # Tables of changes, one for each cluster: a row for each of its values, an entry for each kind of change.
-    kinds: dict[int, dict[bytes, int]] = {}
-    entries: dict[int, list[Ints]] = {}
     looks = [0]
     wanted: list[tuple[int, int]] = []
     constants: list[int] = []
     for number in trie.order:
         change = changes[number]
         assert change is not None
-        constants.append(change.constant)
-        for cluster, column in change.lookups:
-            own = kinds.setdefault(cluster, {})
-            key = column.tobytes()
-            if key not in own:
-                own[key] = len(own)
-                entries.setdefault(cluster, []).append(column)
-            wanted.append((cluster, own[key]))
+        constants.append(change[0])
+        wanted += change[1]
         looks.append(len(wanted))
-    begin: dict[int, int] = {}
-    tables: list[Ints] = [np.empty(0, dtype=np.int64)]
-    for cluster, columns in entries.items():
-        begin[cluster] = sum(map(len, tables))
-        tables.append(np.stack(columns, axis=1).reshape(-1))
     lookups = [
-        (*coding.field[cluster], len(entries[cluster]), begin[cluster] + kind, int(coding.stride[cluster]))
+        (*coding.field[cluster], len(tables.kinds[cluster]), begin[cluster] + kind, int(coding.stride[cluster]))
         for cluster, kind in wanted
     ]
     ordered = [moves[number] for number in trie.order]
@@ -175,21 +205,23 @@ def build_tests(moves: Sequence[TNFOperator], coding: StateRanking, costs: Seque
         np.array(constants, np.int64),
         np.array(looks, np.int64),
         np.array(lookups, np.int64).reshape(-1, 5),
-        np.concatenate(tables).astype(np.int32),
+        table,
         np.array([move.action for move in ordered], np.int32),
         np.array([costs[move.action] for move in ordered], np.int64),
         most,
     )
 
 
-def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing) -> DecisionTree:
+def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing, check: Check = unchecked) -> DecisionTree:
     """Arrange operators by their preconditions, which do not contradict themselves."""
-    return tries_of([conditions], packing)[0]
+    return tries_of([conditions], packing, check)[0]
 
 
-def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> tuple[DecisionTree, Ints]:
+def tries_of(
+    groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing, check: Check = unchecked
+) -> tuple[DecisionTree, Ints]:
     """Arrange several groups one after the other, numbered through; tell where each begins, and where all end."""
-    trie, most, begin, number = _DecisionTreeBuilder(packing), 0, [0], 0
+    trie, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
     for conditions in groups:
         root = trie.test(0, 0, 0)  # it always holds
         most = max(most, trie.build([(facts, number + place) for place, facts in enumerate(conditions)]))
@@ -201,7 +233,15 @@ def tries_of(groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing) -> t
 
 
 STATES_AT_A_TIME = 1 << 12
-"""States that are expanded at a time."""
+"""States that are expanded at a time, at most."""
+
+
+TRANSITIONS_AT_A_TIME = 1 << 15
+"""Transitions of the states that are expanded at a time, about."""
+
+
+BYTES_PER_RULE = 500
+"""Bytes that a condition and its effects take while they are laid out, beside their words, about."""
 
 
 Masks = tuple[Words, Words, Words, Words]
@@ -216,18 +256,25 @@ Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
 """How many actions each of some states has, which, and what they lead to."""
 
 
-def packed_operators(task: Task, packing: Packing) -> PackedOperators:
+def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> PackedOperators:
     """Lay out a task's transition function."""
+    rules = len(task.axioms) + sum(1 + len({effect.conditions for effect in o.effects}) for o in task.operators)
+    in_use = (BYTES_PER_RULE + 32 * packing.words) * rules
+    check(in_use)
     successors = Successors(task, packing)
+
+    def still(_needed: float) -> None:
+        check(in_use)
+
     possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
     stages = list(_axioms(task, packing, successors))
     return PackedOperators(
-        trie_of(conditions, packing),
+        trie_of(conditions, packing, still),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
-        _rules([_grouped(task.operators[number].effects, successors.effects[number]) for number in order], packing),
-        _rules([rules for rules, _ in stages], packing),
+        _rules([_grouped(task.operators[n].effects, successors.effects[n]) for n in order], packing, still),
+        _rules([rules for rules, _ in stages], packing, still),
         np.array([again for _, again in stages], dtype=bool),
     )
 
@@ -262,15 +309,16 @@ def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
         left = [rule for rule, waits in zip(left, later, strict=True) if waits]
 
 
-def _rules(groups: Sequence[Sequence[Rule]], packing: Packing) -> Rules:
+def _rules(groups: Sequence[Sequence[Rule]], packing: Packing, check: Check) -> Rules:
     """Lay out rules, group by group."""
     writes = [0]
     written: list[tuple[int, int, int]] = []
     for group in groups:
+        check(0)
         for _, (_, _, cleared, assigned) in group:
             written += [(int(w), int(~cleared[w]), int(assigned[w])) for w in np.flatnonzero(cleared)]
             writes.append(len(written))
-    trie, begin = tries_of([[frozenset(facts) for facts, _ in group] for group in groups], packing)
+    trie, begin = tries_of([[frozenset(facts) for facts, _ in group] for group in groups], packing, check)
     return Rules(trie, begin, np.array(writes), *_columns(written))
 
 
@@ -283,7 +331,7 @@ def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
 def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
     stop = 0
-    room = 8 * STATES_AT_A_TIME + book.trie.most
+    room = TRANSITIONS_AT_A_TIME + book.trie.most
     while stop < len(states):
         counts = np.empty(len(states) - stop, dtype=np.int32)
         actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
@@ -305,13 +353,14 @@ NO_CANDIDATES = ApplicableSets(
 )
 
 
-def candidates(moves: Sequence[TNFOperator], coding: StateRanking) -> ApplicableSets | None:
+def candidates(moves: Sequence[TNFOperator], coding: StateRanking, check: Check = unchecked) -> ApplicableSets | None:
     """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they are too large."""
     if not moves:
         return NO_CANDIDATES
     decoder, words = coding.decoder, -(-len(moves) // 64)
     if 8 * words * len(decoder.rows) > LARGEST:
         return None
+    check(len(moves) * (2 * len(decoder.rows) + int(coding.sizes.sum())))
     allowed, untold = _allowed(moves, coding)
     tables = []
     for family in _families(coding):

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import resource
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from .machine import available_memory
 
 MAX_STATES = 50_000_000
 """States that are enumerated, unless another number is given."""
+
+Check = Callable[[float], None]
+"""Called again and again by what may take long, with the bytes that it has in use; it may raise `LimitError`."""
+
+
+def unchecked(_needed: float) -> None:
+    """Check nothing."""
+
+
+class StopSignal(Protocol):
+    """Whatever ends a call from another thread, such as a `threading.Event`."""
+
+    def is_set(self) -> bool:
+        """Whether the call is to end."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -25,17 +40,20 @@ class Budget:
         Bytes.
     deadline : float or None
         A time on `time.monotonic()`'s clock.
-    stop : threading.Event or None
+    stop : StopSignal or None
         Once it is set there is no time left.
     lent : callable
         How many of the bytes something else may take for now.
+    held : float
+        Bytes that are in use all the time, beside those that are checked.
     """
 
     max_states: int | None
     memory: float
     deadline: float | None
-    stop: threading.Event | None = None
+    stop: StopSignal | None = None
     lent: Callable[[], float] = float
+    held: float = 0.0
 
     @classmethod
     def within(
@@ -43,7 +61,7 @@ class Budget:
         max_states: int | None,
         memory_mb: float | None,
         deadline: float | None,
-        stop: threading.Event | None,
+        stop: StopSignal | None,
         lent: Callable[[], float] = float,
     ) -> Budget:
         """Allow so many megabytes of memory, but no more than the machine has left."""
@@ -52,8 +70,8 @@ class Budget:
 
     @property
     def room(self) -> float:
-        """Return how many bytes may be in use now."""
-        return self.memory - self.lent()
+        """Return how many bytes may be in use now, beside those that are held."""
+        return self.memory - self.lent() - self.held
 
     def part(self, share: float) -> Budget:
         """Give a share of the time that is left."""
@@ -62,12 +80,28 @@ class Budget:
         now = time.monotonic()
         return replace(self, deadline=now + share * (self.deadline - now))
 
+    def beside(self, held: float) -> Budget:
+        """Return the same budget where so many bytes more are in use all the time."""
+        return replace(self, held=self.held + held)
+
+    def during(self, phase: str) -> Check:
+        """Return a check for a phase in which no state is found yet, such as "an index was looked for"."""
+
+        def check(needed: float) -> None:
+            self._check_time(f"while {phase}")
+            self.check_memory(needed)
+
+        return check
+
     def check_time(self, states: int) -> None:
         """Check the deadline; `states` is for the message."""
+        self._check_time(f"after {_counted(states)}")
+
+    def _check_time(self, when: str) -> None:
         if self.stop is not None and self.stop.is_set():
-            raise LimitError(f"stopped after {_counted(states)}")
+            raise LimitError(f"stopped {when}")
         if self.deadline is not None and time.monotonic() > self.deadline:
-            raise LimitError(f"out of time after {_counted(states)}")
+            raise LimitError(f"out of time {when}")
 
     def check_states(self, states: int) -> None:
         """Check the number of states."""
@@ -77,7 +111,8 @@ class Budget:
     def check_memory(self, needed: float) -> None:
         """Check a number of bytes that is about to be in use."""
         if needed > self.room:
-            raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {self.room / 1e6:.0f} MB allowed")
+            needed, allowed = needed + self.held, self.room + self.held
+            raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {allowed / 1e6:.0f} MB allowed")
 
 
 def _counted(states: int) -> str:
@@ -106,16 +141,31 @@ class Limits:
         Of wall-clock time.
     memory_mb : float or None
         Megabytes.
-    stop : threading.Event or None
-        It ends as well once this is set.
+    stop : StopSignal or None
+        The call ends as well once this is set; a `threading.Event` is one.
     first : float or None
         Seconds after which it lets all other work on the machine go first.
     """
 
     seconds: float | None = None
     memory_mb: float | None = None
-    stop: threading.Event | None = None
+    stop: StopSignal | None = None
     first: float | None = None
+
+    def ended_by(self, over: StopSignal) -> Limits:
+        """Return the same limits for a call that ends once `over` is set, too."""
+        return replace(self, stop=over if self.stop is None else _AnyOf((self.stop, over)))
+
+
+@dataclass(frozen=True)
+class _AnyOf:
+    """Set once one of several is."""
+
+    signals: tuple[StopSignal, ...]
+
+    def is_set(self) -> bool:
+        """Whether one of them is set."""
+        return any(signal.is_set() for signal in self.signals)
 
 
 NO_LIMITS = Limits()

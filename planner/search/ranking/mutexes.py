@@ -17,10 +17,14 @@ from numpy.typing import NDArray
 from ...grounding.task import Task
 from ...states.packing import Ints
 from ...system.jit import njit
+from ...system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
 
 MOST_WORK = 1 << 26
 """Moves times facts, beyond which mutexes are not looked for."""
+
+AT_ONCE = 1 << 21
+"""Moves times facts between two checks of the limits."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class Mutexes:
         The number of each variable's fact 0.
     together : bool array, shape (facts, facts)
         Which pairs may hold together; a fact and itself, whether the fact may hold.
-    moves : list of Move
+    moves : list of TNFOperator
     barred : bool array, shape (moves, facts)
         Facts that do not hold where a move is applied, since they are mutex with one that it needs.
     """
@@ -46,11 +50,14 @@ class Mutexes:
     barred: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, task: Task, moves: Sequence[TNFOperator]) -> Mutexes | None:
-        """Compute them; None if that would take long."""
+    def of(cls, task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> Mutexes | None:
+        """Compute them; None if that would take long. The bytes that are checked are those of the pairs and moves."""
         first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
-        if len(moves) * int(first[-1]) > MOST_WORK:
+        facts = int(first[-1])
+        if len(moves) * facts > MOST_WORK:
             return None
+        in_use = facts**2 + 2 * len(moves) * facts
+        check(in_use)
         needs, gains, keeps = (
             _rows([[int(first[v]) + value for v, value in facts.items()] for facts in side])
             for side in (
@@ -64,9 +71,18 @@ class Mutexes:
         initial = first[:-1] + np.asarray(task.initial)
         together[np.ix_(initial, initial)] = True
         possible = np.zeros(len(moves), dtype=bool)
-        _close(needs, gains, keeps, variable, together, possible)
         barred = np.zeros((len(moves), first[-1]), dtype=bool)
-        _bar(needs, variable, together, barred)
+        step = AT_ONCE // max(1, facts) + 1
+        change = True
+        while change:
+            change = False
+            for begin in range(0, len(moves), step):
+                check(in_use)
+                stop = min(begin + step, len(moves))
+                change |= _close(needs, gains, keeps, variable, together, possible, begin, stop)
+        for begin in range(0, len(moves), step):
+            check(in_use)
+            _bar(needs[begin : begin + step], variable, together, barred[begin : begin + step])
         left = [move for move, can in zip(moves, possible, strict=True) if can]
         return cls(first, together, left, barred[possible])
 
@@ -79,72 +95,71 @@ def _rows(lists: Sequence[Sequence[int]]) -> Ints:
     return rows
 
 
-@njit()
-def _close(needs, gains, keeps, variable, together, possible):
-    """Add pairs until no move adds any more."""
+@njit(nogil=True)
+def _close(needs, gains, keeps, variable, together, possible, begin, stop):
+    """Add the pairs that the moves `begin` to `stop` lead to; tell whether there were any."""
     facts = len(variable)
-    change = True
     fixed = np.zeros(variable.max() + 1 if facts else 0, dtype=np.bool_)
-    while change:
-        change = False
-        for m in range(len(needs)):
-            if not possible[m]:
-                can = True
-                for i in range(needs.shape[1]):
-                    if needs[m, i] < 0 or not can:
+    change = False
+    for m in range(begin, stop):
+        if not possible[m]:
+            can = True
+            for i in range(needs.shape[1]):
+                if needs[m, i] < 0 or not can:
+                    break
+                for j in range(i + 1):
+                    if not together[needs[m, i], needs[m, j]]:
+                        can = False
                         break
-                    for j in range(i + 1):
-                        if not together[needs[m, i], needs[m, j]]:
-                            can = False
-                            break
-                if not can:
-                    continue
-                possible[m] = change = True
-                for i in range(gains.shape[1]):
-                    a = gains[m, i]
-                    if a < 0:
-                        break
-                    for j in range(gains.shape[1]):
-                        if gains[m, j] >= 0:
-                            together[a, gains[m, j]] = True
-                    for j in range(keeps.shape[1]):
-                        if keeps[m, j] >= 0:
-                            together[a, keeps[m, j]] = together[keeps[m, j], a] = True
+            if not can:
+                continue
+            possible[m] = change = True
+            for i in range(gains.shape[1]):
+                a = gains[m, i]
+                if a < 0:
+                    break
+                for j in range(gains.shape[1]):
+                    if gains[m, j] >= 0:
+                        together[a, gains[m, j]] = True
+                for j in range(keeps.shape[1]):
+                    if keeps[m, j] >= 0:
+                        together[a, keeps[m, j]] = together[keeps[m, j], a] = True
+        for i in range(needs.shape[1]):
+            if needs[m, i] < 0:
+                break
+            fixed[variable[needs[m, i]]] = True
+        for f in range(facts):
+            if fixed[variable[f]] or not together[f, f]:
+                continue
+            fresh = False
+            for i in range(gains.shape[1]):
+                if gains[m, i] < 0:
+                    break
+                if not together[gains[m, i], f]:
+                    fresh = True
+                    break
+            if not fresh:
+                continue
+            beside = True
             for i in range(needs.shape[1]):
                 if needs[m, i] < 0:
                     break
-                fixed[variable[needs[m, i]]] = True
-            for f in range(facts):
-                if fixed[variable[f]] or not together[f, f]:
-                    continue
-                fresh = False
-                for i in range(gains.shape[1]):
-                    if gains[m, i] < 0:
-                        break
-                    if not together[gains[m, i], f]:
-                        fresh = True
-                        break
-                if not fresh:
-                    continue
-                beside = True
-                for i in range(needs.shape[1]):
-                    if needs[m, i] < 0:
-                        break
-                    if not together[needs[m, i], f]:
-                        beside = False
-                        break
-                if beside:
-                    change = True
-                    for i in range(gains.shape[1]):
-                        if gains[m, i] >= 0:
-                            together[gains[m, i], f] = together[f, gains[m, i]] = True
-            for i in range(needs.shape[1]):
-                if needs[m, i] < 0:
+                if not together[needs[m, i], f]:
+                    beside = False
                     break
-                fixed[variable[needs[m, i]]] = False
+            if beside:
+                change = True
+                for i in range(gains.shape[1]):
+                    if gains[m, i] >= 0:
+                        together[gains[m, i], f] = together[f, gains[m, i]] = True
+        for i in range(needs.shape[1]):
+            if needs[m, i] < 0:
+                break
+            fixed[variable[needs[m, i]]] = False
+    return change
 
 
-@njit()
+@njit(nogil=True)
 def _bar(needs, variable, together, barred):
     """Mark facts that are mutex with one that a move needs."""
     for m in range(len(needs)):

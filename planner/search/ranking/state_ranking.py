@@ -16,14 +16,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints, Packing, Words
+from ...system.limits import Budget, Check, unchecked
 from ..kernels.unranking import CLUSTER, NOWHERE, PRIME, UnrankingTables, decode_all
 from .linear_invariants import Determined, determined
 from .mutexes import Mutexes
@@ -35,6 +37,9 @@ CHUNK = 1 << 11
 
 ENCODED = 1 << 11
 """States whose indices are worked out at a time, so that what that takes fits the cache, too."""
+
+PHASE = "an index was looked for"
+"""What is going on, for the messages of limits."""
 
 MANY = 1 << 33
 """Indices beyond which the dense coding is looked for: a bitmap of them takes a GB."""
@@ -53,12 +58,12 @@ class Change:
     Attributes
     ----------
     constant : int
-    lookups : tuple of (int, int array)
+    lookups : tuple of (int, int32 array)
         A cluster, and for each of its values by how much the move changes it, or `NOWHERE`.
     """
 
     constant: int
-    lookups: tuple[tuple[int, Ints], ...]
+    lookups: tuple[tuple[int, NDArray[np.int32]], ...]
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ class StateRanking:
         Every index is below this.
     field : dict of int to (int, int)
         The word and the shift of the value of each cluster whose changes are looked up.
-    decoder : Decoder
+    decoder : UnrankingTables
     implied : dict of Fact to Sum
         Facts of the variables left out, where each follows from facts of the digits by a sum.
     """
@@ -94,10 +99,12 @@ class StateRanking:
     implied: dict[Fact, Sum]
 
     @classmethod
-    def of(cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator]) -> StateRanking | None:
+    def of(
+        cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator], check: Check = unchecked
+    ) -> StateRanking | None:
         """Number the states by single variables, but those that the groups imply; None if 63 bits do not do."""
         sizes = [len(variable.facts) for variable in task.variables]
-        sums = _implied(sizes, groups)
+        sums = _implied(sizes, groups, check)
         # Blocks of states come in ascending order: what is tested most often should change least often.
         uses = Counter(v for move in moves for v in move.facts)
         digits = sorted((v for v in range(len(sizes)) if (v, 0) not in sums), key=lambda v: (uses[v], v))
@@ -111,43 +118,40 @@ class StateRanking:
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, {}, decoder, sums)
 
     @classmethod
-    def dense(cls, task: Task, mutexes: Mutexes, check: Callable[[], None] = lambda: None) -> StateRanking | None:
+    def dense(cls, task: Task, mutexes: Mutexes, check: Check = unchecked) -> StateRanking | None:
         """Number the states by clusters, but for the variables that invariants determine; None as above.
 
-        The moves are those of the mutexes. `check` is called again and again, and may raise `LimitError`.
+        The moves are those of the mutexes.
         """
         sizes = [len(variable.facts) for variable in task.variables]
-        left_out = determined(task, mutexes.moves)
+        left_out = determined(task, mutexes.moves, check)
         implied = {d.variable for d in left_out}
         merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied], check=check)
-        left_out, merged = _joined(left_out, merged, mutexes.first)
+        left_out, merged = _joined(left_out, merged, mutexes.first, check)
         uses = Counter(v for move in mutexes.moves for v in move.facts)
         merged.sort(key=lambda c: (sum(uses[v] for v in c.variables), c.variables))
         size = math.prod(map(len, merged))
         if size >= 1 << 62:
             return None
-        own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True))
+        own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True, check=check))
         if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << 64 // FIELDS:
             return None  # sums that tell the variables that are left out would not fit their fields
         packing = Packing.of(task)
-        field = {
-            number: (packing.words + place // FIELDS, 64 // FIELDS * (place % FIELDS))
-            for place, number in enumerate(
-                n for n, c in enumerate(own) if len(c) < math.prod(sizes[v] for v in c.variables)
-            )
-        }
+        varying = {v for move in mutexes.moves for v in move.after}
+        changed = [number for number, cluster in enumerate(own) if not varying.isdisjoint(cluster.variables)]
+        sparse = [n for n in changed if len(own[n]) < math.prod(sizes[v] for v in own[n].variables)]
+        field = {number: _field(packing.words, place) for place, number in enumerate(sparse)}
         digits = list(range(len(merged)))
-        decoder = _dense_decoder(packing, sizes, own, digits, left_out, field)
+        decoder = _dense_decoder(packing, sizes, own, digits, left_out, field, check)
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
 
     def change(self, move: TNFOperator) -> Change | None:
         """Say what a move adds to the index; None if it can never be applied."""
         constant = 0
         lookups = []
-        for number, cluster in enumerate(self.clusters):
+        for number in sorted({self._cluster_of[v] for v in move.after}):
+            cluster = self.clusters[number]
             after = [move.after.get(v) for v in cluster.variables]
-            if all(value is None for value in after):
-                continue
             if number not in self.field:
                 # The cluster has all values, and those that change are known.
                 steps = [self._step(cluster, place) for place in range(len(cluster.variables))]
@@ -172,8 +176,13 @@ class StateRanking:
             if (possible == possible[0]).all():
                 constant += int(self.stride[number] * possible[0])
             else:
-                lookups.append((number, changes))
+                lookups.append((number, changes.astype(np.int32)))
         return Change(constant, tuple(lookups))
+
+    @cached_property
+    def _cluster_of(self) -> dict[int, int]:
+        """The number of each variable's cluster."""
+        return {v: number for number, cluster in enumerate(self.clusters) for v in cluster.variables}
 
     def _step(self, cluster: Cluster, place: int) -> int:
         """What one more in one of a cluster's variables adds to its digit, where it has all values."""
@@ -240,38 +249,38 @@ class StateRanking:
         return self.packing.unpack(words)
 
 
-def plain(task: Task, moves: list[TNFOperator]) -> tuple[StateRanking | None, list[TNFOperator]]:
+def plain(task: Task, moves: list[TNFOperator], budget: Budget) -> tuple[StateRanking | None, list[TNFOperator]]:
     """Give the coding by single variables, if 62 bits do, and leave out moves that can never be applied.
 
     Where there is none, or one of more than `MANY` indices, `denser` may find a better one.
     """
-    groups, possible = exactly_one(task, moves)
-    return StateRanking.of(task, groups, possible), possible
+    check = budget.during(PHASE)
+    groups, possible = exactly_one(task, moves, check)
+    return StateRanking.of(task, groups, possible, check), possible
 
 
 def denser(
-    task: Task, coding: StateRanking | None, moves: list[TNFOperator], check: Callable[[], None] = lambda: None
+    task: Task, coding: StateRanking | None, moves: list[TNFOperator], budget: Budget
 ) -> tuple[StateRanking | None, list[TNFOperator]]:
-    """Look for a coding of fewer indices than one that is there, and leave out more moves.
-
-    `check` is called again and again, and may raise `LimitError`.
-    """
-    check()
-    mutexes = Mutexes.of(task, moves)
-    check()
-    found = None if mutexes is None else StateRanking.dense(task, mutexes, check)
-    if mutexes is None or found is None or (coding is not None and found.size >= coding.size):
+    """Look for a coding of fewer indices than one that is there, and leave out more moves."""
+    mutexes = Mutexes.of(task, moves, budget.during(PHASE))
+    if mutexes is None:
+        return coding, moves
+    beside = budget.beside(mutexes.together.nbytes + mutexes.barred.nbytes)
+    found = StateRanking.dense(task, mutexes, beside.during(PHASE))
+    if found is None or (coding is not None and found.size >= coding.size):
         return coding, moves
     return found, mutexes.moves
 
 
 def _joined(
-    left_out: Sequence[Determined], merged: Sequence[Cluster], first: Ints
+    left_out: Sequence[Determined], merged: Sequence[Cluster], first: Ints, check: Check
 ) -> tuple[list[Determined], list[Cluster]]:
     """Let variables that a single cluster determines join it; give those that are left, and the clusters."""
     whole = list(merged)
     left = []
     for own in left_out:
+        check(2 * sum(cluster.values.nbytes for cluster in whole))
         weights = np.split(own.weights, first[1:-1])
         others = [v for v, w in enumerate(weights) if v != own.variable and (w != w[0]).any()]
         having = {n for n, cluster in enumerate(whole) for v in others if v in cluster.variables}
@@ -299,7 +308,7 @@ def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
     return stride
 
 
-def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]]) -> dict[Fact, Sum]:
+def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Check) -> dict[Fact, Sum]:
     """Choose variables to leave out, and express each of their facts by those of the remaining variables.
 
     A fact is 1 where it holds and 0 elsewhere. A variable takes a group for each of its values but one, so
@@ -314,6 +323,7 @@ def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]]) -> dict[Fa
             if variables[fact[0]] == 1:
                 by_fact.setdefault(fact, []).append(group)
     for variable in sorted(range(len(sizes)), key=lambda v: (sizes[v], v)):
+        check(0)
         if variable in needed:
             continue
         own: dict[Fact, Sum] = {}
@@ -365,20 +375,25 @@ def _dense_decoder(
     digits: Sequence[int],
     left_out: Sequence[Determined],
     field: dict[int, tuple[int, int]],
+    check: Check,
 ) -> UnrankingTables:
     """Tabulate what each cluster's values contribute to the packed state and to the sums that tell the others."""
     first = np.concatenate([[0], np.cumsum(sizes)])
     words = packing.words + -(-len(field) // FIELDS)
     places = [_field(words, place) for place in range(len(left_out))]
     words += -(-len(left_out) // FIELDS)
+    in_use = 3 * 8 * words * sum(map(len, clusters)) + sum(cluster.values.nbytes for cluster in clusters)
+    check(in_use)
     constant = np.zeros(words, dtype=np.uint64)
     for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
+        check(in_use)
         # Clusters with a single row are constant; they take nothing of the field's room.
         single = [c for number, c in enumerate(clusters) if len(c) == 1 and number - len(digits) != step]
         fixed = sum(int(own.weights[first[list(c.variables)] + c.values[0]].sum()) for c in single)
         constant[word] += np.uint64((own.total - fixed) % PRIME << shift)
     parts = []
     for number, cluster in enumerate(clusters):
+        check(in_use)
         part = np.zeros((len(cluster), words), dtype=np.uint64)
         for place, v in enumerate(cluster.variables):
             part[:, packing.word[v]] |= cluster.values[:, place].astype(np.uint64) << np.uint64(packing.shift[v])
@@ -392,6 +407,7 @@ def _dense_decoder(
                 part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
         parts.append(part)
     for step in range(len(left_out)):
+        check(in_use)
         # A variable that is determined later has the same weight whatever its value: it counts from the start.
         word, shift = places[step]
         for later in range(step + 1, len(left_out)):

@@ -8,15 +8,21 @@ exactly one of them holds in every reachable state.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from ...grounding.task import Fact, Operator, Task
+from ...system.limits import Check, unchecked
 
 MOST_MOVES = 1 << 12
 MANY_EACH = 4
 """Operators that split into more moves than this, and into more than so many each, are swept in another way."""
+
+
+MOVE = 200
+"""Bytes that a move takes beside its facts, about."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,7 @@ class TNFOperator:
         return TNFOperator(self.action, {**self.facts, **self.after}, {v: self.facts[v] for v in self.after})
 
 
-def split_operators(task: Task) -> list[TNFOperator] | None:
+def split_operators(task: Task, check: Check = unchecked) -> list[TNFOperator] | None:
     """Split all operators of a task into moves, or none if they would be too many.
 
     The moves of one action exclude each other: where two operators of an action are applicable, the first
@@ -51,23 +57,29 @@ def split_operators(task: Task) -> list[TNFOperator] | None:
     most = max(MOST_MOVES, MANY_EACH * len(task.operators))
     earlier: dict[int, list[Sequence[Fact]]] = {}
     moves: list[TNFOperator] = []
+    in_use = 0
     for operator in task.operators:
         others = earlier.setdefault(operator.action, [])
-        for move in _split(operator, others, sizes):
+        for move in _split(operator, others, sizes, check):
             moves.append(move)
+            in_use += MOVE + sys.getsizeof(move.facts) + sys.getsizeof(move.after)
+            check(in_use)
             if len(moves) > most:
                 return None
         others.append(operator.preconditions)
     return moves
 
 
-def _split(operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int]) -> Iterator[TNFOperator]:
+def _split(
+    operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int], check: Check
+) -> Iterator[TNFOperator]:
     """Split one operator, but for the states in which one of the excluded conditions holds."""
     facts = dict(operator.preconditions)
     if any(facts[variable] != value for variable, value in operator.preconditions):
         return  # contradictory
     waiting = [facts]
     while waiting:
+        check(0)
         known = waiting.pop()
         undecided = _undecided(operator, excluded, known)
         if undecided is None:
@@ -96,17 +108,19 @@ def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: di
     return -1
 
 
-def exactly_one(task: Task, moves: list[TNFOperator]) -> tuple[list[frozenset[Fact]], list[TNFOperator]]:
+def exactly_one(
+    task: Task, moves: list[TNFOperator], check: Check = unchecked
+) -> tuple[list[frozenset[Fact]], list[TNFOperator]]:
     """Prove that of certain groups of facts exactly one holds in every reachable state.
 
-    Candidates are the translator's mutex groups. Proven by induction are those of which one fact holds
+    ApplicableSets are the translator's mutex groups. Proven by induction are those of which one fact holds
     initially and whose number of facts is left alone by all moves that can ever be applied; a move that
     needs two facts of such a group cannot.
 
     Returns
     -------
     groups : list of frozenset of Fact
-    moves : list of Move
+    moves : list of TNFOperator
         Those that the groups do not rule out.
     """
     groups = list(dict.fromkeys(map(frozenset, task.mutexes)))
@@ -120,6 +134,7 @@ def exactly_one(task: Task, moves: list[TNFOperator]) -> tuple[list[frozenset[Fa
         possible: list[TNFOperator] = []
         broken: set[frozenset[Fact]] = set()
         for move in moves:
+            check(0)
             needed = Counter(group for fact in move.facts.items() for group in of_fact.get(fact, ()))
             if any(count > 1 for count in needed.values()):
                 continue

@@ -10,19 +10,24 @@ the numbers of values.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations, count
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...states.packing import Ints
+from ...states.packing import Ints, Words
 from ...system.jit import njit
-from ..kernels.ranked_states import find_slot
+from ...system.limits import Check, unchecked
+from ..kernels.ranked_states import find_slot, insert_all
 from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16
 """Joint values of one cluster at most."""
+
+AT_ONCE = 1 << 24
+"""Values of variables that are compared between two checks of the limits."""
 
 MOST_WORK = 1 << 31
 """Moves that are tried on projected values, some five seconds' worth, before clusters stay as they are."""
@@ -54,13 +59,16 @@ class Cluster:
 class Projections:
     """The moves of a task as arrays from which projections are cut."""
 
-    def __init__(self, mutexes: Mutexes, initial: Sequence[int]) -> None:
+    def __init__(self, mutexes: Mutexes, initial: Sequence[int], check: Check) -> None:
         first, moves = mutexes.first, mutexes.moves
         self.sizes = np.diff(first)
         self.initial = np.asarray(initial, dtype=np.int64)
         self.work = 0  # moves that have been tried on projected values
-        self.after = np.full((len(moves), len(self.sizes)), -1, dtype=np.int64)
         words = (int(self.sizes.max(initial=1)) + 63) // 64
+        self.in_use = 8 * len(moves) * len(self.sizes) * (1 + words) + 2 * mutexes.barred.size
+        self.check = check
+        check(self.in_use)
+        self.after = np.full((len(moves), len(self.sizes)), -1, dtype=np.int64)
         # Bit `value` of `allowed[move, variable]`: whether the variable may have the value where the move is applied.
         self.allowed = np.zeros((len(moves), len(self.sizes), words), dtype=np.uint64)
         may = ~mutexes.barred & mutexes.together.diagonal()
@@ -71,6 +79,7 @@ class Projections:
                 own = may[m, first[v] : first[v + 1]]
                 own[:] = np.arange(len(own)) == value
         for v, size in enumerate(self.sizes):
+            check(self.in_use)
             for value in range(size):
                 bit = may[:, first[v] + value].astype(np.uint64) << np.uint64(value & 63)
                 self.allowed[:, v, value >> 6] |= bit
@@ -81,6 +90,7 @@ class Projections:
         touching: NDArray[np.bool_] = np.any(self.after[:, columns] >= 0, axis=1)
         after = self.after[touching][:, columns]
         allowed = self.allowed[touching][:, columns]
+        self.check(self.in_use + 3 * (after.nbytes + allowed.nbytes))
         # To cut the projection, and to sort its rows, in the same measure.
         self.work += 2 * len(touching) + 300 * (after.size + allowed.size)
         if len(after):
@@ -91,14 +101,31 @@ class Projections:
         # The first variable counts most, so that the order of the numbers is that of the values.
         factors = np.ones(len(columns), dtype=np.int64)
         factors[:-1] = np.cumprod(self.sizes[columns[:0:-1]])[::-1]
-        keys = _explore(
-            np.ascontiguousarray(after), np.ascontiguousarray(allowed), self.initial[columns], factors,
-            self.sizes[columns], most,
-        )  # fmt: skip
+        keys = self._explored(np.ascontiguousarray(after), np.ascontiguousarray(allowed), columns, factors, most)
         self.work += len(after) * (len(keys) or most)
         if len(keys) == 0:
             return None
+        self.check(self.in_use + 8 * len(keys) * (4 + 2 * len(columns)))
         return np.sort(keys)[:, None] // factors % self.sizes[columns]
+
+    def _explored(self, after: Ints, allowed: Words, columns: list[int], factors: Ints, most: int) -> Ints:
+        """List the keys (values times factors) that can be reached in a projection; none if they are more than most."""
+        sizes = self.sizes[columns]
+        keys, queue = np.full(1 << 10, -1, dtype=np.int64), np.empty(1 << 9, dtype=np.int64)
+        queue[0] = self.initial[columns] @ factors
+        insert_all(keys, queue[:1])
+        done, seen = 0, 1
+        step = AT_ONCE // (after.size + 1) + 1
+        while done < seen:
+            if seen == len(queue):
+                keys = np.full(2 * len(keys), -1, dtype=np.int64)
+                insert_all(keys, queue)
+                queue = np.concatenate([queue, np.empty_like(queue)])
+            self.check(self.in_use + 2 * (after.nbytes + allowed.nbytes) + 2 * (keys.nbytes + queue.nbytes))
+            done, seen = _explore(after, allowed, factors, sizes, keys, queue, done, min(seen, done + step), seen, most)
+            if seen > most:
+                return np.empty(0, dtype=np.int64)
+        return queue[:seen]
 
 
 def clusters(
@@ -107,13 +134,13 @@ def clusters(
     variables: Sequence[int],
     *,
     alone: bool = False,
-    check: Callable[[], None] = lambda: None,
+    check: Check = unchecked,
 ) -> list[Cluster]:
     """Merge some of the variables into clusters; unless `alone`, one that is left is a cluster of its own.
 
-    `check` is called again and again, and may raise `LimitError`.
+    The bytes that are checked are those of the moves and of what is explored.
     """
-    projections = Projections(mutexes, initial)
+    projections = Projections(mutexes, initial, check)
     found: dict[int, Cluster] = {}
     for number, v in enumerate(variables):
         values = projections.explore([v], MOST_VALUES)
@@ -121,67 +148,68 @@ def clusters(
         found[number] = Cluster((v,), values)
     if alone:
         return list(found.values())
-    number = len(found)
     linked = _links(mutexes, projections)
-    gains: dict[tuple[int, int], tuple[float, Cluster | None]] = {}
-    while True:
-        varying = [n for n, cluster in found.items() if len(cluster) > 1]  # merging with a constant gains nothing
-        for a in varying:
-            for b in varying:
-                if a < b and (a, b) not in gains:
-                    check()
-                    worthwhile = projections.work < MOST_WORK
-                    gains[a, b] = _merged(projections, found[a], found[b], linked) if worthwhile else (0.0, None)
-        best = max(gains, key=lambda pair: (gains[pair][0], -pair[0], -pair[1]), default=None)
-        if best is None or gains[best][0] <= 0:
+    gains: dict[tuple[int, int], float] = {}
+    varying = [n for n, cluster in found.items() if len(cluster) > 1]  # merging with a constant gains nothing
+    pairs = list(combinations(varying, 2))
+    for number in count(len(found)):
+        for a, b in pairs:
+            worthwhile = projections.work < MOST_WORK and linked[np.ix_(found[a].variables, found[b].variables)].any()
+            merged = _merged(projections, found[a], found[b]) if worthwhile else None
+            if merged is not None:
+                gains[a, b] = math.log(len(found[a]) * len(found[b]) / len(merged))
+        if not gains:
             break
-        merged = gains[best][1]
+        best = max(gains, key=lambda pair: (gains[pair], -pair[0], -pair[1]))
+        gains = {pair: gain for pair, gain in gains.items() if not set(pair) & set(best)}
+        # It is explored again, as the values of all pairs would take much memory.
+        merged = _merged(projections, found.pop(best[0]), found.pop(best[1]))
         assert merged is not None
-        gains = {pair: value for pair, value in gains.items() if not set(pair) & set(best)}
-        for old in best:
-            del found[old]
         found[number] = merged
-        number += 1
+        projections.in_use += merged.values.nbytes
+        varying = [n for n in varying if n in found]
+        pairs = [(other, number) for other in varying if len(merged) > 1]
+        varying += [number] * (len(merged) > 1)
     return list(found.values())
 
 
-def _links(mutexes: Mutexes, projections: Projections) -> Ints:
+def _links(mutexes: Mutexes, projections: Projections) -> NDArray[np.bool_]:
     """Tell of pairs of variables, shape (variables, variables), whether they share a mutex or are changed together."""
     first = mutexes.first
+    projections.check(projections.in_use + 3 * mutexes.together.nbytes)
     held = mutexes.together.diagonal()
     apart = ~mutexes.together & held & held[:, None]
-    shared = np.add.reduceat(np.add.reduceat(apart, first[:-1], axis=0, dtype=np.int64), first[:-1], axis=1)
-    changed = (projections.after >= 0).astype(np.int64)
-    return shared + changed.T @ changed
+    linked = np.logical_or.reduceat(np.logical_or.reduceat(apart, first[:-1], axis=0), first[:-1], axis=1)
+    for changed in projections.after >= 0:
+        at = np.flatnonzero(changed)
+        linked[np.ix_(at, at)] = True
+    return linked
 
 
-def _merged(projections: Projections, a: Cluster, b: Cluster, linked: Ints) -> tuple[float, Cluster | None]:
-    """Say by how much merging two clusters shrinks the product of their sizes, as a logarithm, and merge them."""
-    if not linked[np.ix_(a.variables, b.variables)].any():
-        return 0.0, None
+def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
+    """Merge two clusters; None where that gives no fewer values than the product of theirs, or too many."""
     variables = tuple(sorted(a.variables + b.variables))
     if math.prod(int(projections.sizes[v]) for v in variables) >= 1 << 62:
-        return 0.0, None
-    product = len(a) * len(b)
-    values = projections.explore(variables, min(MOST_VALUES, product - 1))
-    if values is None:
-        return 0.0, None
-    return math.log(product / len(values)), Cluster(variables, values)
+        return None
+    values = projections.explore(variables, min(MOST_VALUES, len(a) * len(b) - 1))
+    return None if values is None else Cluster(variables, values)
 
 
-@njit()
-def _explore(after, allowed, initial, factors, sizes, most):
-    """List the keys (values times factors) that can be reached in a projection; none if they are more than `most`."""
+@njit(nogil=True)
+def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, most):
+    """Put what `queue[begin:stop]` leads to into the queue, of which `seen` places are taken, and into the hash table.
+
+    Returns
+    -------
+    done : int
+        It ends before `stop` where the queue is full.
+    seen : int
+        `most + 1` if there are more than that.
+    """
     width = len(factors)
-    keys = np.full(1 << 10, -1, dtype=np.int64)
-    queue = np.empty(most + 1, dtype=np.int64)
-    queue[0] = (initial * factors).sum()
-    keys[find_slot(keys, queue[0])] = queue[0]
     values = np.empty(width, dtype=np.int64)
-    seen, done = 1, 0
-    while done < seen:
+    for done in range(begin, stop):
         key = queue[done]
-        done += 1
         for j in range(width):
             values[j] = key // factors[j] % sizes[j]
         for m in range(len(after)):
@@ -198,12 +226,10 @@ def _explore(after, allowed, initial, factors, sizes, most):
             if keys[slot] == target:
                 continue
             if seen == most:
-                return np.empty(0, dtype=np.int64)
+                return done, most + 1
+            if seen == len(queue):
+                return done, seen
             keys[slot] = target
             queue[seen] = target
             seen += 1
-            if 2 * seen > len(keys):
-                keys = np.full(2 * len(keys), -1, dtype=np.int64)
-                for i in range(seen):
-                    keys[find_slot(keys, queue[i])] = queue[i]
-    return queue[:seen].copy()
+    return stop, seen

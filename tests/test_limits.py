@@ -1,0 +1,256 @@
+"""Limits are kept before a state is found: operators are split and laid out, an index is looked for."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from plain import explore
+from test_dense import composed, tied
+from test_sweep import check as compared
+from test_sweep import module
+
+from planner import Effect, LimitError, Operator, Task, Variable, instance
+from planner.costtogo.orbits import orbits
+from planner.search.ranking.linear_invariants import determined, invariants
+from planner.search.ranking.mutexes import Mutexes
+from planner.search.ranking.state_ranking import StateRanking, denser, plain
+from planner.search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
+from planner.search.ranking.variable_clusters import clusters
+from planner.search.successor_generator import build_tests, packed_operators
+from planner.states.packing import Packing
+from planner.system.limits import Budget, Check, MemoryLimitError, unchecked
+
+FREE = Budget(None, math.inf, None)
+LATE = Budget(None, math.inf, 0.0)
+NARROW = Budget(None, 1.0, None)
+
+
+def turning(needs: list[dict[int, int]], variables: int) -> Task:
+    """Return a task of binary variables, all 0 first: the i-th action turns variable `i % variables` to 1."""
+    operators = [
+        Operator(a, tuple({**own, a % variables: 0}.items()), (Effect((), a % variables, 1),))
+        for a, own in enumerate(needs)
+    ]
+    return Task(
+        instance=instance("turning.pddl"),
+        variables=tuple(Variable(f"var{v}", (f"Atom off(v{v})", f"Atom on(v{v})"), -1) for v in range(variables)),
+        actions=tuple(f"(turn a{a:03})" for a in range(len(needs))),
+        costs=(1,) * len(needs),
+        operators=tuple(operators),
+        axioms=(),
+        initial=(0,) * variables,
+        goal=((0, 1),),
+    )
+
+
+def chains(count: int, length: int) -> Task:
+    """Return a task in which each variable is turned after the one before: few states, very many indices."""
+    return turning([{v - 1: 1} if v % length else {} for v in range(count * length)], count * length)
+
+
+def moves_of(task: Task) -> list[TNFOperator]:
+    moves = split_operators(task)
+    assert moves is not None
+    return moves
+
+
+def mutexes_of(task: Task) -> Mutexes:
+    mutexes = Mutexes.of(task, moves_of(task))
+    assert mutexes is not None
+    return mutexes
+
+
+def dense(task: Task) -> StateRanking:
+    coding = StateRanking.dense(task, mutexes_of(task))
+    assert coding is not None
+    return coding
+
+
+SEARCHED = ("mutexes", "linear_invariants", "variable_clusters")
+"""Modules that check their limits after so many steps."""
+
+SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
+    "split": split_operators,
+    "proven": lambda task, check: exactly_one(task, moves_of(task), check),
+    "plain": lambda task, check: StateRanking.of(task, [], moves_of(task), check),
+    "mutexes": lambda task, check: Mutexes.of(task, moves_of(task), check),
+    "invariants": lambda task, check: invariants(task, moves_of(task), check),
+    "determined": lambda task, check: determined(task, moves_of(task), check),
+    "clusters": lambda task, check: clusters(mutexes_of(task), task.initial, range(len(task.variables)), check=check),
+    "dense": lambda task, check: StateRanking.dense(task, mutexes_of(task), check),
+    "tests": lambda task, check: build_tests(moves_of(task), dense(task), task.costs, check),
+    "packed operators": lambda task, check: packed_operators(task, Packing.of(task), check),
+}
+
+
+@pytest.fixture
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check as often as it goes."""
+    for name in SEARCHED:
+        monkeypatch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "AT_ONCE", 0)
+
+
+@pytest.mark.usefixtures("often")
+@pytest.mark.parametrize("name", SEARCHES)
+def test_what_takes_long_asks_again_and_again(name: str) -> None:
+    """Once a variable or move at least, so that none of it goes on for long."""
+    task, asked = tied(4, 3, 6), 0
+
+    def counting(_needed: float) -> None:
+        nonlocal asked
+        asked += 1
+
+    SEARCHES[name](task, counting)
+    assert asked >= len(task.variables)
+
+    def ending(_needed: float) -> None:
+        nonlocal asked
+        asked -= 1
+        if asked == 0:
+            raise LimitError("the last time that it asked")
+
+    with pytest.raises(LimitError, match="the last time"):
+        SEARCHES[name](task, ending)
+
+
+@pytest.mark.usefixtures("often")
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_found_does_not_depend_on_how_often_is_asked(seed: int) -> None:
+    task = composed(seed, costs=range(1, 2))
+    piecewise = found(task)
+    with pytest.MonkeyPatch.context() as patch:
+        for name in SEARCHED:
+            patch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "AT_ONCE", 1 << 30)
+        at_once = found(task)
+    for one, other in zip(piecewise, at_once, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def found(task: Task) -> list[Any]:
+    mutexes = mutexes_of(task)
+    own = clusters(mutexes, task.initial, range(len(task.variables)))
+    return [
+        mutexes.together, mutexes.barred, invariants(task, mutexes.moves),
+        *(determined.weights for determined in determined(task, mutexes.moves)),
+        *(np.array(cluster.variables) for cluster in own), *(cluster.values for cluster in own),
+    ]  # fmt: skip
+
+
+def test_messages_say_in_which_phase_time_ended() -> None:
+    task = chains(1, 5)
+    for budget, how in (
+        (LATE, "out of time"),
+        (Budget(None, math.inf, None, stop := threading.Event()), "stopped"),
+    ):
+        stop.set()
+        for phase, search in (
+            ("operators were split", lambda b: module._search(task, b, 1, lambda *_: None, None)),
+            ("an index was looked for", lambda b: plain(task, moves_of(task), b)),
+            ("an index was looked for", lambda b: denser(task, None, moves_of(task), b)),
+            ("operators were laid out", lambda b: module._listed(task, b, 1, None, lambda *_: None)),
+        ):
+            with pytest.raises(LimitError, match=f"^{how} while {phase}$"):
+                search(budget)
+        with pytest.raises(LimitError, match=f"^{how} after 1 state$"):
+            budget.check_time(1)
+        with pytest.raises(LimitError, match=f"^{how} after 2 states$"):
+            budget.check_time(2)
+    with pytest.raises(LimitError, match=r"^out of time while symmetries were looked for$"):
+        orbits(tied(2, 2, 4), max_orbits=100, deadline=0.0)
+
+
+@pytest.mark.parametrize("name", sorted(SEARCHES.keys() - {"proven", "plain"}))
+def test_memory_is_checked(name: str) -> None:
+    """A byte is allowed."""
+    with pytest.raises(MemoryLimitError, match=r"^\d+ MB of memory needed, 0 MB allowed$"):
+        SEARCHES[name](tied(4, 3, 6), NARROW.during("it was looked for"))
+
+
+def test_what_is_in_use_all_the_time_counts() -> None:
+    budget = Budget(None, 10e6, None).beside(3e6).beside(4e6)
+    budget.check_memory(3e6)
+    assert budget.room == 3e6
+    with pytest.raises(MemoryLimitError, match=r"^11 MB of memory needed, 10 MB allowed$"):
+        budget.during("it was looked for")(4e6)
+
+
+def test_where_looking_for_an_index_takes_too_much_memory_states_are_listed() -> None:
+    """Matrices of 160 facts take more than 1,681 states."""
+    task = chains(2, 40)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "FEW", -1)  # else they are listed before it is looked for
+        plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=1)
+    assert plenty.note is None
+    assert little.note is not None
+    assert little.note.endswith("looking for an index took too much memory")
+    assert len(little) == 41**2
+    equal(little, plenty)
+
+
+def test_where_an_index_takes_too_much_memory_states_are_listed() -> None:
+    """Sets of 400 moves for each of 4,096 rows take more than two states."""
+    task = turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22)
+    plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=2)
+    assert plenty.note is None
+    assert little.note is not None
+    assert little.note.endswith("its index takes too much memory")
+    equal(little, plenty)
+
+
+def equal(one: Any, other: Any) -> None:
+    """Compare two tables, whatever the numbers of their states are."""
+    assert len(one) == len(other)
+    np.testing.assert_array_equal(one.h[one.numbers(other.values(np.arange(len(other))))], other.h)
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_facts_that_never_change_take_nothing_of_an_index(listed: bool) -> None:
+    """300 of them beside 384 states: the table is the one without them."""
+    task, alive = tied(3, 3, 7, 300), module.sweep(tied(3, 3, 7))
+    with pytest.MonkeyPatch.context() as patch:
+        if not listed:
+            patch.setattr(module, "FEW", -1)
+            patch.setattr(module, "HUGE", math.inf)
+        table = compared(task)
+    assert table.note is None
+    assert len(table) == len(alive) == 384
+    values = table.values(np.arange(len(table)))
+    assert not values[:, 10:].any()
+    np.testing.assert_array_equal(alive.h[alive.numbers(values[:, :10])], table.h)
+    mutexes = mutexes_of(task)
+    assert not invariants(task, mutexes.moves)[:, mutexes.first[10] :].any()
+    assert max(own.variable for own in determined(task, mutexes.moves)) < 10
+    coding = dense(task)
+    assert len(coding.field) == 1
+    assert coding.decoder.rows.shape[1] == coding.packing.words + 1
+
+
+def test_facts_that_others_rule_out_never_change_either() -> None:
+    """The switch of variable 3 needs two values that exclude each other."""
+    task = tied(2, 3, 5, 1)
+    dead = Operator(len(task.operators), ((0, 0), (1, 1), (7, 0)), (Effect((), 7, 1),))
+    task = Task(
+        **{
+            **{name: getattr(task, name) for name in ("instance", "variables", "axioms", "initial", "goal")},
+            "operators": (*task.operators, dead),
+            "actions": (*task.actions, "(dead)"),
+            "costs": (*task.costs, 1),
+        }
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
+        patch.setattr(module, "FEW", -1)
+        table = compared(task)
+    assert len(table) == len(explore(task)) == 96
+    assert not table.values(np.arange(96))[:, 7].any()
+
+
+def test_unchecked_checks_nothing() -> None:
+    unchecked(math.inf)
+    FREE.during("it was looked for")(1e18)
