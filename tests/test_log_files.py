@@ -62,6 +62,11 @@ DIALECTS = {
         + f'"1" "ann" "1" 0 "{FETCH}" NA\n"2" "ann" "1" 1 "{RIGHT}" "{RIGHT}"\n"3" "ann" "1" 2 "{BACK}" NA\n',
         "the first column, which has no name, as numbers of rows, 'NA' as a missing value",
     ),
+    "such an index, and no suggestion in quotes": (
+        '"person" "episode" "step" "action" "suggestion"\n'
+        + f'"1" "ann" "1" 0 "{FETCH}" ""\n"2" "ann" "1" 1 "{RIGHT}" "{RIGHT}"\n"3" "ann" "1" 2 "{BACK}" ""\n',
+        "the first column, which has no name, as numbers of rows",
+    ),
     "blank lines": ("\n" + HEAD + "\n" + ROWS.replace("\n", "\n\n") + ",,,,\n", ""),
     "actions as calls": (
         HEAD + 'ann,1,0,fetch(box-a),\nann,1,1,"place(hammer, slot-1, box-a)","place(hammer,slot-1,box-a)"\n'

@@ -449,7 +449,9 @@ def _matched(
 
 def _have_an_index(width: int, rows: Sequence[tuple[int, list[str]]]) -> bool:
     """Return whether rows begin with their number, for which R's `write.table` writes no name of a column."""
-    wide = [cells for _, cells in rows if len(cells) == width + 1 and cells[-1]]
+    wide = [cells for _, cells in rows if len(cells) == width + 1]
+    if not any(cells[-1] for cells in wide):  # an empty column at the end, as spreadsheets add
+        return False
     numbers = [cells[0] for cells in wide if re.fullmatch(r"\d+", cells[0])]
     return len(numbers) > 1 and 2 * len(wide) > len(rows) and len(numbers) == len(wide) == len(set(numbers))
 
