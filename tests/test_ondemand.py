@@ -339,3 +339,8 @@ def test_values_that_no_variable_has_are_refused(tiny: Table) -> None:
     asked = OnDemand(tiny.task)
     with pytest.raises(ValueError, match="expected values"):
         asked.numbers([[99] * len(tiny.task.variables)])
+    halves = tiny.values([0]) + 0.5
+    with pytest.raises(ValueError, match="expected values"):
+        asked.numbers(halves)
+    with pytest.raises(KeyError, match="values are integers, not float64"):
+        tiny.numbers(halves)

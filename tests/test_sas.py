@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,6 +80,24 @@ def test_what_is_replaced_is_replaced_for_everybody() -> None:
     free = replace(task, costs=tuple(int(not name.startswith("(fetch")) for name in task.actions))
     assert 0 < check(free) < 10
     assert check(replace(task, goal=(*task.goal[:-1], (task.goal[-1][0], 1 - task.goal[-1][1])))) != 10
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"costs": (-1, 1)}, "costs (-1, 1): expected whole numbers of 0 or more"),
+        ({"costs": (0.5, 1)}, "costs (0.5, 1): expected whole numbers of 0 or more"),
+        ({"costs": (1,)}, "1 costs; expected one for each of the 2 actions"),
+        ({"initial": (0,)}, "an initial state of 1 values; expected 2"),
+        ({"initial": (0, 2)}, "the initial state has value 2 of variable 1, which is none of the task's"),
+        ({"initial": (-1, 0)}, "the initial state has value -1 of variable 0, which is none of the task's"),
+        ({"goal": ((0, 2),)}, "the goal has value 2 of variable 0, which is none of the task's"),
+        ({"goal": ((9, 0),)}, "the goal has value 0 of variable 9, which is none of the task's"),
+    ],
+)
+def test_what_no_task_has_is_refused(changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        replace(counter(2), **changed)
 
 
 def test_a_group_that_the_initial_state_breaks_says_nothing() -> None:

@@ -115,11 +115,12 @@ class OnDemand:
 
         Whether a state can be reached is not checked, and has to be so.
         """
-        array = np.asarray(values, dtype=np.int64)
+        array = np.asarray(values)
         sizes = np.array([len(variable.facts) for variable in self.task.variables])
-        if array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
+        whole = not array.size or array.dtype.kind in "iu"
+        if not whole or array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
-        return self._meet(self._successors.derive(self.packing.pack(array)))
+        return self._meet(self._successors.derive(self.packing.pack(array.astype(np.int64, copy=False))))
 
     def values(self, states: ArrayLike) -> NDArray[np.int64]:
         """Give the values, shape (N, variables), of states of shape (N,)."""

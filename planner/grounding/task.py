@@ -14,6 +14,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -116,6 +117,23 @@ class Task:
     note: str | None = None
 
     __repr__ = outline
+
+    def __post_init__(self) -> None:
+        """Refuse costs, an initial state and a goal that no task has."""
+        try:
+            costs = tuple(map(index, self.costs))
+        except TypeError:
+            costs = (-1,)
+        if min(costs, default=0) < 0:
+            raise ValueError(f"costs {self.costs!r:.40}: expected whole numbers of 0 or more")
+        if len(costs) != len(self.actions):
+            raise ValueError(f"{len(costs)} costs; expected one for each of the {len(self.actions)} actions")
+        if len(self.initial) != len(self.variables):
+            raise ValueError(f"an initial state of {len(self.initial)} values; expected {len(self.variables)}")
+        for of, facts in (("initial state", enumerate(self.initial)), ("goal", self.goal)):
+            for variable, value in facts:
+                if not (0 <= variable < len(self.variables) and 0 <= value < len(self.variables[variable].facts)):
+                    raise ValueError(f"the {of} has value {value} of variable {variable}, which is none of the task's")
 
     @property
     def name(self) -> str:

@@ -119,9 +119,12 @@ class StateSpace:
         KeyError
             One of them is no reachable state.
         """
-        array = np.asarray(values, dtype=np.int64)
+        array = np.asarray(values)
         if array.ndim != 2 or array.shape[1] != len(self.task.variables):
             raise KeyError(f"values of shape {array.shape}; expected (N, {len(self.task.variables)})")
+        if array.size and array.dtype.kind not in "iu":
+            raise KeyError(f"values are integers, not {array.dtype}")
+        array = array.astype(np.int64, copy=False)
         numbers = self.numbering.numbers(array)
         if (numbers < 0).any():
             raise KeyError(tuple(array[int(np.argmax(numbers < 0))].tolist()))
