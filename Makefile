@@ -61,7 +61,7 @@ wheel-check:
 
 # What takes long to compile is compiled once, two halves at a time, and not by every worker of the tests for itself. What
 # fails meanwhile is shown, and does not keep the tests from running.
-$(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py planner/*/*.py planner/*/*/*.py assist/*/*.py)
+$(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py planner/*/*.py planner/*/*/*.py assist/*/*.py assist/*/*/*.py)
 	@echo "Compiling ..."
 	@folder=$$(mktemp -d) && tiny=domains/kitting/tiny.pddl && run="env PYTHONPATH=bench $(BIN)/python tests/warm.py" && \
 		$(BIN)/kitassist solve $$tiny >$$folder/solved 2>$$folder/said && { \

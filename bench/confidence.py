@@ -24,9 +24,9 @@ from joint import joint_bounds
 from scipy.special import stdtrit
 from tables import cell, record_option, write_record
 
-from assist.certify.clairvoyant import ALPHAS, Clairvoyant
-from assist.certify.confidence import CONFIDENCE, FEWEST, Sampled
-from assist.certify.lattice import Lattice
+from assist.certify.information_relaxation.belief_nodes import Lattice
+from assist.certify.information_relaxation.confidence import CONFIDENCE, FEWEST, Sampled
+from assist.certify.information_relaxation.sampled_bound import ALPHAS, Clairvoyant
 from assist.certify.prices import kinds_of, search, window_of
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -34,7 +34,7 @@ from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.person.solver import solve
-from assist.team.pool import Pool
+from assist.simulation.pool import Pool
 from assist.team.settings import Setting
 from planner import cost_to_go, load
 

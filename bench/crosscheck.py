@@ -32,17 +32,16 @@ import numpy as np
 from graphs import graph_task
 from tables import Columns, cell, record_option, write_record
 
-from assist.certify import bound as bounds
-from assist.certify import prices
-from assist.certify.bound import TeamBound, upper_bound
+from assist.certify import prices, team_bound
+from assist.certify.team_bound import TeamBound, upper_bound
+from assist.large_tasks import truncated_bound
 from assist.people.choice_model import ChoiceModel, boltzmann
 from assist.people.choices import Choices, mix
 from assist.people.decision import Floats, perceived_value
 from assist.people.human import Mixture, Population
-from assist.simulation.presence import Presence
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
-from assist.team import bounded
-from assist.team.pool import Pool
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamPolicy
@@ -274,11 +273,11 @@ class Outcome:
 def cheaper(part: dict[str, int] | None) -> Iterator[None]:
     """Spend less on a bound: what makes it tight, not what makes it hold."""
     with ExitStack() as stack:
-        for module, name, value in ((prices, "ROUNDS", 6), (prices, "SAMPLE", 128), (bounds, "MEETINGS", 200)):
+        for module, name, value in ((prices, "ROUNDS", 6), (prices, "SAMPLE", 128), (team_bound, "MEETINGS", 200)):
             stack.enter_context(patch.object(module, name, value))
         for name, value in (part or {}).items():
             if name != "region":
-                stack.enter_context(patch.object(bounded, name, value))
+                stack.enter_context(patch.object(truncated_bound, name, value))
         yield
 
 

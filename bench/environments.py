@@ -19,7 +19,7 @@ from tables import Columns, cell, record_option, write_record
 
 from assist.interop.gymnasium import TeamVectorEnv
 from assist.interop.teams import pool_of
-from assist.team.pool import Pool
+from assist.simulation.pool import Pool
 
 RATE: Columns = {
     "teams": cell("teams", ","), "people": cell("humans"), "beliefs": lambda row: "seen" if row["beliefs"] else "no",

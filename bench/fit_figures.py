@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from simulated_people import People, observed, record
 
 from assist.learning import log_likelihood, maximum_likelihood
-from assist.learning.misconception import MarginalLikelihood
+from assist.learning.misconception_fit import MarginalLikelihood
 from assist.people.belief import Grid as BeliefGrid
 from assist.people.choices import Choices
 from assist.people.decision import NOTHING

@@ -3,7 +3,7 @@
     python bench/habits.py [--pools N] [--people N] [--humans K] [--instance NAME] [--jobs N] [--out DIR] [--into DIR]
 
 The episodes in `--out` are kept, and the study goes on from them: `kitassist study --protocol people --out DIR` makes
-the same. Of what was found three tables are made, each over pools (`assist.study.statistics`): what people do under
+the same. Of what was found three tables are made, each over pools (`assist.reports.statistics`): what people do under
 each policy (`habits-policies`), what a robot pays that takes people with habits for people who mind cost alone
 (`habits-unknown`), and what attention switching saves (`habits-savings`). A pool is one observation, all instances and
 team sizes together. `--into` writes them as records.
@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 from tables import save
 
+from assist.reports.statistics import Estimate, mean, saving
 from assist.study import Study, load_study, read, run_study
-from assist.study.statistics import Estimate, mean, saving
 
 MEASURES = {
     "actions a person": "human_actions_per_person", "interventions": "interventions", "return": "discounted_return",

@@ -3,7 +3,7 @@
 Nothing is relaxed or taken apart here: observed is where everybody's task and the robot are, hidden are everybody's
 beta and theta. The numbers of both are products over people, so that two people with a task of some dozens of
 states are about as much as there can be. For those it is the yardstick of whatever scales: of team policies, and of
-the bound for large teams (`assist.certify.bound`).
+the bound for large teams (`assist.certify.team_bound`).
 
 The problem is written out from each person's `AssistPOMDP` (`joint_problem.py`) and solved by heuristic search value
 iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004) in its plain form: below, alpha
@@ -23,7 +23,7 @@ import numpy as np
 from joint_problem import Ints, JointProblem, check, product_of, written_out
 
 from assist.people.decision import Floats
-from assist.team.pool import Pool
+from assist.simulation.pool import Pool
 from assist.team.state import NOBODY
 from assist.team.travel import Travel
 

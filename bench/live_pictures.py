@@ -26,7 +26,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 from tables import ROOT
 
-from assist.live.client import Client
+from assist.web.client import Client
 from planner import Table, cost_to_go, load
 
 OPTIONS = ("--simulate", "2", "--pace", "0.4", "--c-move", "0.05", "--beta", "0.1", "2.0")

@@ -19,7 +19,7 @@ import numpy as np
 from tables import Columns, cell, record_option, write_record
 
 from assist.live.assistant import Assistant
-from assist.live.simulated import SimulatedPerson
+from assist.live.simulated_person import SimulatedPerson
 from assist.people.human import Population
 from assist.team.settings import Setting
 from planner import CostToGo, cost_to_go, load

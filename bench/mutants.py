@@ -41,10 +41,10 @@ TESTS = {
     "assist/people/belief.py": "test_belief",
     "assist/people/decision.py": "test_human test_equations test_misconception",
     "planner/costtogo/table.py": "test_costtogo test_ondemand test_tables",
-    "assist/person/region.py": "test_region test_frontier",
+    "assist/large_tasks/truncated_task.py": "test_region test_frontier",
     "assist/team/attention.py": "test_policies test_assistant",
-    "assist/team/subproblem.py": "test_bounds test_policies",
-    "assist/certify/bound.py": "test_certify test_upper_bound",
+    "assist/team/attention_subproblem.py": "test_bounds test_policies",
+    "assist/certify/team_bound.py": "test_certify test_upper_bound",
     "assist/certify/certificate.py": "test_certify",
     "assist/certify/prices.py": "test_certify test_upper_bound",
 }

@@ -31,9 +31,9 @@ from tables import cell, record_option, write_record
 from assist.learning import Log, Method, observe, replay
 from assist.learning.comparison import Fold, held_out, summed_up
 from assist.learning.hierarchy import fit_hierarchy, fit_terms
+from assist.learning.logit_likelihood import Likelihood
 from assist.learning.observations import Evaluated, Observations
-from assist.learning.recording import Recording, situation
-from assist.learning.weighing import Likelihood
+from assist.learning.replay import Recording, situation
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
 from planner.search.distances import UNREACHED, backward

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from assist.person.qmdp import Arrays
+from assist.person.problem_arrays import Arrays
 from assist.simulation.dynamics import Minds, People, act
-from assist.team.pool import Pool
+from assist.simulation.pool import Pool
+from assist.team.attention_subproblem import HERE
 from assist.team.priority import Priority
-from assist.team.subproblem import HERE
 
 
 def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: int) -> np.ndarray:

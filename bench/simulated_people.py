@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from assist.learning import Evaluated, Log, Observations, observe, replay
-from assist.learning.recording import situation
+from assist.learning.replay import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
 from planner import CostToGo

@@ -32,15 +32,15 @@ from rich.console import Console
 from rich.table import Table
 from tables import Columns, cell, more_option, record_option, write_record
 
-from assist.certify.bound import upper_bound
 from assist.certify.certificate import Certificate, returns
+from assist.certify.team_bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamPolicy, TeamState

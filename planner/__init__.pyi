@@ -25,6 +25,7 @@ from .states.packing import Packing as Packing
 from .states.state_space import StateSpace as StateSpace
 from .states.successors import Successors as Successors
 from .states.successors import Transitions as Transitions
+from .system.errors import InputFileError as InputFileError
 from .system.errors import MismatchError as MismatchError
 from .system.limits import LimitError as LimitError
 from .system.limits import Limits as Limits

@@ -19,10 +19,10 @@ STEPS = 6
 
 
 def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) -> None:
-    """What comes in place of `assist.live.server.serve`: everybody acts a few times, pages are drawn, and it ends."""
-    from assist.live.access import Access
+    """What comes in place of `assist.web.server.serve`: everybody acts a few times, pages are drawn, and it ends."""
     from assist.live.course import Event
-    from assist.live.pictures import Pictures
+    from assist.web.task_drawings import Pictures
+    from assist.web.tokens import Access
 
     try:
         access, pictures, people = Access.kept(plan.folder / "secret", "http://here"), Pictures(), session.people

@@ -21,11 +21,14 @@ from click.testing import CliRunner, Result
 from graphs import graph_task as graph_task
 from numba.core import event
 
-from assist.cli import main, solving, task
+from assist.cli import main
+from assist.cli.options import task
+from assist.cli.output import solve_progress
 from assist.people.choices import Choices
+from assist.reports import study_report
+from assist.simulation.pool import Pool
 from assist.study.protocol import read
 from assist.study.study import Study
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
@@ -125,7 +128,7 @@ def named(instance: Instance) -> str:
 def no_line_comes_between() -> None:
     """What commands print in this process does not depend on how long they take, nor on what was compiled before."""
     progress.BETWEEN_LINES = 1e6  # seconds
-    task.compiling_line = solving.compiling_line = lambda: lambda: None
+    task.compiling_line = solve_progress.compiling_line = lambda: lambda: None
 
 
 @pytest.fixture(scope="session")
@@ -210,10 +213,9 @@ def results(small_study: tuple[Study, Path, dict], tmp_path: Path) -> Path:
 
 def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
     """Let reports of studies that are made in this process draw their first picture alone: each takes two seconds."""
-    from assist.study import report
 
-    draw = report._draw_all
-    patched.setattr(report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
+    draw = study_report._draw_all
+    patched.setattr(study_report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))
 
 
 @pytest.fixture

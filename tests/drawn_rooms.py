@@ -14,12 +14,14 @@ from test_architecture import ROOMS, ROOT, imports, modules, within
 FILE = ROOT / "docs" / "figures" / "architecture.svg"
 WIDTH, HEIGHT, ACROSS, DOWN, MARGIN = 218, 78, 236, 118, 12
 COLUMNS = {
-    "planner.system": 1.5, "planner.pddl": 1.5, "planner.grounding": 1.5, "planner.states": 1.5,
-    "planner.search.kernels": 0.5, "planner.search.ranking": 1.5, "planner.search.symmetry": 2.5, "planner.search": 1.5,
-    "planner.costtogo": 1.5, "planner.batch": 1, "planner": 2,
-    "assist.people": 1, "assist.drawing": 3, "assist.person": 0.5, "assist.learning": 1.75,
-    "assist.team": 0.5, "assist.simulation": 0.5, "assist.certify": 0, "assist.plots": 1, "assist.live": 2,
-    "assist.interop": 3, "assist.study": 1, "assist.userstudy": 1.5, "assist.cli": 1.5,
+    "planner.system": 2, "planner.pddl": 2, "planner.grounding": 2, "planner.states": 2,
+    "planner.search.kernels": 1, "planner.search.ranking": 2, "planner.search.symmetry": 3, "planner.search": 2,
+    "planner.costtogo": 2, "planner.batch": 1.5, "planner": 2.5,
+    "assist.people": 2, "assist.cli.terminal": 5, "assist.person": 0.5, "assist.learning": 2.5, "assist.drawing": 4,
+    "assist.team": 0.5, "assist.large_tasks": 0.5, "assist.certify.information_relaxation": 0, "assist.simulation": 1,
+    "assist.live": 3.5, "assist.certify": 0, "assist.plots": 1, "assist.study": 2, "assist.userstudy": 3,
+    "assist.web": 4, "assist.interop": 5, "assist.cli.options": 3, "assist.reports": 2, "assist.web.user_study": 4,
+    "assist.cli.output": 0.5, "assist.cli": 2.5,
 }  # fmt: skip
 """Where each room stands in its row; the rows follow from the imports."""
 STYLE = """
@@ -75,7 +77,7 @@ def drawn() -> str:
     edges = needs()
     row = rows(edges)
     place = {room: (MARGIN + COLUMNS[room] * ACROSS, MARGIN + row[room] * DOWN) for room in ROOMS}
-    wide, high = 2 * MARGIN + 3 * ACROSS + WIDTH, 2 * MARGIN + max(row.values()) * DOWN + HEIGHT
+    wide, high = 2 * MARGIN + max(COLUMNS.values()) * ACROSS + WIDTH, 2 * MARGIN + max(row.values()) * DOWN + HEIGHT
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" role="img">',
         "<title>The rooms of the packages, and which builds on which</title>", f"<style>{STYLE}</style>",
@@ -86,7 +88,7 @@ def drawn() -> str:
         users = sorted((other for other in ROOMS if room in edges[other]), key=lambda other: place[other][0])
         for number, other in enumerate(users, start=1):
             x = place[room][0] + WIDTH * number / (len(users) + 1)
-            above = sorted(edges[other], key=lambda one: place[one][0])
+            above = sorted(edges[other], key=lambda one: (place[one][0], one))
             to = place[other][0] + WIDTH * (above.index(room) + 1) / (len(above) + 1)
             y, below = place[room][1] + HEIGHT, place[other][1]
             leave, arrive = below - (DOWN - HEIGHT), below - (DOWN - HEIGHT) / 2  # long ways turn at their end
@@ -97,6 +99,7 @@ def drawn() -> str:
     for room, (x, y) in place.items():
         parts.append(f'<rect class="room" x="{x:g}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="8"/>')
         name = room.removeprefix("assist.")
+        name = name if len(name) < 21 else name.rpartition(".")[2]
         parts.append(f'<text class="name" x="{x + 12:g}" y="{y + 20}">{name}/</text>')
         for number, line in enumerate(about(room)):
             parts.append(f'<text class="about" x="{x + 12:g}" y="{y + 37 + 15 * number}">{escape(line)}</text>')

@@ -66,9 +66,9 @@ def here(
 
 def without_processes() -> None:
     """Let this process do what commands leave to others."""
-    import assist.live.server
-    import assist.study.report
+    import assist.reports.study_report
     import assist.study.runner
+    import assist.web.server
     import planner.batch.solve_batch
     import planner.batch.solve_instance
     import planner.grounding.load
@@ -101,8 +101,8 @@ def without_processes() -> None:
             validation.validate(self._problem, plan)
 
     planner.batch.solve_batch.outcomes = assist.study.runner.outcomes = here
-    assist.study.report._draw_all = lambda *_: None
-    assist.live.server.serve = broken_live.work
+    assist.reports.study_report._draw_all = lambda *_: None
+    assist.web.server.serve = broken_live.work
     fast_downward.translate = translate_once
     planner.grounding.load.ValidationProcess = planner.batch.solve_instance.ValidationProcess = ValidationProcess
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from assist.learning.log import Entry, Log
 from assist.learning.observations import Evaluated, Observations, observe
-from assist.learning.recording import replay
+from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
 from planner import Table

@@ -9,8 +9,8 @@ import numpy as np
 
 from assist.person.pomdp import Later
 from assist.simulation.episodes import Episodes
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.state import BASE, TeamState
 from assist.team.travel import Travel
 

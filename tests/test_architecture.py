@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -11,13 +12,13 @@ from pathlib import Path
 import pytest
 
 from assist.cli import main
-from assist.cli.commands import COMMANDS
+from assist.cli.command_group import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
 
 ROOMS = {
     "planner.system": """lazy_imports errors arrays files machine processes threads progress_reports progress_bars
-        progress jit limits workers""",
+        progress jit limits workers typed_toml""",
     "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
         source validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
@@ -32,25 +33,36 @@ ROOMS = {
         portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
-    "assist.people": "arguments choices misconception decision terms memory choice_model own human compiled belief",
-    "assist.person": """archive pomdp region visited problem qmdp compliance estimates alpha_vectors hsvi upper_hull
-        solver suggestion_threshold""",
-    "assist.learning": """actions log_files log recording observations choosing likelihood profiles estimates weighing
-        hierarchy misconception diagnostics population record people comparison summary""",
-    "assist.team": "travel state attention subproblem policy_on_part settings bounded wide priority policies pool",
-    "assist.simulation": "dynamics episodes luck presence ground run simulate belief_trace illustration",
-    "assist.certify": "certificate prices lattice conflicts confidence clairvoyant bound",
+    "assist.people": """arguments choices misconception decision terms memory choice_model human belief
+        influence_kernels user_code action_names""",
+    "assist.person": """pomdp archive problem_arrays belief_filter qmdp alpha_vectors hsvi upper_hull solver
+        suggestion_threshold""",
+    "assist.learning": """log_files log replay observations choosing likelihood profiles maximum_likelihood
+        logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit comparison""",
+    "assist.team": "travel state settings attention attention_subproblem policy_on_part priority policies",
+    "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
+        truncated_policy person_problem""",
+    "assist.simulation": """pool schedule common_random_numbers episodes dynamics task_view truncated_view run simulate
+        belief_trace illustration""",
+    "assist.live": "live_task roster advice assistant course journal idempotency session simulated_person",
+    "assist.certify.information_relaxation": "confidence belief_nodes congestion sampled_bound",
+    "assist.certify": "prices certificate team_bound",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
-    "assist.interop": "observed pomdpx pomdp policyx pomdp_py teams rendering gymnasium pettingzoo",
+    "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
-    "assist.study": "statistics study tasks cells toml protocol runner summary wording claims pictures report",
-    "assist.live": """advice problem roster assistant course journal answered session pictures access simulated service
-        limits description messages admission routes watching browser web server client""",
-    "assist.userstudy": """assignment questionnaires plan group cohort session tables effects summary report export
-        service rehearsal routes serving""",
-    "assist.cli": """interrupts options console task population person travel team policies live summaries
-        solutions bounds solving domains solve simulate policy bound export draw log learned fit study conducting serve
-        study_report commands""",
+    "assist.study": "study protocol tasks cells runner",
+    "assist.userstudy": "questionnaires assignment plan participant_team cohort session tables export",
+    "assist.reports": """statistics effects wording study_summary study_claims study_figures study_report
+        userstudy_summary userstudy_report""",
+    "assist.web": """tokens service schemas authorization request_limits task_drawings routes websocket openapi_page
+        page_routes app server client""",
+    "assist.web.user_study": "service routes rehearsal server",
+    "assist.cli.terminal": "interrupts console",
+    "assist.cli.options": "common task population person travel team policies live log",
+    "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
+        people_estimates""",
+    "assist.cli": """domains solve simulate policy bound export draw fit study user_study serve study_report
+        command_group""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
@@ -170,7 +182,7 @@ def handed_on(package: str) -> list[tuple[str, str]]:
     return found
 
 
-PACKAGES = ["planner", "assist", *(room for room in ROOMS if room.startswith("assist.") and room != "assist.cli")]
+PACKAGES = ["planner", "assist", *(room for room in ROOMS if re.fullmatch(r"assist\.(?!cli)\w+", room))]
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -222,13 +234,31 @@ def test_import_direction(module: str) -> None:
         ("assist.person.qmdp", "from planner.pddl.validation import read"),
         ("assist.study.runner", "from planner import sweep"),
         ("assist.simulation.simulate", "from ..study.study import Study"),
-        ("assist.learning.record", "from ..cli import main"),
+        ("assist.learning.person_estimate", "from ..cli import main"),
         ("assist.plots.episode", "from ..cli.console import fail"),
-        ("assist.cli.console", "from .task import one_instance"),
+        ("assist.cli.terminal.console", "from ..options.task import one_instance"),
         ("assist.cli.solve", "from .fit import fit"),
-        ("assist.cli.person", "from . import policy"),
-        ("assist.cli.person", "from .. import cli"),
+        ("assist.cli.options.person", "from .. import policy"),
+        ("assist.cli.options.person", "from ... import cli"),
+        ("assist.team.priority", "from ..large_tasks.truncated_policy import WidePolicy"),
+        ("assist.study.runner", "from ..reports import write_report"),
+        ("assist.live.session", "from ..web.client import Client"),
+        ("assist.certify.information_relaxation.belief_nodes", "from ..prices import Kind"),
     ],
 )
 def test_a_wrong_import_is_found(module: str, line: str) -> None:
     assert faults(module, line)
+
+
+def test_what_answers_over_http_is_in_one_room() -> None:
+    """Everything below can be used without the extra `web`, and has no event loop to mind."""
+    libraries = ("fastapi", "starlette", "uvicorn", "websockets", "asyncio")
+    taken = {
+        module
+        for module, file in modules().items()
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in ([node.module or ""] if isinstance(node, ast.ImportFrom) else [alias.name for alias in node.names])
+        if name.partition(".")[0] in libraries
+    }
+    assert {module for module in taken if not within(module, "assist.web")} == set()

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from assist.certify.bound import upper_bound
+from assist.certify.team_bound import upper_bound
+from assist.large_tasks.person_problem import PersonProblem
 from assist.people.arguments import number, span
 from assist.people.belief import Grid
 from assist.people.human import Human, Mixture, Population
-from assist.person.problem import PersonProblem
-from assist.simulation.presence import Presence
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.travel import Travel
 from planner import LimitError, Table

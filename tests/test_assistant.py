@@ -10,20 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.large_tasks import person_problem, truncated_policy
 from assist.live.assistant import Assistant
-from assist.live.problem import InapplicableError, UnknownError
+from assist.live.live_task import InapplicableError, UnknownError
 from assist.people.choice_model import Weighted, boltzmann
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Mixture, Population
 from assist.people.memory import remembered
 from assist.people.terms import TERMS
-from assist.person import problem
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.belief_trace import Watched
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team import wide
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import by_model
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
@@ -99,8 +98,8 @@ MANY_MISTAKES = ["(fetch box-a)", WRONG, "(return box-a)", "(fetch box-a)", "(re
 
 def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = answers(tiny, MANY_MISTAKES)
-    monkeypatch.setattr(problem, "WHOLE", 3)
-    monkeypatch.setattr(wide, "REGION", {"sweep": 3, "on-demand": 2})
+    monkeypatch.setattr(person_problem, "WHOLE", 3)
+    monkeypatch.setattr(truncated_policy, "REGION", {"sweep": 3, "on-demand": 2})
     for task in (tiny, OnDemand(tiny.task)):
         parts = answers(task, MANY_MISTAKES)
         assert [row["action"] for row in parts.log()] == [row["action"] for row in whole.log()]
@@ -124,9 +123,9 @@ def test_a_large_task_is_looked_at_where_people_are(tiny: Table, monkeypatch: py
     setting = Setting(c_suggest=0.05, c_move=0.01, travel_time=1 if policy == "priority" else 0)
     names, choices = ["ann", "bob", "cem"], Choices.of(tiny)
     desks = [Assistant(tiny, names, policy=policy, setting=setting)]
-    monkeypatch.setattr(problem, "WHOLE", 3)
+    monkeypatch.setattr(person_problem, "WHOLE", 3)
     for states in (len(tiny), 6):
-        monkeypatch.setattr(wide, "REGION", {"sweep": states})
+        monkeypatch.setattr(truncated_policy, "REGION", {"sweep": states})
         desks.append(Assistant(tiny, names, policy=policy, setting=setting))
     whole, every, few = desks
     rng, said = np.random.default_rng(1), dict.fromkeys(desks, 0)

@@ -10,14 +10,14 @@ import pytest
 from conftest import KITTING, table_of
 from crosscheck import MODELS
 
+from assist.large_tasks.truncated_bound import bounded, likely
+from assist.large_tasks.truncated_task import never_erring
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
 from assist.person import AssistPOMDP, qmdp
-from assist.person.region import never_erring
-from assist.team.bounded import bounded, likely
+from assist.team.attention_subproblem import AWAY, HERE, Visits
 from assist.team.settings import Setting
-from assist.team.subproblem import AWAY, HERE, Visits
 from planner import Instance, LimitError, Table
 
 ENTRY = 0.4
@@ -87,7 +87,7 @@ def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
     known = human if knowledge == "own" else None
     exact = qmdp(setting.problem(choices := Choices.of(table), known, prior), tolerance=1e-8).value_mdp[choices.initial]
     for seen in (0, 20_000):
-        monkeypatch.setattr("assist.team.bounded.SEEN", seen)
+        monkeypatch.setattr("assist.large_tasks.truncated_bound.SEEN", seen)
         for size in (1, 2, 4, 8, 12):
             problem = bounded(table, setting, known, prior, entry=0.0, size=size).problem
             value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
@@ -97,7 +97,7 @@ def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
 def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the larger part is all of the task, and sweeps go on to the end, bounds are the values."""
     for name, value in (("HIDDEN", 3), ("ERROR", 1e-4), ("SWEEPS", 10_000)):
-        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
     problem, values, _ = part_and_whole("tiny", 100, Setting(c_suggest=0.2), somebody())
     frontier = problem.frontier
     assert frontier is not None
@@ -114,7 +114,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     For a robot whose way takes time they are no less.
     """
     for name, value in (("HIDDEN", 3), ("ERROR", 1e-6), ("SWEEPS", 10_000)):
-        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
     found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, around=True)
     assert found.outer is not None
@@ -203,7 +203,7 @@ def test_memory_is_asked_for_beforehand() -> None:
 
 
 def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    monkeypatch.setattr("assist.large_tasks.truncated_bound.HIDDEN", 3)
     table, who = kit("paper"), somebody()
     found = [
         bounded(table, Setting(), who, PRIOR, entry=ENTRY, size=10, around=True, memory_limit_mb=most).outer
@@ -222,7 +222,7 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
 
 def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("HIDDEN", 40), ("FEW", 5), ("PAIRS", 300), ("PAIRS_FEW", 50)):
-        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
     looked_at = []
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
         found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, around=True, **limits)

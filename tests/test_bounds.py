@@ -12,17 +12,17 @@ from conftest import KITTING, invoke
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify.bound import TeamBound, upper_bound
+from assist.certify.team_bound import TeamBound, upper_bound
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
+from assist.team.attention_subproblem import AWAY, HERE, Visits
 from assist.team.policies import POLICIES
-from assist.team.pool import Pool
 from assist.team.priority import PRICE
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
-from assist.team.subproblem import AWAY, HERE, Visits
 
 
 @pytest.fixture(scope="module")

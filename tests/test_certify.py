@@ -14,20 +14,19 @@ from conftest import graph_task, kit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.certify import bound as bounds
-from assist.certify import certificate, prices
-from assist.certify.bound import TeamBound, certify, upper_bound
+from assist.certify import certificate, prices, team_bound
 from assist.certify.certificate import PORTION, Certificate, horizon, returns
 from assist.certify.prices import ROUNDS, Kind, kinds_of, search
+from assist.certify.team_bound import TeamBound, certify, upper_bound
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
+from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
-from assist.team.pool import Pool
+from assist.team.attention_subproblem import AWAY, HERE, Layout, Visits, policy_bytes
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
-from assist.team.subproblem import AWAY, HERE, Layout, Visits, policy_bytes
 from planner import LimitError, sweep
 
 SETTING = Setting(gamma=0.5, c_suggest=0.1, c_move=0.2)
@@ -361,16 +360,16 @@ def test_time_is_shared(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     now, asked = [1000.0], []
 
     def taking(seconds: float, name: str, limited: str) -> None:
-        real = getattr(bounds, name)
+        real = getattr(team_bound, name)
 
         def run(*arguments: object, **options: object) -> object:
             asked.append((name, options.get(limited)))
             now[0] += seconds
             return real(*arguments, **{**options, limited: math.inf if name == "search" else None})
 
-        monkeypatch.setattr(bounds, name, run)
+        monkeypatch.setattr(team_bound, name, run)
 
-    monkeypatch.setattr(bounds, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+    monkeypatch.setattr(team_bound, "time", SimpleNamespace(perf_counter=lambda: now[0]))
     for seconds, name, limited in (
         (4, "search", "deadline"),
         (26, "solve", "time_limit"),

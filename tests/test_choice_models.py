@@ -16,6 +16,7 @@ from joint import joint_bounds
 from numpy.typing import NDArray
 from scipy.special import softmax
 
+from assist.large_tasks.person_problem import PersonProblem
 from assist.live.assistant import Assistant
 from assist.people.belief import Grid
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, chances
@@ -25,16 +26,15 @@ from assist.people.human import Human, HumanModel, Mixture, Population
 from assist.people.memory import remembered
 from assist.people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
 from assist.person.solver import Solution, solve
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
 from assist.study.cells import carry_out
 from assist.study.protocol import read
-from assist.study.study import StudyError
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from planner import LimitError, Table, sweep
+from planner.system.errors import InputFileError
 
 Floats = NDArray[np.float64]
 
@@ -465,5 +465,5 @@ def test_a_study_compares_people_and_what_the_robot_takes_them_for(tmp_path: Pat
         ("weights = { haste = [0, 1] }", "populations.hasty.weights: 'haste'; expected one of goals"),
     ):
         file.write_text(STUDY.replace('people = "own.py:hasty"', bad))
-        with pytest.raises(StudyError, match=message):
+        with pytest.raises(InputFileError, match=message):
             read(file)

@@ -13,17 +13,17 @@ from conftest import KITTING, invoke, kit
 from scipy.optimize import brentq, linprog
 from test_joint import COSTS, pool_of
 
-from assist.certify import clairvoyant, conflicts
-from assist.certify.bound import upper_bound
-from assist.certify.clairvoyant import ALPHAS, Clairvoyant, Path
-from assist.certify.confidence import Sampled
-from assist.certify.conflicts import DYING, FADING, LATE, OutOfTimeError, Scale, lost
-from assist.certify.lattice import END, LEFT, Graph, Lattice, at, divide, worth
+from assist.certify.information_relaxation import congestion, sampled_bound
+from assist.certify.information_relaxation.belief_nodes import END, LEFT, Graph, Lattice, at, divide, worth
+from assist.certify.information_relaxation.confidence import Sampled
+from assist.certify.information_relaxation.congestion import DYING, FADING, LATE, OutOfTimeError, Scale, lost
+from assist.certify.information_relaxation.sampled_bound import ALPHAS, Clairvoyant, Path
 from assist.certify.prices import kinds_of
-from assist.cli.bounds import show_samples
+from assist.certify.team_bound import upper_bound
+from assist.cli.output.person_bounds import show_samples
 from assist.person.solver import solve
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
@@ -52,9 +52,9 @@ def without_prices() -> Clairvoyant:
 def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
     """With so few steps that everything can be tried; conflicts count in all of them, in the first two, two ahead."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clairvoyant, "AFTER", 1)
-        patch.setattr(clairvoyant, "WISHES", request.param[0])
-        patch.setattr(conflicts, "AHEAD", request.param[1])
+        patch.setattr(sampled_bound, "AFTER", 1)
+        patch.setattr(sampled_bound, "WISHES", request.param[0])
+        patch.setattr(congestion, "AHEAD", request.param[1])
         return made(PRICE[1:4])
 
 
@@ -62,7 +62,7 @@ def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
 def truncated() -> Clairvoyant:
     """Two people whose tasks are truncated after one state, with prices, and few enough steps to try everything."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clairvoyant, "AFTER", 1)
+        patch.setattr(sampled_bound, "AFTER", 1)
         setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
         return made(PRICE[1:4], pool=Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1))
 
@@ -260,7 +260,7 @@ def test_the_search_finds_the_least(
         bound = robot.bound(path, alpha)
         assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
         with monkeypatch.context() as patch:
-            patch.setattr(clairvoyant, "POPPED", 4)
+            patch.setattr(sampled_bound, "POPPED", 4)
             early = robot.bound(path, alpha)
         assert early >= bound - 1e-9
         given_up += early > bound + 1e-3
@@ -420,7 +420,7 @@ def test_wishes_are_worked_out_bit_by_bit(
     robot: Clairvoyant, paths: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However often it is asked whether to go on, they are the same."""
-    monkeypatch.setattr(conflicts, "PAUSE", 3)
+    monkeypatch.setattr(congestion, "PAUSE", 3)
     asked: list[int] = []
     again = Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0)
     assert again.lost == robot.lost
@@ -431,7 +431,7 @@ def test_wishes_are_worked_out_bit_by_bit(
 
 def test_a_time_limit_holds_while_wishes_are_worked_out(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is sampled where time is over before two lucks have been looked at; later, those are what there is."""
-    monkeypatch.setattr(conflicts, "PAUSE", 20)
+    monkeypatch.setattr(congestion, "PAUSE", 20)
     asked = iter((1.0, 1.0, 1.0, 0.0))
     with pytest.raises(OutOfTimeError):
         Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda _: next(asked))

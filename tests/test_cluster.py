@@ -11,7 +11,8 @@ from conftest import KITTING, invoke, write_instance
 from studies import write
 
 from assist.study.runner import run_study
-from assist.study.study import Study, StudyError
+from assist.study.study import Study
+from planner.system.errors import InputFileError
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def test_a_study_has_the_same_bytes(scheduler: str, small_study: tuple[Study, Pa
 @pytest.mark.slow
 def test_the_command_hands_a_study_to_the_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def sent(*_: object, scheduler: str, **__: object) -> None:
-        raise StudyError(f"sent to {scheduler}")
+        raise InputFileError(f"sent to {scheduler}")
 
     monkeypatch.setattr("assist.study.runner.run_study", sent)
     result = invoke("study", "--protocol", write(tmp_path), "--out", tmp_path / "out", "--scheduler", "tcp://there:1")

@@ -127,7 +127,7 @@ def test_code_whose_types_were_renamed_or_are_gone_is_compiled_anew(
 
 
 def test_numba_can_be_switched_off() -> None:
-    code = "from assist.people.compiled import moved; print(moved(0.5, 0.0, 1.0))"
+    code = "from assist.people.influence_kernels import moved; print(moved(0.5, 0.0, 1.0))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("0.5\n", "")

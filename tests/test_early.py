@@ -16,7 +16,7 @@ import pytest
 from conftest import KITTING
 
 import planner.costtogo.portfolio
-from assist.cli.solutions import Answers
+from assist.cli.output.solve_records import Answers
 from planner import Limits, Table, instance, load, verify
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results

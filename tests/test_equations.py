@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assist.learning.likelihood import Data, heard_steps, on_grid
-from assist.people import compiled
+from assist.people import influence_kernels
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import (
@@ -28,7 +28,8 @@ from assist.people.human import HumanModel
 from assist.person import hsvi
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import Arrays, qmdp
+from assist.person.problem_arrays import Arrays
+from assist.person.qmdp import qmdp
 from assist.simulation import dynamics
 from planner import sweep
 
@@ -138,10 +139,10 @@ def test_compiled_equations_are_those_of_the_model(
     p = expected.copy()
     heard = influence(expected, told, theta)
     if told >= 0:
-        same, other = compiled.answer(theta, expected[told], expected[np.arange(len(q)) != told].sum())
+        same, other = influence_kernels.answer(theta, expected[told], expected[np.arange(len(q)) != told].sum())
         answered = expected * np.where(np.arange(len(q)) == told, same, other)
         np.testing.assert_allclose(answered, heard, rtol=1e-9, atol=1e-300)  # below that doubles are not as exact
-        compiled.heed(p, len(q), told, theta)
+        influence_kernels.heed(p, len(q), told, theta)
     np.testing.assert_allclose(p / p.sum(), heard, rtol=1e-9, atol=1e-300)
     value, after = gained
     if np.isinf(value):  # who sees no way to the goal sees none from the next state either
@@ -154,7 +155,7 @@ def test_compiled_equations_are_those_of_the_model(
         elif np.isinf(after):
             assert moved == 0
         gain = 0.0 if value == after else after - value
-        assert compiled.moved(theta, eta, gain) == moved
+        assert influence_kernels.moved(theta, eta, gain) == moved
 
 
 @examples

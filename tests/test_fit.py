@@ -22,11 +22,11 @@ from recorded import BACK, FETCH, RIGHT, WRONG, lines, observed, people_at_work,
 from scipy.stats import kstest
 
 from assist.cli import main
-from assist.learning import misconception
+from assist.learning import misconception_fit
 from assist.learning.diagnostics import calibrate, check
-from assist.learning.estimates import Fit, maximum_likelihood
 from assist.learning.likelihood import Method, log_likelihood
-from assist.learning.misconception import MarginalLikelihood, Uncertain, fit_misconception
+from assist.learning.maximum_likelihood import Fit, maximum_likelihood
+from assist.learning.misconception_fit import MarginalLikelihood, Uncertain, fit_misconception
 from assist.learning.observations import Observations
 from assist.learning.population import fit_population, mixture
 from assist.people.belief import Grid
@@ -305,8 +305,8 @@ def test_a_band_is_narrow_where_people_pass_from_state_to_state(paper: Table, pa
 
 def test_misconceptions_that_take_too_much_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Before any is taken, in one line."""
-    monkeypatch.setattr(misconception, "MEMORY_LIMIT_MB", 1e-4)
-    monkeypatch.setattr(misconception.MarginalLikelihood, "__init__", lambda *_: pytest.fail("it was taken"))
+    monkeypatch.setattr(misconception_fit, "MEMORY_LIMIT_MB", 1e-4)
+    monkeypatch.setattr(misconception_fit.MarginalLikelihood, "__init__", lambda *_: pytest.fail("it was taken"))
     file = write_log(tmp_path / "log.jsonl", lines(*PLAN))
     result = CliRunner().invoke(main, ["fit", str(KITTING / "tiny.pddl"), str(file), "--misconception"])
     assert (result.exit_code, result.stdout) == (1, "")

@@ -11,8 +11,8 @@ from conftest import invoke, kit
 from recorded import lines, people_at_work, write_log
 
 from assist import fit
+from assist.learning.fit import People
 from assist.learning.log import Log
-from assist.learning.people import People
 from assist.people.choice_model import ChoiceModelError, boltzmann
 from assist.people.choices import Choices
 from assist.people.decision import perceived_value

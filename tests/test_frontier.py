@@ -9,12 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from assist.large_tasks import truncated_task
+from assist.large_tasks.truncated_task import Region
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel, Population
-from assist.person import region
 from assist.person.pomdp import AssistPOMDP
-from assist.person.region import Region
 from assist.person.solver import solve
 from planner import Instance, OnDemand, Table, sweep
 
@@ -220,7 +220,7 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
     ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
     part = Region.of(sweep(graph_task(ladder + more, start=3)), states=2)
     known = part.problem(gamma=0.9).frontier
-    monkeypatch.setattr(region, "SURVEYED", 1)
+    monkeypatch.setattr(truncated_task, "SURVEYED", 1)
     careful = part.problem(gamma=0.9).frontier
     assert known is not None
     assert careful is not None
@@ -237,19 +237,19 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     tables["corridor"] = sweep(graph_task(drawn["corridor"], start=8))
 
     def found(name: str) -> tuple[int, int, float]:
-        survey = region._Survey.of(tables[name], Choices.of(tables[name]))
+        survey = truncated_task._Survey.of(tables[name], Choices.of(tables[name]))
         return survey.highest, survey.actions, survey.rise
 
-    for block in (1, 2, 5, region.BLOCK):
-        monkeypatch.setattr(region, "BLOCK", block)
+    for block in (1, 2, 5, truncated_task.BLOCK):
+        monkeypatch.setattr(truncated_task, "BLOCK", block)
         assert found("ladder") == (6, 2, 1.0)
         assert found("corridor") == (24, 1, 0.0)
         assert found("dead ends") == (6, 3, np.inf)
-    monkeypatch.setattr(region, "SURVEYED", 6)
+    monkeypatch.setattr(truncated_task, "SURVEYED", 6)
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
-    part = region._Survey.of(asked, Region.of(tables["corridor"], start=4, states=2).choices)
+    part = truncated_task._Survey.of(asked, Region.of(tables["corridor"], start=4, states=2).choices)
     assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
 
 

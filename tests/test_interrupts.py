@@ -16,14 +16,14 @@ import pytest
 from click.testing import CliRunner, Result
 
 from assist.cli import main
-from assist.cli.console import one_line_errors
-from assist.cli.interrupts import PATIENCE, SIGNALS, Interrupted, interruptible
+from assist.cli.terminal.console import one_line_errors
+from assist.cli.terminal.interrupts import PATIENCE, SIGNALS, Interrupted, interruptible
 
 WAITING = """
 import os
-from assist.cli import interrupts
-from assist.cli.console import one_line_errors
-from assist.cli.interrupts import interruptible
+from assist.cli.terminal import interrupts
+from assist.cli.terminal.console import one_line_errors
+from assist.cli.terminal.interrupts import interruptible
 
 def wait(what):
     print(what, flush=True)

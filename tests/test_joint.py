@@ -11,7 +11,7 @@ import pytest
 from conftest import kit
 from joint import JointBounds, joint_bounds
 
-from assist.certify.bound import upper_bound
+from assist.certify.team_bound import upper_bound
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.decision import Floats
@@ -19,11 +19,11 @@ from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
+from assist.team.attention_subproblem import Visits
 from assist.team.settings import Setting
 from assist.team.state import NOBODY
-from assist.team.subproblem import Visits
 from assist.team.travel import Travel
 
 COSTS = [(0.05, 0.1), (0.2, 0.3)]

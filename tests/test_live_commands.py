@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from conftest import KITTING, ROOT, invoke
 
-from assist.live import server
 from assist.live.course import Event
 from assist.live.session import Session
-from assist.live.simulated import SimulatedPerson
+from assist.live.simulated_person import SimulatedPerson
 from assist.people.choice_model import Weighted
 from assist.people.choices import Choices
 from assist.people.human import Human, Population
 from assist.people.memory import choices_of
-from assist.people.own import OwnModel, _loaded
+from assist.people.user_code import OwnModel, _loaded
+from assist.web import server
 from planner import Table
 
 TINY, PAPER = KITTING / "tiny.pddl", KITTING / "paper.pddl"
@@ -236,9 +236,9 @@ def test_a_simulated_person_with_a_model_of_ones_own(tiny: Table, own: Path) -> 
 def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path) -> None:
     from starlette.testclient import TestClient
 
-    from assist.live.access import Access
-    from assist.live.service import Service
-    from assist.live.web import make_app
+    from assist.web.app import make_app
+    from assist.web.service import Service
+    from assist.web.tokens import Access
 
     session = begun(TINY, PAPER, "--humans", 2, "--simulate", 1)
     service = Service(session, Access.kept(tmp_path / "secret", "http://testserver"), tick=60.0)

@@ -9,7 +9,7 @@ import pytest
 from conftest import ROOT
 from serving import served
 
-from assist.live.client import Client, RefusedError
+from assist.web.client import Client, RefusedError
 
 EXAMPLES = ROOT / "docs" / "examples"
 

@@ -15,15 +15,15 @@ import pytest
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from assist.live import server
-from assist.live.access import Access
 from assist.live.course import Event
 from assist.live.journal import JournalError
-from assist.live.limits import LARGEST, Allowance
-from assist.live.service import Service
 from assist.live.session import Session
-from assist.live.web import make_app
 from assist.team.settings import Setting
+from assist.web import server
+from assist.web.app import make_app
+from assist.web.request_limits import LARGEST, Allowance
+from assist.web.service import Service
+from assist.web.tokens import Access
 from planner import Table
 
 ANN = "/api/people/ann"

@@ -16,16 +16,16 @@ from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of, write_log
 
 from assist.cli import main
-from assist.learning.estimates import maximum_likelihood
 from assist.learning.likelihood import Method
 from assist.learning.log import Log, read_log, told
+from assist.learning.maximum_likelihood import maximum_likelihood
 from assist.learning.observations import Evaluated, observe
-from assist.learning.recording import replay
+from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.human import Population
 from assist.simulation.episodes import Trace
+from assist.simulation.pool import Pool, Setting
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool, Setting
 from assist.team.state import TeamAction, TeamState
 from planner import Table
 

@@ -14,10 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded import BACK, FETCH, RIGHT, WRONG, lines, log_of
 
-from assist.learning.actions import UnmatchedError, words_of
 from assist.learning.log import Log, read_log, told
 from assist.learning.log_files import MISSING
-from assist.learning.recording import replay
+from assist.learning.replay import replay
+from assist.people.action_names import UnmatchedError, words_of
 from planner import Table, load, sweep
 
 PLAN = kit("tiny").optimal_plan() or []

@@ -12,9 +12,9 @@ from conftest import KITTING, kit
 from recorded import FETCH, WRONG, lines, people_at_work, write_log
 
 from assist.cli import main
+from assist.learning.fit import LogError, People, fit
 from assist.learning.likelihood import Method
 from assist.learning.log import Log, read_log
-from assist.learning.people import LogError, People, fit
 from assist.people.choices import Choices
 from planner import OnDemand, Table
 

@@ -11,10 +11,10 @@ from teams import equal, reachable, run, state
 
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
-from assist.simulation.presence import Presence
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
-from assist.team.pool import Pool
 from assist.team.priority import Priority
 from assist.team.settings import Setting
 from assist.team.state import BASE, NOBODY, ByPolicy, TeamAction, TeamState

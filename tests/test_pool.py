@@ -16,8 +16,8 @@ from assist.people.human import Population
 from assist.person.pomdp import AssistPOMDP, Policy, work_out
 from assist.person.qmdp import qmdp
 from assist.simulation.episodes import Trace
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from planner import LimitError, OnDemand, Table
 

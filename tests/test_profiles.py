@@ -7,8 +7,8 @@ import pytest
 from conftest import kit
 from recorded import lines, observed, people_at_work
 
-from assist.learning.estimates import largest_beta, maximum_likelihood
 from assist.learning.likelihood import Method, log_likelihood
+from assist.learning.maximum_likelihood import largest_beta, maximum_likelihood
 from assist.learning.observations import Observations
 from assist.people.choices import Choices
 

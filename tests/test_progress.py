@@ -21,7 +21,7 @@ from recorded import people_at_work
 
 from assist import Pool, fit, simulate
 from assist.certify import certify, upper_bound
-from assist.cli.solving import solving
+from assist.cli.output.solve_progress import solving
 from assist.learning import Log, compare
 from assist.people.choices import Choices
 from assist.person import qmdp, solve
@@ -141,7 +141,7 @@ def test_compiling_is_said_at_once_and_once(capsys) -> None:
 def test_instances_say_how_far_they_are(count, expected, monkeypatch, capsys) -> None:
     shown = []
     monkeypatch.setattr("planner.system.progress._Lines.show", lambda _, line, *__: shown.append(line.what))
-    monkeypatch.setattr("assist.cli.solving.compiling_line", progress.compiling_line)
+    monkeypatch.setattr("assist.cli.output.solve_progress.compiling_line", progress.compiling_line)
     with solving(count, lambda _: None) as (solved, told):
         told(Instance(Path("p.pddl"), Path("domain.pddl")), "compiling", 0, None)
         solved({})

@@ -13,8 +13,8 @@ from studies import TINY, write
 from assist.people.human import Population
 from assist.study.cells import check, pool_of
 from assist.study.protocol import read
-from assist.study.study import StudyError
 from assist.team.settings import Setting
+from planner.system.errors import InputFileError
 
 
 def test_the_papers_protocol_is_the_papers() -> None:
@@ -43,7 +43,7 @@ def test_tasks_are_sought_beside_the_study_and_then_in_the_package(
     own.write_text("")
     assert read(moved).instances[0][1].problem == own
     moved.write_text(moved.read_text().replace("kitting/tiny", "kiting/tiny"))
-    with pytest.raises(StudyError, match="kiting/tiny: no such file or folder; with the package come kitting/tiny"):
+    with pytest.raises(InputFileError, match="kiting/tiny: no such file or folder; with the package come kitting/tiny"):
         read(moved)
 
 
@@ -53,7 +53,7 @@ def test_a_study_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
     file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
     assert read(file) == plain
     file.write_bytes(b'title = "\xe4"\n')
-    with pytest.raises(StudyError, match=r"small.toml:1: byte 9 is not UTF-8; expected a text file"):
+    with pytest.raises(InputFileError, match=r"small.toml:1: byte 9 is not UTF-8; expected a text file"):
         read(file)
 
 
@@ -143,7 +143,7 @@ def test_a_malformed_study_is_refused_with_the_place(tmp_path: Path, old: str, n
     (tmp_path / "other").mkdir()
     text = TINY[: TINY.index("[[")] if "conditions = []" in new else TINY
     file = write(tmp_path, text.replace(old, new, 1))
-    with pytest.raises(StudyError) as caught:
+    with pytest.raises(InputFileError) as caught:
         read(file)
     assert re.match(rf"{re.escape(str(file))}:\d+: ", str(caught.value))
     assert words in str(caught.value)
@@ -161,24 +161,24 @@ def test_a_malformed_study_is_refused_with_the_place(tmp_path: Path, old: str, n
 )
 def test_the_line_of_a_fault_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     file = write(tmp_path, TINY.replace(old, new, 1))
-    with pytest.raises(StudyError) as caught:
+    with pytest.raises(InputFileError) as caught:
         read(file)
     line = file.read_text().splitlines().index(new) + 1
     assert str(caught.value) == f"{file}:{line}: {message}"
 
 
 def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match=r"setting: gamma 1.5: expected 0 < gamma < 1"):
+    with pytest.raises(InputFileError, match=r"setting: gamma 1.5: expected 0 < gamma < 1"):
         check(read(write(tmp_path, TINY.replace("c_suggest = 0.2\n", "gamma = 1.5\n"))))
-    with pytest.raises(StudyError, match="the goal cannot be reached"):
+    with pytest.raises(InputFileError, match="the goal cannot be reached"):
         check(read(write(tmp_path, TINY.replace("tiny.pddl", "unsolvable.pddl"))))
-    with pytest.raises(StudyError, match=r"episodes; at most 100,000,000 are carried out"):
+    with pytest.raises(InputFileError, match=r"episodes; at most 100,000,000 are carried out"):
         check(read(write(tmp_path), repeats=10**20))
     (tmp_path / "mine.py").write_text("other = 1\n")
-    with pytest.raises(StudyError, match=r"mine.py: has no function 'mine'"):
+    with pytest.raises(InputFileError, match=r"mine.py: has no function 'mine'"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:mine"]'))))
     (tmp_path / "mine.py").write_text("import nothing_of_this_name\n")
-    with pytest.raises(StudyError, match=r"mine.py:1: ModuleNotFoundError: No module named 'nothing"):
+    with pytest.raises(InputFileError, match=r"mine.py:1: ModuleNotFoundError: No module named 'nothing"):
         check(read(write(tmp_path, TINY.replace('["attention"]', '["mine.py:broken"]'))))
 
 

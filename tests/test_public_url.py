@@ -20,18 +20,18 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from test_live_pages import CHROMIUM, chromium
 from userstudies import PLAN, written
 
-from assist.live.access import Access, public_address
-from assist.live.client import Client, RefusedError
 from assist.live.course import Event
-from assist.live.server import server_of
-from assist.live.service import Service
 from assist.live.session import Session
-from assist.live.web import make_app
 from assist.team.settings import Setting
 from assist.userstudy.plan import read
-from assist.userstudy.routes import router
-from assist.userstudy.service import VISITOR, StudyService
 from assist.userstudy.session import StudySession
+from assist.web.app import make_app
+from assist.web.client import Client, RefusedError
+from assist.web.server import server_of
+from assist.web.service import Service
+from assist.web.tokens import Access, public_address
+from assist.web.user_study.routes import router
+from assist.web.user_study.service import VISITOR, StudyService
 from planner import Table
 
 __all__ = ["chromium"]

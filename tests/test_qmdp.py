@@ -19,7 +19,8 @@ from assist.people.decision import choice, influence, lapse, perceived_cost_to_g
 from assist.people.human import Human, HumanModel
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import QMDP, Arrays, qmdp
+from assist.person.problem_arrays import Arrays
+from assist.person.qmdp import QMDP, qmdp
 from planner import Table, sweep
 
 GRID = Grid(np.array([0.3, 2.0]), np.array([0.0, 0.4, 1.0]))

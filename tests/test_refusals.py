@@ -23,18 +23,15 @@ from assist.drawing.picture import Artist
 from assist.interop.gymnasium import TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.interop.teams import Teams
-from assist.learning import comparison, population, weighing
-from assist.learning.actions import Matcher, UnmatchedError
-from assist.learning.estimates import Method
+from assist.learning import comparison, logit_likelihood, population
+from assist.learning.fit import LogError, fit
 from assist.learning.log import Log
-from assist.learning.people import LogError, fit
-from assist.live import limits
-from assist.live.access import Access
+from assist.learning.maximum_likelihood import Method
 from assist.live.advice import Advice
 from assist.live.assistant import Assistant
-from assist.live.client import Client
 from assist.live.course import Course, Event, InapplicableError
-from assist.people import own
+from assist.people import user_code
+from assist.people.action_names import Matcher, UnmatchedError
 from assist.people.choice_model import ChoiceModelError, Weighted, boltzmann, value
 from assist.people.choices import Choices
 from assist.people.decision import perceived_cost
@@ -43,14 +40,17 @@ from assist.people.misconception import Misconception
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
-from assist.simulation.luck import BLOCK
-from assist.simulation.presence import Presence
+from assist.simulation.common_random_numbers import BLOCK
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
 from assist.team.travel import Travel
 from assist.userstudy.questionnaires import FORMS, Item
+from assist.web import request_limits
+from assist.web.client import Client
+from assist.web.tokens import Access
 from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
 from planner.grounding.load import from_sas
@@ -71,7 +71,7 @@ def given(tiny: Table, tiny_choices: Choices, pool: Pool, tmp_path: Path) -> Giv
 
 def of_no_python_file(folder: Path) -> None:
     (folder / "own.txt").touch()
-    own.load(folder / "own.txt", "mine")
+    user_code.load(folder / "own.txt", "mine")
 
 
 def another_way(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -127,10 +127,10 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "parts with different choice models; expected the same for all",
     ),
     "noise": (lambda _: Misconception(0.5, 1, "both"), ValueError, "noise 'both': expected 'state' or 'action'"),
-    "own model's file": (lambda g: own.load(g.folder / "x.py", "mine"), own.OwnError, "x.py: no such file"),
+    "own model's file": (lambda g: user_code.load(g.folder / "x.py", "mine"), user_code.OwnError, "x.py: no such file"),
     "own model's kind": (
         lambda g: of_no_python_file(g.folder),
-        own.OwnError, "expected a Python file, whose name ends",
+        user_code.OwnError, "expected a Python file, whose name ends",
     ),
     "suggestions": (
         lambda g: AssistPOMDP.of(g.pool.policies[0].pomdp.model, suggestions="best"),
@@ -210,7 +210,10 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "a task that is looked at whole",
     ),
     # Learning.
-    "weights of nobody": (lambda _: weighing.Steps.of([], Method()), ValueError, "terms need people; there are no obs"),
+    "weights of nobody": (
+        lambda _: logit_likelihood.Steps.of([], Method()),
+        ValueError,
+        "terms need people; there are no obs"),
     "population of nobody": (
         lambda _: population.fit_population([]),
         ValueError, "a population needs people; there are",
@@ -334,8 +337,8 @@ def test_words_of_a_command_that_do_not_go_together(words: str, message: str, tm
 
 def test_a_service_forgets_who_has_not_called_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever has used up what they may call waits, unless so many others have come that nobody knows any more."""
-    monkeypatch.setattr(limits, "MOST_CALLERS", 2)
-    allowance = limits.Allowance(rate=1.0, burst=1.0, clock=lambda: 0.0)
+    monkeypatch.setattr(request_limits, "MOST_CALLERS", 2)
+    allowance = request_limits.Allowance(rate=1.0, burst=1.0, clock=lambda: 0.0)
     assert [allowance.wait(caller) for caller in ("ann", "ann", "bob", "ann", "cat", "dan", "ann")] == [
         0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0,
     ]  # fmt: skip

@@ -13,16 +13,16 @@ from conftest import KITTING, graph_task, invoke, table_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from assist.large_tasks import truncated_task as region
+from assist.large_tasks.person_problem import PersonProblem
+from assist.large_tasks.truncated_task import Region
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Mixture, Population
 from assist.people.misconception import Misconception
-from assist.person import region
 from assist.person.archive import ArchiveError
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem import PersonProblem
 from assist.person.qmdp import qmdp
-from assist.person.region import Region
 from assist.person.solver import Solution, solve
 from planner import Instance, OnDemand, Table, load, sweep
 

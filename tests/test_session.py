@@ -18,12 +18,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from assist.live import answered
-from assist.live.answered import Answered
+from assist.live import idempotency
 from assist.live.assistant import Assistant
 from assist.live.course import AbsentError, Event
+from assist.live.idempotency import Answered
 from assist.live.journal import Journal, JournalError
-from assist.live.problem import InapplicableError, UnknownError
+from assist.live.live_task import InapplicableError, UnknownError
 from assist.live.session import Session
 from assist.team.settings import Setting
 from planner import Table
@@ -148,7 +148,7 @@ def test_all_answers_are_found_whatever_their_hashes(
     found = Answered(journal, hashed=lambda key: (int(key[1]) % hashes - 1) << 61)
     expected: dict[tuple[str, str], int] = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(answered, "LATEST", 1000 if latest else 3)
+        patch.setattr(idempotency, "LATEST", 1000 if latest else 3)
         for number, (person, id) in enumerate(keys):
             if (person, str(id)) not in expected:
                 line = json.dumps({"n": number, "person": person, "id": str(id)}).encode() + b"\n"
@@ -165,7 +165,7 @@ def test_old_answers_and_old_tasks_are_those_of_before(
     opened: Callable[..., Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Against what a list of all that was acknowledged says, before and after the session goes on."""
-    monkeypatch.setattr(answered, "LATEST", 7)
+    monkeypatch.setattr(idempotency, "LATEST", 7)
     ticks = iter(range(10**6))
     session = opened(clock=lambda: next(ticks))
     rng, log, answers = np.random.default_rng(5), dict[tuple[str, int], list[dict[str, Any]]](), dict[Event, Any]()
@@ -208,7 +208,7 @@ def test_old_answers_and_old_tasks_are_those_of_before(
 
 def test_a_long_session_takes_no_more_memory(opened: Callable[..., Session], monkeypatch: pytest.MonkeyPatch) -> None:
     """Some 40 bytes for each event, and what numpy keeps at hand."""
-    monkeypatch.setattr(answered, "LATEST", 100)
+    monkeypatch.setattr(idempotency, "LATEST", 100)
     session = opened(policy="none")
     session.join("ann")
     way = ["(fetch box-a)", "(return box-a)"] * 3

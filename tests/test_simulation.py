@@ -17,16 +17,16 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
-from assist.person.qmdp import Arrays
+from assist.person.problem_arrays import Arrays
+from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.dynamics import Minds, People, act
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.illustration import typical
-from assist.simulation.luck import BLOCK
-from assist.simulation.presence import Presence
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.policies import POLICIES
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import NOBODY, TeamAction, TeamState
 from assist.team.travel import Travel

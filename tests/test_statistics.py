@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from assist.study import statistics
-from assist.study.wording import beside, sign
+from assist.reports import statistics
+from assist.reports.wording import beside, sign
 
 
 def test_a_mean_has_students_interval() -> None:

@@ -18,7 +18,7 @@ from click.testing import CliRunner, Result
 from conftest import KITTING, ROOT
 
 from assist.cli import main
-from assist.cli.options import separate_files
+from assist.cli.options.common import separate_files
 from planner.system.errors import DamagedFileError
 from planner.system.files import append, atomic, read_records, remove_unfinished, write_records
 

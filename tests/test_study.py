@@ -15,13 +15,13 @@ from conftest import invoke
 from fuzz import here
 from studies import TINY, contents, write
 
+from assist.reports.study_report import write_report
 from assist.study.cells import carry_out
 from assist.study.protocol import read
-from assist.study.report import write_report
 from assist.study.runner import load_study, profile, run_study
-from assist.study.study import Study, StudyError
+from assist.study.study import Study
 from assist.team.state import PolicyError
-from planner.system.errors import DamagedFileError
+from planner.system.errors import DamagedFileError, InputFileError
 
 
 @pytest.fixture
@@ -68,11 +68,11 @@ def test_repeats_can_be_added_and_another_study_is_refused(
     assert "## Sensitivity" in (out / "report.md").read_text()
     assert run_study(study, out, jobs=2, resume=True) == []
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
-    with pytest.raises(StudyError, match="exists; resume it, or choose another folder"):
+    with pytest.raises(InputFileError, match="exists; resume it, or choose another folder"):
         run_study(study, out)
-    with pytest.raises(StudyError, match="expected --repeats 3 or more"):
+    with pytest.raises(InputFileError, match="expected --repeats 3 or more"):
         run_study(read(study.file, repeats=2), out, resume=True)
-    with pytest.raises(StudyError, match="these are results of another study"):
+    with pytest.raises(InputFileError, match="these are results of another study"):
         run_study(read(write(tmp_path, TINY.replace("seed = 5", "seed = 4"))), out, resume=True)
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     assert set(profile(out)) >= {"people's POMDPs", "simulating none", "simulating attention"}
@@ -216,10 +216,10 @@ def test_episodes_load_at_once(small_study: tuple[Study, Path, dict], tmp_path: 
     # People and luck are common: without help costs and conditions make no difference.
     first = frame[frame["condition"] == "first"].set_index(["repeat", "humans", "draw", "trial", "policy"])
     assert first.loc[0, 2, 0, 0, "none"]["people"] == first.loc[0, 2, 0, 1, "attention"]["people"]
-    with pytest.raises(StudyError, match="no results of a study"):
+    with pytest.raises(InputFileError, match="no results of a study"):
         load_study(tmp_path)
     shutil.copytree(out, tmp_path / "later")
     about = tmp_path / "later" / "study.json"
     about.write_text(about.read_text().replace('"schema": 1', '"schema": 2'))
-    with pytest.raises(StudyError, match="results of schema 2; expected 1"):
+    with pytest.raises(InputFileError, match="results of schema 2; expected 1"):
         load_study(tmp_path / "later")

@@ -15,12 +15,12 @@ from matplotlib.text import Text
 from scipy import stats
 from studies import TINY, write
 
+from assist.reports.study_report import Report
+from assist.reports.study_summary import Found
+from assist.reports.wording import interval
 from assist.study.protocol import read
-from assist.study.report import Report
 from assist.study.runner import load_study, run_study, without_suggestions
 from assist.study.study import Study
-from assist.study.summary import Found
-from assist.study.wording import interval
 from planner import Instance
 
 

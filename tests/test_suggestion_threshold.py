@@ -17,8 +17,9 @@ from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
 from assist.person import AssistPOMDP, Solution, solve, threshold_of
 from assist.person.suggestion_threshold import SuggestionThreshold, search_threshold
+from assist.reports import study_report
+from assist.reports.study_report import write_report
 from assist.study.protocol import read
-from assist.study.report import write_report
 from assist.study.runner import run_study
 from assist.team.attention import AttentionSwitching
 from assist.team.settings import Setting
@@ -155,9 +156,8 @@ def test_commands_say_it() -> None:
 
 
 def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from assist.study import report
 
-    monkeypatch.setattr(report, "_draw_all", lambda *_: None)
+    monkeypatch.setattr(study_report, "_draw_all", lambda *_: None)
     monkeypatch.setattr("assist.study.runner.outcomes", here)
     study = read(write(tmp_path, STUDY))
     out = tmp_path / "out"
@@ -172,7 +172,7 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
     )
     threshold = SuggestionThreshold(40.0, row["worth_at"], searched=True)
     note = f"attention is no assistance (first, c_suggest 40, everybody, tiny): {threshold}"
-    assert list(report.threshold_notes(summary)) == [note]
+    assert list(study_report.threshold_notes(summary)) == [note]
     assert f"\n\n**Note.** {note}.\n\n" in (out / "report.md").read_text()
     assert run_study(study, out, resume=True) == []
     assert write_report(study, out) == summary

@@ -15,8 +15,8 @@ import pytest
 from conftest import KITTING, table_of
 
 from assist import Pool, simulate
+from assist.large_tasks.truncated_policy import Ground
 from assist.people.human import Population
-from assist.team.wide import Ground
 from planner import (
     Effect,
     LimitError,

@@ -10,8 +10,8 @@ import pytest
 from conftest import KITTING, invoke, kit
 
 from assist.learning.population import mixture
+from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from planner import CostToGo, OnDemand
 

@@ -21,16 +21,15 @@ from hypothesis import strategies as st
 from scipy import stats
 from userstudies import PLAN, SCORES, Part, written
 
-from assist.live.problem import InapplicableError
-from assist.study.study import StudyError
+from assist.live.live_task import InapplicableError
+from assist.reports.userstudy_summary import summarise
 from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
 from assist.userstudy.plan import FileTable, read
 from assist.userstudy.session import JOURNAL, StudySession
-from assist.userstudy.summary import summarise
 from assist.userstudy.tables import tables
 from planner import Instance, Table
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner.system.errors import DamagedFileError, InputFileError, ResultsExistError
 
 Open = Callable[..., StudySession]
 
@@ -73,10 +72,10 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         file = written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1))
         begins = "items = [\n" if ".items" in message else right  # of several lines it is the first
         line = PLAN[: PLAN.index(begins)].count("\n") + 1
-        with pytest.raises(StudyError, match=f"study.toml:{line}: {message}") as refused:
+        with pytest.raises(InputFileError, match=f"study.toml:{line}: {message}") as refused:
             read(file)
         assert "\n" not in str(refused.value)
-    with pytest.raises(StudyError, match=r"study.toml:1: consent: is missing; expected a text"):
+    with pytest.raises(InputFileError, match=r"study.toml:1: consent: is missing; expected a text"):
         read(written(tmp_path / "study.toml", PLAN.replace("consent =", "thanks =", 1)))
 
 
@@ -97,7 +96,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
 )
 def test_a_file_that_cannot_be_carried_out_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:
     assert right in PLAN
-    with pytest.raises(StudyError, match=rf"study.toml:\d+: {message}"):
+    with pytest.raises(InputFileError, match=rf"study.toml:\d+: {message}"):
         read(written(tmp_path / "study.toml", PLAN.replace(right, wrong, 1)))
 
 

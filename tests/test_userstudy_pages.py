@@ -18,13 +18,13 @@ from starlette.testclient import TestClient
 from test_live_pages import CHROMIUM, chromium, violations
 from userstudies import PLAN, SCORES, written
 
-from assist.live.access import Access
-from assist.live.web import make_app
-from assist.userstudy import service as study_service
 from assist.userstudy.plan import read
-from assist.userstudy.routes import router
-from assist.userstudy.service import VISITOR, StudyService
 from assist.userstudy.session import StudySession
+from assist.web.app import make_app
+from assist.web.tokens import Access
+from assist.web.user_study import service
+from assist.web.user_study.routes import router
+from assist.web.user_study.service import VISITOR, StudyService
 from planner import Table
 
 __all__ = ["chromium"]
@@ -124,7 +124,7 @@ def test_whoever_conducts_a_study_sees_which_orders_are_drawn(tiny: Table, tmp_p
 def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(study_service, "LOOK", 0.02)
+    monkeypatch.setattr(service, "LOOK", 0.02)
     web = Web(
         tiny, tmp_path, PLAN.replace("away = 10", "away = 0.002").replace("seed = 3", "seed = 3\nparticipants = 1")
     )

@@ -19,8 +19,8 @@ from scipy import stats
 from userstudies import PLAN, written
 
 from assist.cli import main
-from assist.userstudy import rehearsal, report
-from assist.userstudy.effects import (
+from assist.reports import userstudy_report
+from assist.reports.effects import (
     cronbach_alpha,
     detectable,
     detectable_within,
@@ -31,6 +31,7 @@ from assist.userstudy.effects import (
 )
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
+from assist.web.user_study import rehearsal
 from planner.system.errors import DamagedFileError
 
 
@@ -118,7 +119,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
 
     # An unpacked export says the same as the folder, and `fit` reads its log.
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(report, "_pictures", lambda *_: iter(()))  # which are drawn already
+        patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))  # which are drawn already
         assert json.loads(run("study-report", unpacked, "--json").stdout) == summary
         assert "actions per task" in run("study-report", data, "--out", tmp_path / "again").stdout
     fitted = json.loads(run("fit", KITTING / "tiny.pddl", unpacked / "log-tiny.jsonl", "--json").stdout)
@@ -155,7 +156,7 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
     ):
         file.write_text(wrong)
         with pytest.raises(DamagedFileError, match=words):
-            report.of_folder(folder)
+            userstudy_report.of_folder(folder)
 
 
 def test_an_answer_that_a_spreadsheet_would_calculate_is_text(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ from simulated_people import People, observed, record, record_with_terms
 from assist.learning import Log, Method, compare, fit, hierarchy, mixture
 from assist.learning.comparison import by_person, held_out, pooled
 from assist.learning.hierarchy import fit_hierarchy, intervals, with_rate
+from assist.learning.logit_likelihood import BETA, THETA, Likelihood, maximise
 from assist.learning.observations import Observations
-from assist.learning.weighing import BETA, THETA, Likelihood, maximise
 from assist.people import NOTHING, TERMS, Choices, Weighted, choice, influence, lapse, remembered
 from planner import Instance, Table, sweep
 from planner import load as load_task

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
-from assist.certify.bound import TeamBound, upper_bound
-from assist.certify.clairvoyant import Clairvoyant
-from assist.certify.lattice import Lattice
+from assist.certify.information_relaxation.belief_nodes import Lattice
+from assist.certify.information_relaxation.sampled_bound import Clairvoyant
 from assist.certify.prices import kinds_of
+from assist.certify.team_bound import TeamBound, upper_bound
+from assist.large_tasks.truncated_task import never_erring
 from assist.people.human import Population
-from assist.person.region import never_erring
 from assist.person.solver import solve
 from assist.simulation.episodes import Episodes, Trace
-from assist.simulation.presence import Presence
+from assist.simulation.pool import Pool
+from assist.simulation.schedule import Presence
 from assist.simulation.simulate import simulate
 from assist.team.policy_on_part import is_for_one_step, is_on_part, on_parts
-from assist.team.pool import Pool
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import CostToGo, Instance, OnDemand, Table
@@ -148,7 +148,7 @@ def test_a_bound_on_a_region_is_one_on_the_task(tiny: Table, monkeypatch: pytest
 def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """They make the bound tighter, no tighter than on the whole task at the same prices; and there are some."""
     for name, value in (("HIDDEN", 4), ("PAIRS", 9), ("PAIRS_FEW", 9), ("ERROR", 1e-4), ("SWEEPS", 10_000)):
-        monkeypatch.setattr(f"assist.team.bounded.{name}", value)
+        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
     monkeypatch.setattr("assist.certify.prices.ROUNDS", 8)
     setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1, 2)
     pools = [Pool.sample(tiny, 3, seed=0, setting=setting, **part) for part in ({"states": 0}, {})]
@@ -170,13 +170,13 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     with_prices, without = upper_bound(pools[0], seed=1), upper_bound(pools[0], window=0, seed=1)
     assert len(with_prices.price)
     assert with_prices.upper < without.upper - 0.1
-    monkeypatch.setattr("assist.certify.bound.ROOM", 1e9)
+    monkeypatch.setattr("assist.certify.team_bound.ROOM", 1e9)
     assert not len(upper_bound(pools[0], seed=1).price)
 
 
 def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
     """People who leave the part on which beta and theta are hidden conflict as before, and the bound holds."""
-    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    monkeypatch.setattr("assist.large_tasks.truncated_bound.HIDDEN", 3)
     setting, team = Setting(c_suggest=0.1, c_move=0.2), (0, 1)
     pool = Pool.sample(tiny, 2, seed=0, setting=setting, states=5)
     kinds = kinds_of(pool, team, setting.travel(2), 0, around=True)
@@ -198,7 +198,7 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
 
 
 def test_what_is_around_takes_memory_and_is_kept_if_wanted(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.team.bounded.HIDDEN", 3)
+    monkeypatch.setattr("assist.large_tasks.truncated_bound.HIDDEN", 3)
     pool = Pool.sample(tiny, 2, seed=0, states=5)
     travel = pool.setting.travel(2)
     assert all(kind.outer is None for kind in kinds_of(pool, (0, 1), travel, 0))

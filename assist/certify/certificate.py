@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from planner.system.arrays import outline
 
 from ..people.decision import Floats
+from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
-from ..team.pool import Pool
+from ..team.attention_subproblem import AWAY, HERE
 from ..team.state import TeamAction, TeamPolicy, TeamState
-from ..team.subproblem import AWAY, HERE
 from ..team.travel import Travel
 
 BEYOND = 1e-6
@@ -123,7 +123,7 @@ class Meeting:
     ----------
     met : list of lists of (int, int array, int array, float array)
         For each place: a step, then of each team in which somebody is at work there their task's state, the robot's
-        position (`team.subproblem`) and its belief, shape (n, B, T).
+        position (`team.attention_subproblem`) and its belief, shape (n, B, T).
     """
 
     uses_belief = True

@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 from planner import LimitError
 from planner.system.progress import Progress
 
+from ..large_tasks.truncated_bound import Bounded, Outer, likely
+from ..large_tasks.truncated_policy import WidePolicy
 from ..people.arguments import positive
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, ahead, highest, improve
 from ..person.solver import first_bounds_bytes
+from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
-from ..team.bounded import Bounded, Outer, likely
-from ..team.pool import Pool
+from ..team.attention_subproblem import HERE, Layout, Visits, backwards, policy_bytes
 from ..team.state import TeamAction, TeamState
-from ..team.subproblem import HERE, Layout, Visits, backwards, policy_bytes
 from ..team.travel import Travel
-from ..team.wide import WidePolicy
 
 ROUNDS = 40
 """Times that prices are changed. The last half's mean is taken."""

@@ -1,7 +1,7 @@
 """A certified upper bound on what any team policy can reach, and with it how far a policy is from the best.
 
 At each step the robot is with one person, or on its way to one. Relaxing that with a price lambda_t >= 0 on every
-step of attention takes the team apart (`assist.team.subproblem`):
+step of attention takes the team apart (`assist.team.attention_subproblem`):
 
     J*  <=  sum_t gamma^t lambda_t  +  sum_k V_k(lambda)
 
@@ -11,9 +11,10 @@ what coming from the nearest other place does. That holds for all prices. At tho
 (`assist.person.solver`), so that knowing people better than one can is no source of looseness.
 
 Where paths are asked for, what the prices leave open, that the robot may be in two places at a time as long as it is in
-one on average, is narrowed by samples (`assist.certify.clairvoyant`); the bound then holds with a confidence. It is
-sampled from the problems at these prices, or from those without any where their bounds come to less: a state of
-these needs no step, so that they are solved much further in the same time, and samples see conflicts without prices.
+one on average, is narrowed by samples (`assist.certify.information_relaxation.sampled_bound`); the bound then holds
+with a confidence. It is sampled from the problems at these prices, or from those without any where their bounds come to
+less: a state of these needs no step, so that they are solved much further in the same time, and samples see conflicts
+without prices.
 
 The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
 simulated as well.
@@ -37,20 +38,20 @@ from planner.system.arrays import outline
 from planner.system.machine import processors
 from planner.system.progress import Progress, Wanted, shows_progress
 
+from ..large_tasks.truncated_policy import WidePolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
-from ..team.pool import MEMORY_LIMIT_MB, Pool
+from ..simulation.pool import MEMORY_LIMIT_MB, Pool
+from ..team.attention_subproblem import Visits
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
-from ..team.subproblem import Visits
 from ..team.travel import Travel
-from ..team.wide import WidePolicy
 from .certificate import Certificate, Meeting, horizon, returns
-from .clairvoyant import AFTER, Clairvoyant
-from .confidence import Sampled
-from .conflicts import OutOfTimeError
-from .lattice import Lattice
+from .information_relaxation.belief_nodes import Lattice
+from .information_relaxation.confidence import Sampled
+from .information_relaxation.congestion import OutOfTimeError
+from .information_relaxation.sampled_bound import AFTER, Clairvoyant
 from .prices import Kind, kinds_of, search, window_of
 
 FOR_BOUND = 0.8

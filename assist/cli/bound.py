@@ -12,10 +12,10 @@ from rich.table import Column, Table
 from planner.batch.solve_instance import versions
 from planner.system.progress import stages
 
-from .console import print_json, print_table
-from .options import JOBS, gap_option, instance_argument, json_option, seconds_option
-from .policies import policies_of, policy_errors, policy_option
-from .team import team_of, team_options
+from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option
+from .options.policies import policies_of, policy_errors, policy_option
+from .options.team import team_of, team_options
+from .terminal.console import print_json, print_table
 
 
 @click.command()
@@ -39,9 +39,9 @@ def bound(
     as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
     """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
-    from ..certify.bound import certify
-    from ..certify.confidence import CONFIDENCE
-    from .bounds import show_samples
+    from ..certify.information_relaxation.confidence import CONFIDENCE
+    from ..certify.team_bound import certify
+    from .output.person_bounds import show_samples
 
     start = time.perf_counter()
     with policy_errors():

@@ -49,17 +49,17 @@ class Commands(click.Group):
 
     def main(self, *args: Any, **extra: Any) -> Any:
         """Run the command line."""
-        from .interrupts import interruptible
+        from .terminal.interrupts import interruptible
 
         with interruptible():
-            from .console import print_in_any_encoding  # takes its time
+            from .terminal.console import print_in_any_encoding  # takes its time
 
             print_in_any_encoding()
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run one command."""
-        from .console import one_line_errors
+        from .terminal.console import one_line_errors
 
         with one_line_errors():
             return super().invoke(ctx)

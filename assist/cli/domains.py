@@ -9,8 +9,8 @@ from rich.table import Table
 
 from planner.pddl.bundled import listed
 
-from .console import print_json, print_table
-from .options import json_option
+from .options.common import json_option
+from .terminal.console import print_json, print_table
 
 
 @click.command()

@@ -9,9 +9,9 @@ import click
 from planner import load
 from planner.system.files import each_record
 
-from .console import EXIT_FAILED, fail, print_json
-from .options import INPUT_FILE, OUTPUT_FILE, apart, domain_option, instance_argument, json_option, separate_files
-from .task import one_instance
+from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
+from .options.task import one_instance
+from .terminal.console import EXIT_FAILED, fail, print_json
 
 
 @click.command()
@@ -35,6 +35,7 @@ def draw(
     from ..drawing.profile import ProfileError
     from ..drawing.raster import require
     from ..drawing.states import StateError, read_state
+    from .options.common import apart, separate_files
 
     if out.suffix not in FORMATS:
         raise click.UsageError(f"--out {out}: expected a name that ends in {', '.join(FORMATS)}")

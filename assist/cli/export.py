@@ -9,10 +9,10 @@ import click
 
 from planner import Table
 
-from .console import EXIT_FAILED, fail, one_line_errors, print_json
-from .options import OUTPUT_FILE, instance_argument
-from .person import person_options, person_problem
-from .task import table_of
+from .options.common import OUTPUT_FILE, instance_argument
+from .options.person import person_options, person_problem
+from .options.task import table_of
+from .terminal.console import EXIT_FAILED, fail, one_line_errors, print_json
 
 
 @click.command()

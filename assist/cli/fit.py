@@ -8,11 +8,19 @@ from typing import Any
 
 import click
 
-from .console import EXIT_FAILED, one_line_errors
-from .learned import show_comparison, show_people
-from .log import log_options, people_of, replayed
-from .options import INPUT_FILE, OUTPUT_FILE, OUTPUT_FOLDER, apart, domain_option, instance_argument, separate_files
-from .task import one_instance
+from .options.common import (
+    INPUT_FILE,
+    OUTPUT_FILE,
+    OUTPUT_FOLDER,
+    apart,
+    domain_option,
+    instance_argument,
+    separate_files,
+)
+from .options.log import log_options, people_of, replayed
+from .options.task import one_instance
+from .output.people_estimates import show_comparison, show_people
+from .terminal.console import EXIT_FAILED, one_line_errors
 
 
 @click.command()

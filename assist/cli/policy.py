@@ -12,9 +12,7 @@ import click
 from planner.batch.solve_instance import versions
 from planner.system.progress import status_line
 
-from .bounds import line_of, show_bounds
-from .console import one_line_errors, print_json
-from .options import (
+from .options.common import (
     OUTPUT_FILE,
     gap_option,
     instance_argument,
@@ -24,8 +22,10 @@ from .options import (
     region_states_option,
     seconds_option,
 )
-from .person import person_options, person_problem
-from .task import costs_of
+from .options.person import person_options, person_problem
+from .options.task import costs_of
+from .output.person_bounds import line_of, show_bounds
+from .terminal.console import one_line_errors, print_json
 
 
 @click.command()

@@ -11,13 +11,13 @@ import click
 
 from planner.system.errors import DamagedFileError, ResultsExistError
 
-from .conducting import PORT, conduct, listen, live_server, public_url_option
-from .live import live_options, plan_of
-from .options import INPUT_FILE
-from .policies import policy_errors
+from .options.common import INPUT_FILE
+from .options.live import live_options, plan_of
+from .options.policies import policy_errors
+from .user_study import PORT, conduct, listen, live_server, public_url_option
 
 if TYPE_CHECKING:
-    from ..live.access import Access
+    from ..web.tokens import Access
 
 
 @click.command()

@@ -12,10 +12,10 @@ from planner.batch.solve_instance import versions
 from planner.system import files
 from planner.system.progress import stages
 
-from .console import print_json
-from .options import OUTPUT_FILE, instance_argument, json_option, separate_files
-from .policies import policies_of, policy_errors, policy_option
-from .team import team_of, team_options
+from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.policies import policies_of, policy_errors, policy_option
+from .options.team import team_of, team_options
+from .terminal.console import print_json
 
 
 @click.command()
@@ -41,7 +41,7 @@ def simulate(
     from ..plots.episode import episode_figure
     from ..simulation.illustration import Illustration
     from ..simulation.simulate import simulate as run
-    from .summaries import show_summaries
+    from .output.episode_summaries import show_summaries
 
     size = size or max(12, team["humans"])
     separate_files({"--out": out, "--trace": trace, "--figure": figure}, {"--population": team["population_file"]})

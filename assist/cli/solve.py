@@ -13,10 +13,10 @@ from planner.batch.results_folder import DONE
 from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import SolveOptions
 
-from .console import EXIT_FAILED, one_line_errors
-from .options import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
-from .solutions import Answers
-from .solving import solving
+from .options.common import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
+from .output.solve_progress import solving
+from .output.solve_records import Answers
+from .terminal.console import EXIT_FAILED, one_line_errors
 
 
 @click.command()

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from planner.system.progress import stages
 
-from .console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
-from .options import JOBS, OUTPUT_FOLDER
+from .options.common import JOBS, OUTPUT_FOLDER
+from .terminal.console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
 
 
 @click.command()
@@ -37,11 +37,12 @@ def study(
 
     Without --protocol it is section V of the paper.
     """
+    from planner.system.errors import InputFileError
+
+    from ..reports.study_report import headline, require, threshold_notes, write_report
     from ..study.cells import check
     from ..study.protocol import read
-    from ..study.report import headline, require, threshold_notes, write_report
     from ..study.runner import run_study
-    from ..study.study import StudyError
     from ..team.state import PolicyError
 
     say = partial(click.echo, err=True)
@@ -52,10 +53,10 @@ def study(
             check(planned)
             with stages() as show:
                 failed = run_study(planned, out, jobs=jobs, scheduler=scheduler, resume=resume, progress=show, warn=say)
-        except StudyError as error:
+        except InputFileError as error:
             fail(str(error), EXIT_USAGE)
         for cell, reason in failed:
-            say(f"{cell}: {reason if isinstance(reason, StudyError | PolicyError) else repr(reason)}")
+            say(f"{cell}: {reason if isinstance(reason, InputFileError | PolicyError) else repr(reason)}")
         if failed:
             fail(f"{len(failed)} of {len(list(planned.cells()))} cells failed; --resume tries them again", EXIT_FAILED)
         summary = write_report(planned, out, jobs=jobs)

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from .console import EXIT_FAILED, fail, print_json, print_table
-from .options import OUTPUT_FOLDER, json_option
+from .options.common import OUTPUT_FOLDER, json_option
+from .terminal.console import EXIT_FAILED, fail, print_json, print_table
 
 
 @click.command("study-report")
@@ -20,15 +20,14 @@ def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
 
     DIR is the folder of `serve --study ... --data DIR`, while it runs or afterwards, or an unpacked export of it.
     """
-    from planner.system.errors import DamagedFileError
+    from planner.system.errors import DamagedFileError, InputFileError
 
-    from ..study.study import StudyError
-    from ..userstudy.report import headline, require, write_report
+    from ..reports.userstudy_report import headline, require, write_report
 
     require()
     try:
         summary = write_report(folder, out or folder / "report")
-    except (StudyError, DamagedFileError, OSError) as error:
+    except (InputFileError, DamagedFileError, OSError) as error:
         fail(str(error), EXIT_FAILED)
     if as_json:
         print_json(summary)

@@ -13,9 +13,9 @@ import click
 from planner.batch.solve_instance import SolveOptions
 from planner.system.errors import MissingExtraError
 
-from .console import EXIT_USAGE, fail
-from .options import is_given
-from .task import costs_of
+from .options.common import is_given
+from .options.task import costs_of
+from .terminal.console import EXIT_USAGE, fail
 
 if TYPE_CHECKING:
     import socket
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from planner import CostToGo
 
     from ..userstudy.plan import UserStudy
-    from ..userstudy.service import StudyService
+    from ..web.user_study.service import StudyService
 
 PORT = 8000
 OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "data"}
@@ -38,14 +38,14 @@ def live_server() -> ModuleType:
     MissingExtraError
     """
     try:
-        from ..live import server
+        from ..web import server
     except ImportError as error:
         raise MissingExtraError("the live assistant needs", str(error.name), "web") from None
     return server
 
 
 def _public_address(_context: click.Context, _option: click.Parameter, given: str | None) -> str | None:
-    from ..live.access import public_address
+    from ..web.tokens import public_address
 
     try:
         return None if given is None else public_address(given)
@@ -81,15 +81,16 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
             option = next(one for one in context.command.params if one.name == name)
             raise click.UsageError(f"{option.opts[0]} does not go with --study, whose file says what is to be done")
     try:
-        from ..study.study import StudyError
+        from planner.system.errors import InputFileError
+
         from ..team.state import PolicyError
-        from ..userstudy import serving
         from ..userstudy.plan import read
+        from ..web.user_study import server as serving
     except ImportError as error:
         raise MissingExtraError("user studies need", str(error.name), "study") from None
     try:
         study = read(file)
-    except StudyError as error:
+    except InputFileError as error:
         fail(str(error), EXIT_USAGE)
     if study.participants is not None and rehearse > study.participants:
         raise click.UsageError(f"--rehearse {rehearse}: the study has {study.participants} places")
@@ -136,8 +137,8 @@ def _report(folder: Path) -> None:
     """Write what a rehearsal has shown."""
     from planner.system.files import atomic
 
+    from ..reports.userstudy_report import write_report
     from ..userstudy.export import archive
-    from ..userstudy.report import write_report
 
     with atomic(folder / "user-study.zip") as path:
         path.write_bytes(archive(folder))

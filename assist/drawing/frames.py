@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..learning.actions import words_of
+from ..people.action_names import words_of
 from . import svg
 from .layout import Layout, text_width
 from .picture import MARGIN, WIDTH, Artist, Picture

@@ -11,7 +11,7 @@ from pathlib import Path
 from planner import Task
 from planner.system.files import atomic
 
-from ..learning.actions import words_of
+from ..people.action_names import words_of
 from . import svg
 from .layout import GAP, TAG, Arranger, Layout, tag_rows, tag_width
 from .profile import Profile

@@ -17,7 +17,7 @@ from planner.pddl.instances import PDDLError
 from planner.pddl.s_expressions import Expression
 from planner.pddl.source import Source
 
-from ..learning.actions import Matcher, words_of
+from ..people.action_names import Matcher, words_of
 from ..people.choices import STAND_STILL
 
 Atom = tuple[str, ...]

@@ -21,9 +21,9 @@ from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Mixture, Population
-from ..simulation.ground import World
-from ..simulation.luck import Luck
-from ..team.pool import Pool
+from ..simulation.common_random_numbers import Luck
+from ..simulation.pool import Pool
+from ..simulation.task_view import World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
 from .rendering import Stage

@@ -10,9 +10,9 @@ import numpy as np
 from planner.system.errors import MissingExtraError
 
 from ..people.human import Mixture, Population
-from ..simulation.ground import World
-from ..simulation.luck import Luck
-from ..team.pool import Pool
+from ..simulation.common_random_numbers import Luck
+from ..simulation.pool import Pool
+from ..simulation.task_view import World
 from ..team.settings import Setting
 from .teams import Sight, Teams, pool_of
 

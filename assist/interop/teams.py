@@ -18,10 +18,10 @@ from planner import load, sweep
 
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population
+from ..simulation.common_random_numbers import from_the_prior
 from ..simulation.dynamics import People, act
-from ..simulation.ground import Group, World
-from ..simulation.luck import from_the_prior
-from ..team.pool import LARGEST, Pool
+from ..simulation.pool import LARGEST, Pool
+from ..simulation.task_view import Group, World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 

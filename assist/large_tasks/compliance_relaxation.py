@@ -28,8 +28,9 @@ from planner.system.machine import processors
 from ..people.decision import Floats
 from ..people.human import Human
 from ..people.misconception import Misconception
-from .qmdp import ROUNDING, read_only
-from .region import expected, never_erring
+from ..person.problem_arrays import read_only
+from ..person.qmdp import ROUNDING
+from .truncated_task import expected, never_erring
 
 TOLERANCE = 0.02
 """Sweeps end when none changes a value by more, in cost units."""

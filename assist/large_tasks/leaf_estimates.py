@@ -17,9 +17,9 @@ from planner.system.arrays import outline, read_only
 from planner.system.progress import Progress
 
 from ..people.decision import Floats
-from .pomdp import AssistPOMDP
-from .qmdp import highest, improve
-from .region import Region, never_erring
+from ..person.pomdp import AssistPOMDP
+from ..person.qmdp import highest, improve
+from .truncated_task import Region, never_erring
 
 TOLERANCE = 0.3
 """Largest error of a region's values given those at its frontier, in cost units.

@@ -16,8 +16,8 @@ from ..people.arguments import whole
 from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
 from ..people.memory import choices_of
-from .pomdp import AssistPOMDP, Suggestions
-from .region import Region
+from ..person.pomdp import AssistPOMDP, Suggestions
+from .truncated_task import Region
 
 WHOLE = 20_000
 """States of a table up to which all are worked out, and those of a region beyond it."""

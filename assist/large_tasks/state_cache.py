@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planner import CostToGo, Transitions, optimal_choices
 
 from ..people.choices import WAIT, Choices, keys_of
-from .region import Region
+from .truncated_task import Region
 
 Ints = NDArray[np.int64]
 

@@ -6,9 +6,10 @@ on what follows, and a good one gives a good bound. So there are four parts, eac
 - a region on which beta and theta are hidden, for the solver;
 - a larger one, on which they are seen. Its values are those of the best policies (`person.qmdp`), with the person's
   own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
-- a still larger one, on which beta is seen and people comply with every suggestion (`person.compliance`). One number
-  for each beta is kept of its states, so that there is room for a million;
-- everything else, where people never err (`person.region.never_erring`).
+- a still larger one, on which beta is seen and people comply with every suggestion
+  (`large_tasks.compliance_relaxation`). One number for each beta is kept of its states, so that there is room for a
+  million;
+- everything else, where people never err (`large_tasks.truncated_task.never_erring`).
 
 Claim. Let W(x, p, beta, theta) be the best discounted return in the whole task from state x on, with the robot at
 position p, beta and theta seen, and presence free. Each value computed here is at least W. So an upper bound on the
@@ -63,14 +64,14 @@ from ..people.belief import Grid
 from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
-from ..person.compliance import around, at_most, mistaken_about_states
 from ..person.pomdp import AssistPOMDP, Frontier
 from ..person.qmdp import backward, highest, improve
-from ..person.region import Region
 from ..person.solver import first_bounds_bytes
-from ..person.visited import Visited
-from .settings import Setting
-from .subproblem import AWAY, HERE, Visits
+from ..team.attention_subproblem import AWAY, HERE, Visits
+from ..team.settings import Setting
+from .compliance_relaxation import around, at_most, mistaken_about_states
+from .state_cache import Visited
+from .truncated_task import Region
 
 HIDDEN = 10_000
 """States of the region on which beta and theta are hidden, if there are time and memory for so many.

@@ -3,8 +3,8 @@
 A task of millions of states, or one that is only asked on demand, has no room for what a policy keeps of each of them.
 A `WidePolicy` is worked out on the states that are met most likely from the initial one on (a `Region`), and looks one
 step ahead from wherever somebody is: exactly, with the person's misconceptions there, on values that are those of the
-region inside it and estimates by the exact cost-to-go outside (`person.estimates`). So it suggests optimal actions
-where the person would err anywhere in the task, and forgets about states as soon as they are left.
+region inside it and estimates by the exact cost-to-go outside (`large_tasks.leaf_estimates`). So it suggests optimal
+actions where the person would err anywhere in the task, and forgets about states as soon as they are left.
 
 What the next step needs of the states in which people are is a problem of its own (`Around`), which breaks off at once:
 its arrays have a row for each of these states and for those that come next. Team policies see the people in it.
@@ -26,14 +26,14 @@ from planner.system.progress import told
 from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
-from ..person.estimates import Estimates
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, ahead
-from ..person.region import Region
-from ..person.visited import NONE, Visited
-from .bounded import Bounded, bounded
-from .settings import Setting
-from .subproblem import Visits
+from ..team.attention_subproblem import Visits
+from ..team.settings import Setting
+from .leaf_estimates import Estimates
+from .state_cache import NONE, Visited
+from .truncated_bound import Bounded, bounded
+from .truncated_task import Region
 
 REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 """States that a policy is worked out on, by how a state's cost-to-go is come by."""
@@ -112,7 +112,7 @@ class WidePolicy:
         self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
         kept_mb: float = math.inf,
     ) -> Bounded:  # fmt: skip
-        """Give the problem of which a bound is wanted, worked out once; arguments as in `team.bounded`."""
+        """Give the problem of which a bound is wanted, worked out once; arguments as in `bounded`."""
         if (entry, True) in self.bounds:  # which has all there is
             return self.bounds[entry, True]
         if (entry, around) not in self.bounds:

@@ -30,7 +30,7 @@ from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Mixture, Population
-from .pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
+from ..person.pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
 ADVISED = 0.9  # the weight of an action that an adviser would have people take

@@ -20,12 +20,12 @@ from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.decision import Floats
 from ..people.terms import TERMS, Term
+from .fit import LogError, observed, replayed
 from .hierarchy import RATES, fixed_of, start_of
 from .likelihood import Method
 from .log import Log
+from .logit_likelihood import BETA, FIRST_TERM, Likelihood, maximise
 from .observations import Observations
-from .people import LogError, observed, replayed
-from .weighing import BETA, FIRST_TERM, Likelihood, maximise
 
 FOLDS = 8
 BOLTZMANN = "boltzmann"

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..people.decision import Floats
-from .estimates import Fit
+from .maximum_likelihood import Fit
 
 TERMS = ("repetition", "large_mistakes", "learning")
 

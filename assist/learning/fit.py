@@ -22,15 +22,15 @@ from ..people.human import Mixture
 from ..people.terms import TERMS, Term, features
 from .choosing import with_model
 from .diagnostics import UNCHECKED, check
-from .estimates import largest_beta, maximum_likelihood
 from .hierarchy import Hierarchy, fit_terms
 from .likelihood import Method
 from .log import Fault, Log, in_order
-from .misconception import fit_misconception, require_memory
+from .maximum_likelihood import largest_beta, maximum_likelihood
+from .misconception_fit import fit_misconception, require_memory
 from .observations import Evaluated, Ints, Observations, observe
+from .person_estimate import Record, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
-from .record import Record, nothing_known
-from .recording import Recording, replay, situation
+from .replay import Recording, replay, situation
 
 WHO_ASKED = 4
 """Calls from a warning of `replayed` up to whoever called a function that shows its progress."""

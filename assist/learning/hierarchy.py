@@ -22,10 +22,10 @@ from scipy.special import chdtri
 from planner.system.arrays import read_only
 
 from ..people.decision import NOTHING, Floats
-from .estimates import Estimate, Fit
 from .likelihood import Method
+from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximise
+from .maximum_likelihood import Estimate, Fit
 from .observations import Observations
-from .weighing import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximise
 
 ROUNDS = 60  # of EM
 NARROWEST = 0.05

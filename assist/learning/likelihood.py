@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.compiled import answer, moved
 from ..people.decision import NOTHING, Floats
+from ..people.influence_kernels import answer, moved
 from .observations import Ints, Observations
 
 LARGE = 1e9

@@ -22,7 +22,7 @@ from typing import Any
 
 from planner.system.arrays import outline
 
-from .actions import words_of, wrong_form
+from ..people.action_names import words_of, wrong_form
 from .log_files import NEEDED, Broken, Names, Row, Taken, is_hidden, own_names, read_records, tidy
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'

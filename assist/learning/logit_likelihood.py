@@ -23,8 +23,8 @@ from planner.system.arrays import read_only
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .estimates import largest_beta
 from .likelihood import Method
+from .maximum_likelihood import largest_beta
 from .observations import Ints, Observations
 from .profiles import SMALL
 

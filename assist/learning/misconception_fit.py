@@ -30,7 +30,7 @@ from scipy.special import chdtri
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .estimates import Fit
+from .maximum_likelihood import Fit
 from .observations import Ints, Observations
 
 WHOLE = 1000

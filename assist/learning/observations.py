@@ -11,7 +11,7 @@ from planner import CostToGo
 from planner.system.arrays import outline, read_only
 
 from ..people.decision import NOTHING, Floats
-from .recording import Recording
+from .replay import Recording
 
 Ints = NDArray[np.int64]
 

@@ -10,8 +10,8 @@ from planner.system.arrays import outline
 
 from ..people.decision import NOTHING
 from .diagnostics import Check
-from .estimates import Estimate, Fit
-from .misconception import Misconception
+from .maximum_likelihood import Estimate, Fit
+from .misconception_fit import Misconception
 from .observations import Ints
 
 STRIKING = 0.01  # below this probability of the check the model is said not to fit

@@ -26,11 +26,11 @@ from scipy.special import chdtri, logit, ndtr
 
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population, Range
-from .estimates import largest_beta
 from .hierarchy import Hierarchy
 from .likelihood import Method, log_likelihood
+from .logit_likelihood import BETA, FIRST_TERM, THETA
+from .maximum_likelihood import largest_beta
 from .observations import Observations
-from .weighing import BETA, FIRST_TERM, THETA
 
 BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
 THETA_FAMILIES = ("uniform", "normal")

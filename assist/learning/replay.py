@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from planner import CostToGo
 from planner.system.arrays import outline, read_only
 
+from ..people.action_names import Matcher, UnmatchedError, Words, words_of
 from ..people.choices import STAND_STILL, WAIT
 from ..people.decision import NOTHING
 from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
-from .actions import Matcher, UnmatchedError, Words, words_of
 from .log import Entry, Fault, Log, in_order
 from .log_files import Names
 

@@ -5,7 +5,7 @@ from .assistant import Assistant as Assistant
 from .course import AbsentError as AbsentError
 from .course import Event as Event
 from .journal import JournalError as JournalError
-from .problem import InapplicableError as InapplicableError
-from .problem import UnknownError as UnknownError
+from .live_task import InapplicableError as InapplicableError
+from .live_task import UnknownError as UnknownError
 from .session import Outlook as Outlook
 from .session import Session as Session

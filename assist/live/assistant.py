@@ -29,13 +29,13 @@ from planner import CostToGo
 
 from ..people.decision import Floats
 from ..people.human import Mixture, Population
+from ..person.belief_filter import update
 from ..person.pomdp import Policy
-from ..simulation.dynamics import update
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
-from .problem import InapplicableError, Problem, digest, population_of
+from .live_task import InapplicableError, Problem, digest, population_of
 from .roster import Record, Roster, Step
 
 FORMAT = "kitassist team 1"

@@ -30,7 +30,7 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
-from .problem import InapplicableError, UnknownError
+from .live_task import InapplicableError, UnknownError
 
 OF_SOMEBODY = ("joined", "left", "began", "acted", "undone")
 KINDS = (*OF_SOMEBODY, "arrived", "elapsed", "paused", "resumed")

@@ -1,8 +1,9 @@
 """A task as people live through it, and what the robot has worked out about it.
 
 Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand
-(`assist.person.problem` decides which), there is what the next step needs of the states in which people are
-(`assist.team.wide`), and it is forgotten when they have left. What is believed of a person does not depend on that.
+(`assist.large_tasks.person_problem` decides which), there is what the next step needs of the states in which people are
+(`assist.large_tasks.truncated_policy`), and it is forgotten when they have left. What is believed of a person does not
+depend on that.
 """
 
 from __future__ import annotations
@@ -17,15 +18,16 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
-from ..learning.actions import Matcher, UnmatchedError, words_of
+from ..large_tasks.person_problem import WHOLE, is_whole
+from ..large_tasks.truncated_policy import Ground, WidePolicy
+from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import Policy
-from ..person.problem import WHOLE, is_whole
-from ..person.qmdp import Arrays, qmdp
+from ..person.problem_arrays import Arrays
+from ..person.qmdp import qmdp
 from ..team.settings import Setting
-from ..team.wide import Ground, WidePolicy
 
 
 class UnknownError(ValueError):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..team.state import Ask, by_model
-from .problem import Part, Problem, UnknownError
+from .live_task import Part, Problem, UnknownError
 
 NAMED = 10  # people, in a message
 

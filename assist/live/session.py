@@ -25,19 +25,19 @@ from numpy.typing import ArrayLike
 from planner import CostToGo, LimitError
 from planner.system.errors import DamagedFileError, ResultsExistError
 
+from ..large_tasks.person_problem import WHOLE, is_whole
 from ..people.belief import Grid
 from ..people.choice_model import chances
 from ..people.choices import Choices
 from ..people.decision import perceived_cost
 from ..people.human import Mixture, Population
-from ..person.problem import WHOLE, is_whole
 from ..team.settings import Setting
 from ..team.state import PolicyError, TeamPolicy
 from .advice import Advice
-from .answered import Answered, Key, key_of
 from .course import Course, Event
+from .idempotency import Answered, Key, key_of
 from .journal import Journal, JournalError
-from .problem import InapplicableError, digest
+from .live_task import InapplicableError, digest
 
 FORMAT = "kitassist session 1"
 """Of journals."""

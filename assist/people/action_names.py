@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..people.choices import STAND_STILL
+from .choices import STAND_STILL
 
 Words = tuple[str, ...]
 

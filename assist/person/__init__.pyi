@@ -1,16 +1,12 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
-from .estimates import Estimates as Estimates
 from .pomdp import AssistPOMDP as AssistPOMDP
 from .pomdp import Frontier as Frontier
 from .pomdp import Policy as Policy
-from .problem import PersonProblem as PersonProblem
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate
 from .qmdp import qmdp as qmdp
-from .region import Region as Region
 from .solver import Solution as Solution
 from .solver import solve as solve
 from .suggestion_threshold import SuggestionThreshold as SuggestionThreshold
 from .suggestion_threshold import threshold_of as threshold_of
-from .visited import Visited as Visited

@@ -20,7 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
-from .qmdp import Arrays, read_only
+from .problem_arrays import Arrays, read_only
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.compiled import answer
 from ..people.decision import Floats
+from ..people.influence_kernels import answer
 from .qmdp import ROUNDING
 
 DEPTH = 500  # of a trial

@@ -51,7 +51,8 @@ class Frontier:
     states : int array, shape (m,)
     lower : float array, shape (m, T) or (m, B, T)
         What some policy gets at least, for each theta and whatever beta is, or for each of both. Where only an upper
-        bound is wanted it is `upper` (`team.bounded`): what a solver then gives below is of a problem that ends so.
+        bound is wanted it is `upper` (`large_tasks.truncated_bound`): what a solver then gives below is of a problem
+        that ends so.
     upper : float array, shape (m,) or (m, B, T)
         What no policy exceeds; for each beta and theta, if that is known.
     floor : float, optional

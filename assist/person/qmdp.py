@@ -19,7 +19,6 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sparse
@@ -33,6 +32,7 @@ from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
+from .problem_arrays import Arrays, read_only
 
 ROUNDING = 1e-12
 """Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
@@ -42,17 +42,6 @@ DIRECT = 5_000  # states up to which linear equations are solved directly; beyon
 MOST_SWEEPS = 100_000  # over all states, unless another number is given
 SOLVING = "solving a person's POMDP: sweeps"
 SECONDS_BETWEEN = 0.2  # two calls of `progress`, at least
-
-
-def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
-    """Give a contiguous view that is read-only, wherever the array is from: compiled code is given nothing else.
-
-    numba compiles once more for every mixture of arrays that may be written to and of others, and those that another
-    process sends may be, whatever they were there.
-    """
-    view = np.ascontiguousarray(array, dtype=dtype).view()
-    view.flags.writeable = False
-    return view
 
 
 @dataclass(frozen=True)
@@ -332,47 +321,6 @@ def _converge(
         except BaseException:  # after Ctrl-C no further sweep begins
             stopped = True
             raise
-
-
-class Arrays(NamedTuple):
-    """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
-
-    A named tuple, however long: numba takes no dataclasses.
-    """
-
-    counts: NDArray[np.int64]
-    targets: NDArray[np.int64]
-    costs: Floats
-    goal: NDArray[np.bool_]
-    final: NDArray[np.bool_]
-    robot_actions: NDArray[np.int64]
-    suggested: NDArray[np.int64]
-    afterstate: NDArray[np.int64]
-    robot_costs: Floats
-    chosen: Floats
-    unsuggested: Floats
-    low: NDArray[np.int64]
-    weight: Floats
-    theta: Floats
-    gamma: float
-    lapse: float
-
-    @classmethod
-    def of(cls, pomdp: AssistPOMDP) -> Arrays:
-        """Collect the arrays of a problem."""
-        choices = pomdp.model.choices
-        arrays = {
-            "counts": choices.applicable.sum(axis=1), "targets": choices.targets, "costs": choices.costs,
-            "goal": choices.goal, "final": pomdp.final, "robot_actions": pomdp.robot_actions,
-            "suggested": pomdp.suggested, "afterstate": pomdp.afterstate, "robot_costs": pomdp.robot_costs,
-            "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "low": pomdp.low, "weight": pomdp.weight,
-            "theta": pomdp.grid.theta,
-        }  # fmt: skip
-        return cls(
-            **{name: read_only(array) for name, array in arrays.items()},
-            gamma=float(pomdp.gamma),
-            lapse=float(pomdp.model.lapse),
-        )
 
 
 @njit()

@@ -41,7 +41,8 @@ from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP
-from .qmdp import QMDP, ROUNDING, Arrays, evaluate, load_compiled, qmdp, read_only, sweep_order
+from .problem_arrays import Arrays, read_only
+from .qmdp import QMDP, ROUNDING, evaluate, load_compiled, qmdp, sweep_order
 
 SOLVING = "solving a person's POMDP: backups"
 BACKUPS = 1000  # between two looks at the clock

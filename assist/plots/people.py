@@ -10,7 +10,7 @@ import numpy as np
 
 from ..learning.comparison import Comparison
 from ..learning.diagnostics import calibrate
-from ..learning.estimates import Fit
+from ..learning.maximum_likelihood import Fit
 from ..people.decision import NOTHING
 from .style import BLUE, GREEN, GREY, ORANGE, require, save
 

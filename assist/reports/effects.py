@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
-from ..study.statistics import Estimate, mean
+from .statistics import Estimate, mean
 
 POWER = 0.8
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from .study import OWN, Contrast, Study
-from .summary import BASELINES
+from ..study.study import OWN, Contrast, Study
+from .study_summary import BASELINES
 from .wording import Record, beside, interval, named, sign, table
 
 SHOWN_READINGS = 8

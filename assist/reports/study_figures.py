@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from ..plots import study as draw
-from .cells import policy_of, pool_of
-from .study import Cell, Condition, Study
-from .summary import MEASURES, Found, average
+from ..study.cells import policy_of, pool_of
+from ..study.study import Cell, Condition, Study
+from .study_summary import MEASURES, Found, average
 from .wording import Record, named
 
 if TYPE_CHECKING:

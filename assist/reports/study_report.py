@@ -1,7 +1,7 @@
 """The report of a study: what was run, and what was found.
 
 `report.md` and `report.html` say the same; the numbers are those of `summary.json`. What a reference claims has a place
-of its own, `assist.study.claims`.
+of its own, `assist.reports.study_claims`.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from planner.system.workers import outcomes
 
 from ..person.suggestion_threshold import SuggestionThreshold
 from ..plots import style
-from . import claims
-from .pictures import Picture, of_kinds, of_whom, pictures
-from .runner import load_study, without_suggestions
+from ..study.runner import load_study, without_suggestions
+from ..study.study import OWN, Study
+from . import study_claims
+from . import study_claims as claims
 from .statistics import FEW_POOLS
-from .study import OWN, Study
-from .summary import ARM, BASELINES, MEASURES, Found, average
+from .study_figures import Picture, of_kinds, of_whom, pictures
+from .study_summary import ARM, BASELINES, MEASURES, Found, average
 from .wording import Record, beside, interval, named, sign, table, varying, with_deviation
 
 FIGURES = "figures"
@@ -161,13 +162,13 @@ def _sections(found: Found, summary: Record, shown: dict[str, str]) -> Iterator[
     yield from _what_was_run(study, summary)
     yield from _headline(study, summary)
     yield from (f"**Note.** {line}." for line in threshold_notes(summary))
-    yield from claims.claims(study, summary)
+    yield from study_claims.claims(study, summary)
     yield from _team_sizes(found, summary)
     yield from picture("team-size")
     yield from _decline(study, summary)
     yield from picture("benefit")
     yield from _kinds_of_people(found, summary, picture("categories"))
-    yield from claims.readings(study, summary)
+    yield from study_claims.readings(study, summary)
     yield from _sensitivity(found, summary)
     yield from picture("trade-off")
     yield "## One episode"
@@ -380,8 +381,8 @@ def _kinds_of_people(found: Found, summary: Record, picture: Iterator[str]) -> I
             ["condition", "instance", "setting", "robot's prior", "contrast", "policy", "ratio", "more than 1"],
             (
                 [
-                    c["condition"], c["instance"], c["setting"] or "default", claims.prior(c["prior"]), c["contrast"],
-                    c["policy"], interval(c), sign(c, 1.0),
+                    c["condition"], c["instance"], c["setting"] or "default", study_claims.prior(c["prior"]),
+                    c["contrast"], c["policy"], interval(c), sign(c, 1.0),
                 ]
                 for c in others
             ),

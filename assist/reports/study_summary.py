@@ -1,6 +1,6 @@
 """What a study found, in numbers: means per team size and policy, savings with intervals, and how they change.
 
-Everything is computed over pools of people, not over their episodes; see `assist.study.statistics`.
+Everything is computed over pools of people, not over their episodes; see `assist.reports.statistics`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 
 from planner.system.files import finite
 
+from ..study.study import SCHEMA, Study
 from ..team.settings import Setting
 from . import statistics
 from .statistics import Estimate
-from .study import SCHEMA, Study
 
 if TYPE_CHECKING:
     import pandas as pd

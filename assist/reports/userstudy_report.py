@@ -14,11 +14,11 @@ from planner.system.files import atomic
 
 from ..plots import style
 from ..plots import userstudy as draw
-from ..study.wording import interval, table
-from .plan import UserStudy, read
-from .session import JOURNAL, PLAN
-from .summary import FEW, TASK_MEASURES, measures, summarise
-from .tables import COLUMNS, Row, Tables, tables
+from ..userstudy.plan import UserStudy, read
+from ..userstudy.session import JOURNAL, PLAN
+from ..userstudy.tables import COLUMNS, Row, Tables, tables
+from .userstudy_summary import FEW, TASK_MEASURES, measures, summarise
+from .wording import interval, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,7 +47,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
 
     Raises
     ------
-    StudyError, DamagedFileError, OSError
+    InputFileError, DamagedFileError, OSError
         It is neither.
     """
     study = read(folder / PLAN, carried_out=True)
@@ -87,7 +87,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
 
     Raises
     ------
-    StudyError, DamagedFileError, OSError
+    InputFileError, DamagedFileError, OSError
         It is neither.
     """
     study, found = of_folder(folder)

@@ -12,7 +12,9 @@ import numpy as np
 
 from planner.system.files import finite
 
-from ..study.statistics import mean
+from ..userstudy.plan import UserStudy
+from ..userstudy.questionnaires import Questionnaire
+from ..userstudy.tables import Row, Tables
 from .effects import (
     cronbach_alpha,
     detectable,
@@ -22,9 +24,7 @@ from .effects import (
     hedges_g,
     hedges_g_within,
 )
-from .plan import UserStudy
-from .questionnaires import Questionnaire
-from .tables import Row, Tables
+from .statistics import mean
 
 FEW = 10
 """Participants in a condition below which its figures are a first look."""

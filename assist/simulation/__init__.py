@@ -1,4 +1,4 @@
-"""Episodes of a team."""
+"""The people from whom teams are drawn, and episodes of a team."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -3,5 +3,6 @@ from .episodes import Episode as Episode
 from .episodes import Episodes as Episodes
 from .episodes import Summary as Summary
 from .illustration import Illustration as Illustration
-from .presence import Presence as Presence
+from .pool import Pool as Pool
+from .schedule import Presence as Presence
 from .simulate import simulate as simulate

@@ -11,13 +11,13 @@ import numpy as np
 from ..people.arguments import Seed
 from ..people.belief import Spread
 from ..people.decision import Floats
-from ..team.pool import Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .episodes import Episode, Trace
-from .ground import World
-from .presence import Presence
+from .pool import Pool
+from .schedule import Presence
 from .simulate import simulate
+from .task_view import World
 
 
 @dataclass(frozen=True)

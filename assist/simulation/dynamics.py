@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.compiled import heed, moved
 from ..people.decision import NOTHING, Floats
-from ..person.qmdp import Arrays
+from ..people.influence_kernels import heed, moved
+from ..person.belief_filter import update
+from ..person.problem_arrays import Arrays
 
 
 # Named tuples, however long: they are the only records of arrays that compiled code takes and that are kept compiled.
@@ -148,51 +149,3 @@ def _draw(p: Floats, count: int, lapse: float, luck: float) -> int:
             if left < 0.0:
                 break
     return last
-
-
-# Sums may be reordered, so that they are computed several terms at a time.
-@njit(fastmath={"reassoc", "contract", "arcp"})
-def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
-    """Update one belief, shape (B, T), in place: Bayes' rule for what a person did, then the move of theta.
-
-    Parameters
-    ----------
-    belief : float array, shape (B, T)
-    after : float array, shape (B, T)
-        Room to work in.
-    x, robot, slot : int
-        The person's state, what the robot did to them (0: nothing), and the slot of what they did then.
-    m : Arrays
-        Their problem.
-    """
-    betas, thetas = belief.shape
-    place, suggestion = m.afterstate[x, robot], m.suggested[x, robot]
-    uniform = m.lapse / m.counts[place]
-    evidence = 0.0
-    if suggestion < 0:
-        for b in range(betas):
-            likelihood = (1.0 - m.lapse) * m.chosen[place, slot, b] + uniform
-            for t in range(thetas):
-                belief[b, t] *= likelihood
-                evidence += belief[b, t]
-        for b in range(betas):
-            for t in range(thetas):
-                belief[b, t] *= 1.0 / evidence
-        return
-    for b in range(betas):
-        for t in range(thetas):
-            after[b, t] = 0.0
-    for b in range(betas):
-        p, followed, rest = m.chosen[x, slot, b], m.chosen[x, suggestion, b], m.unsuggested[x, robot, b]
-        for t in range(thetas):
-            theta = m.theta[t]
-            total = theta * followed + (1.0 - theta) * rest
-            heard = (theta if slot == suggestion else 1.0 - theta) / total if total > 0.0 else 1.0
-            joint = belief[b, t] * ((1.0 - m.lapse) * p * heard + uniform)
-            evidence += joint
-            at, up = m.low[x, robot, t], m.weight[x, robot, t]
-            after[b, at] += joint * (1.0 - up)
-            after[b, at + 1] += joint * up
-    for b in range(betas):
-        for t in range(thetas):
-            belief[b, t] = after[b, t] * (1.0 / evidence)

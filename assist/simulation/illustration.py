@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..team.pool import Pool
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .episodes import Episode, Episodes, Trace
+from .pool import Pool
 from .simulate import simulate
 
 

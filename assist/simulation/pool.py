@@ -12,19 +12,19 @@ from planner import CostToGo, LimitError
 from planner.system.arrays import frozen, outline
 from planner.system.progress import Wanted, adding, shows_progress
 
+from ..large_tasks.person_problem import WHOLE, is_whole
+from ..large_tasks.truncated_policy import Ground, WidePolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import AssistPOMDP, Later, Policy
-from ..person.problem import WHOLE, is_whole
 from ..person.qmdp import qmdp
-from .policies import named
-from .settings import Setting
-from .state import TeamPolicy
-from .subproblem import policy_bytes
-from .travel import Travel
-from .wide import Ground, WidePolicy
+from ..team.attention_subproblem import policy_bytes
+from ..team.policies import named
+from ..team.settings import Setting
+from ..team.state import TeamPolicy
+from ..team.travel import Travel
 
 LARGEST = 200_000
 """The largest task that is looked at whole because something is asked for that needs it."""
@@ -127,7 +127,8 @@ class Pool:
             Tables of at most so many states are looked at whole; of at most `LARGEST` where people remember what they
             did, actions are executed or a solver is given.
         region : int, optional
-            States that policies are worked out on where the task is not; `assist.team.wide.REGION` unless given.
+            States that policies are worked out on where the task is not; `assist.large_tasks.truncated_policy.REGION`
+            unless given.
         progress : callable or bool, optional
             Who is told how far it is, as in `planner.system.progress`: how many people's POMDPs have been set up.
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 from planner.system.files import finite
 
 from ..people.decision import NOTHING, Floats
-from ..team.pool import Pool
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
+from .common_random_numbers import Luck, from_the_prior
 from .dynamics import People, act
 from .episodes import Episodes, Trace
-from .ground import Ground, Ints, View, World
-from .luck import Luck, from_the_prior
-from .presence import Presence
+from .pool import Pool
+from .schedule import Presence
+from .task_view import Ground, Ints, View, World
 
 
 class Run:

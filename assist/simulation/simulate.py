@@ -25,14 +25,15 @@ from ..people.arguments import Seed, entropy, positive, whole, wholes
 from ..person.suggestion_threshold import LARGEST, search_threshold
 from ..team.attention import NoAssistance
 from ..team.policies import prepare
-from ..team.pool import MEMORY_LIMIT_MB, Pool
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
+from .common_random_numbers import BLOCK, Luck
 from .episodes import Episodes, Trace
-from .ground import Ground, Group, Whole, Wide, World
-from .luck import BLOCK, Luck
-from .presence import Presence
+from .pool import MEMORY_LIMIT_MB, Pool
 from .run import Run
+from .schedule import Presence
+from .task_view import Ground, Group, Whole, World
+from .truncated_view import Wide
 
 SOLVING = "solving people's POMDPs"
 

@@ -1,4 +1,4 @@
-"""Studies: what is to be done, its carrying out, and what was found (extra `study`)."""
+"""Experiments with simulated people: what is to be done, and its carrying out (extra `study`)."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -5,8 +5,6 @@ from .cells import policy_of as policy_of
 from .cells import pool_of as pool_of
 from .protocol import read as read
 from .protocol import shipped as shipped
-from .report import Report as Report
-from .report import write_report as write_report
 from .runner import load_study as load_study
 from .runner import profile as profile
 from .runner import run_study as run_study
@@ -15,4 +13,3 @@ from .study import Condition as Condition
 from .study import Contrast as Contrast
 from .study import Reference as Reference
 from .study import Study as Study
-from .study import StudyError as StudyError

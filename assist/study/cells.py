@@ -13,20 +13,21 @@ from typing import Any
 import numpy as np
 
 from planner import CostToGo, Instance, Table
+from planner.system.errors import InputFileError
 
+from ..large_tasks.person_problem import is_whole
+from ..large_tasks.state_cache import Visited
 from ..people.choices import Choices
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import Frontier
-from ..person.problem import is_whole
 from ..person.qmdp import qmdp
-from ..person.visited import Visited
 from ..simulation.episodes import Episodes
+from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.policies import OwnPolicy
-from ..team.pool import Pool
 from ..team.state import PolicyError, TeamPolicy
-from .study import OWN, Cell, Study, StudyError
+from .study import OWN, Cell, Study
 from .tasks import costs_of
 
 MOST_EPISODES = 100_000_000
@@ -189,18 +190,18 @@ def check(study: Study) -> None:
 
     Raises
     ------
-    StudyError, planner.PDDLError
+    InputFileError, planner.PDDLError
     """
     once = replace(study, repeats=1)
     if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > MOST_EPISODES:
-        raise StudyError(f"{study.file}: {episodes:.3g} episodes; at most {MOST_EPISODES:,} are carried out")
+        raise InputFileError(f"{study.file}: {episodes:.3g} episodes; at most {MOST_EPISODES:,} are carried out")
     for _, files in study.instances:
         _task(files)
     for _, (file, name) in study.own_policies:
         try:
             _own(file, name)
         except PolicyError as error:
-            raise StudyError(str(error)) from None
+            raise InputFileError(str(error)) from None
     for condition in study.conditions:
         for label, setting in condition.settings:
             for name in condition.instances:
@@ -209,4 +210,4 @@ def check(study: Study) -> None:
                     setting.problem(choices, None, Population(), frontier=frontier)
                 except ValueError as error:
                     place = f"condition '{condition.name}', setting '{label}'" if label else "setting"
-                    raise StudyError(f"{study.file}: {place}: {error}") from None
+                    raise InputFileError(f"{study.file}: {place}: {error}") from None

@@ -12,16 +12,9 @@ from msgspec import Struct
 
 from planner import Instance, InstanceError, find_instances
 from planner.pddl import bundled
+from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
-
-from ..learning import population as populations
-from ..people.human import Mixture, Population
-from ..people.own import OwnError, OwnModel, parse
-from ..people.terms import TERMS
-from ..team.policies import POLICIES
-from ..team.settings import Setting
-from .study import OWN, Condition, Contrast, Reference, Study, StudyError
-from .toml import (
+from planner.system.typed_toml import (
     AnyTable,
     Number,
     Pair,
@@ -41,6 +34,14 @@ from .toml import (
     partial_of,
     shown,
 )
+
+from ..learning import population as populations
+from ..people.human import Mixture, Population
+from ..people.terms import TERMS
+from ..people.user_code import OwnError, OwnModel, parse
+from ..team.policies import POLICIES
+from ..team.settings import Setting
+from .study import OWN, Condition, Contrast, Reference, Study
 
 PROTOCOLS = Path(__file__).parent / "protocols"
 
@@ -136,13 +137,15 @@ def read(study: str | Path, *, repeats: int | None = None) -> Study:
 
     Raises
     ------
-    StudyError
+    InputFileError
         What is wrong, where, and what would be right.
     """
     file = Path(study)
     if file.suffix != ".toml":
         if str(study) not in shipped():
-            raise StudyError(f"no protocol '{study}'; {meant(str(study), shipped(), ' or a file that ends in .toml')}")
+            raise InputFileError(
+                f"no protocol '{study}'; {meant(str(study), shipped(), ' or a file that ends in .toml')}"
+            )
         file = PROTOCOLS / f"{study}.toml"
     with located(file):
         found = Reader(file, convert(load(file), StudyTable, file)).study()
@@ -260,7 +263,7 @@ class Reader:
                 raise fault(self.file, place, f"file says what {' and '.join(ranges)} would; expected one of them")
             path = self.file.parent / table.file
             return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
-        except StudyError:
+        except InputFileError:
             raise
         except OwnError as error:
             raise fault(self.file, f"{place}.people", str(error)) from None

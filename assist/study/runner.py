@@ -15,7 +15,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.system.errors import DamagedFileError, MissingExtraError
+from planner.system.errors import DamagedFileError, InputFileError, MissingExtraError
 from planner.system.files import (
     append,
     append_record,
@@ -29,7 +29,7 @@ from planner.system.progress import Wanted, adding, shows_progress
 from planner.system.workers import outcomes
 
 from .cells import Outcome, carry_out
-from .study import SCHEMA, Cell, Study, StudyError
+from .study import SCHEMA, Cell, Study
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -74,7 +74,7 @@ def run_study(
 
     Raises
     ------
-    StudyError
+    InputFileError
         The folder holds results already and `resume` is not set; or they are those of another study, or of more
         repeats than are asked for.
     DamagedFileError
@@ -114,10 +114,12 @@ def _begin(
     spent: list[dict[str, Any]] = []
     if episodes.exists():
         if not resume:
-            raise StudyError(f"{episodes} exists; resume it, or choose another folder")
+            raise InputFileError(f"{episodes} exists; resume it, or choose another folder")
         before = _about(out)
         if any(before.get(name) != value for name, value in known.items()):
-            raise StudyError(f"{about}: these are results of another study, or of other files; choose another folder")
+            raise InputFileError(
+                f"{about}: these are results of another study, or of other files; choose another folder"
+            )
         kept = _whole_cells(study, episodes, order, warn)
         found, damaged = _readable(profile, lambda record: isinstance(record["seconds"], dict))
         spent = [record for record, _ in found if _cell(record) in kept]
@@ -182,7 +184,7 @@ def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Call
     for record, line in found:
         cell = _cell(record)
         if cell not in order:
-            raise StudyError(f"{file}: has {cell}; expected --repeats {cell.repeat + 1} or more")
+            raise InputFileError(f"{file}: has {cell}; expected --repeats {cell.repeat + 1} or more")
         own = lines.setdefault(cell, {})
         which = tuple(record[name] for name in EPISODE)
         if which in own:
@@ -227,7 +229,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
 
     Raises
     ------
-    StudyError
+    InputFileError
         No results, or results that this version does not read.
     DamagedFileError
         A line that is no record.
@@ -240,10 +242,10 @@ def load_study(folder: str | Path) -> pd.DataFrame:
         raise MissingExtraError("data frames need", "pandas", "study") from None
     folder = Path(folder)
     if not (folder / EPISODES).is_file() or not (folder / ABOUT).is_file():
-        raise StudyError(f"{folder}: no results of a study; expected {EPISODES} and {ABOUT}")
+        raise InputFileError(f"{folder}: no results of a study; expected {EPISODES} and {ABOUT}")
     schema = _about(folder)["schema"]
     if schema != SCHEMA:
-        raise StudyError(f"{folder}: results of schema {schema}; expected {SCHEMA}")
+        raise InputFileError(f"{folder}: results of schema {schema}; expected {SCHEMA}")
     frame = pd.DataFrame(read_records(folder / EPISODES))
     if len(frame):
         frame["human_actions_per_person"] = [sum(actions) / len(actions) for actions in frame["actions"]]

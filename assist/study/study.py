@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planner import Instance
 
 from ..people.human import Mixture, Population
-from ..people.own import OwnModel
+from ..people.user_code import OwnModel
 from ..team.settings import Setting
 
 SCHEMA = 1
@@ -31,10 +31,6 @@ SCHEMA = 1
 OF_NO_CONSEQUENCE = {"file", "title", "repeats", "focus", "contrasts", "reference"}  # for what episodes there are
 OWN = "own"
 """The prior that is the population from which people are drawn."""
-
-
-class StudyError(ValueError):
-    """A study that cannot be carried out: what is wrong with which file, and what would be right."""
 
 
 @dataclass(frozen=True)

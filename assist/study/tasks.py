@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from planner import Cache, CostToGo, Instance, LimitError, Table, cost_to_go, load, sweep
+from planner.system.errors import InputFileError
 
 from ..people.choices import require_goal
-from .study import StudyError
 
 Known = TypeVar("Known", bound=CostToGo)
 
@@ -22,14 +22,14 @@ def table_of(instance: Instance) -> Table:
 
     Raises
     ------
-    StudyError
+    InputFileError
         It has too many states, or its goal cannot be reached.
     planner.PDDLError
     """
     try:
         table = sweep(load(instance), max_states=LOOKED_AT_WHOLE)
     except LimitError as error:
-        raise StudyError(f"{instance}: {error}; expected a task of up to {LOOKED_AT_WHOLE:,} states") from None
+        raise InputFileError(f"{instance}: {error}; expected a task of up to {LOOKED_AT_WHOLE:,} states") from None
     return _solvable(instance, table)
 
 
@@ -43,7 +43,7 @@ def costs_of(instance: Instance, *, progress: Callable[[str, int, int | None], N
 
     Raises
     ------
-    StudyError
+    InputFileError
         Its goal cannot be reached.
     planner.PDDLError
     """
@@ -55,5 +55,5 @@ def _solvable(instance: Instance, known: Known) -> Known:
     try:
         require_goal(float(known.lookup([known.initial])[0]))
     except ValueError as error:
-        raise StudyError(f"{instance}: {error}") from None
+        raise InputFileError(f"{instance}: {error}") from None
     return known

@@ -1,4 +1,4 @@
-"""Several people and one robot: what a policy is given, the policies, and the people from whom teams are drawn."""
+"""Several people and one robot: what a policy is given, and the policies."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,10 +1,10 @@
 from .attention import AttentionSwitching as AttentionSwitching
 from .attention import NoAssistance as NoAssistance
 from .attention import Reactive as Reactive
+from .attention_subproblem import Visits as Visits
 from .policies import POLICIES as POLICIES
 from .policies import OwnPolicy as OwnPolicy
 from .policies import named as named
-from .pool import Pool as Pool
 from .priority import Priority as Priority
 from .settings import Setting as Setting
 from .state import BASE as BASE
@@ -13,6 +13,4 @@ from .state import PolicyError as PolicyError
 from .state import TeamAction as TeamAction
 from .state import TeamPolicy as TeamPolicy
 from .state import TeamState as TeamState
-from .subproblem import Visits as Visits
 from .travel import Travel as Travel
-from .wide import WidePolicy as WidePolicy

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from planner.system.errors import expected
 
-from ..people import own
+from ..people import user_code
 from ..person.pomdp import Policy
 from .attention import AttentionSwitching, NoAssistance, Reactive
 from .policy_on_part import on_parts
@@ -114,8 +114,8 @@ class OwnPolicy:
         """
         file = Path(file)
         try:
-            return cls(file, name, own.load(file, name))
-        except own.OwnError as error:
+            return cls(file, name, user_code.load(file, name))
+        except user_code.OwnError as error:
             raise PolicyError(str(error)) from error.__cause__
 
     @property
@@ -134,4 +134,4 @@ class OwnPolicy:
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:
-            raise PolicyError(own.described(error, self.file)) from error
+            raise PolicyError(user_code.described(error, self.file)) from error

@@ -13,7 +13,7 @@ from planner import CostToGo
 
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP
-from .subproblem import Visits
+from .attention_subproblem import Visits
 
 
 class PolicyOnPart(Policy, Protocol):

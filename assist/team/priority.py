@@ -2,9 +2,9 @@
 
 Algorithm 1 scores a suggestion to a person as if the way to them were to be paid for this suggestion alone, and
 as if they were always within reach afterwards. Here each person's problem knows whether the robot is with them
-(`assist.team.subproblem`), so that coming is worth what can be said later without coming again, staying silently has
-a worth of its own, and a way that takes time is looked at to its end. What the robot's attention is worth to
-others is one price at all steps, or one for each, as a bound on the team has them.
+(`assist.team.attention_subproblem`), so that coming is worth what can be said later without coming again, staying
+silently has a worth of its own, and a way that takes time is looked at to its end. What the robot's attention is worth
+to others is one price at all steps, or one for each, as a bound on the team has them.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
+from .attention_subproblem import HERE, Visits, backwards
 from .policy_on_part import is_for_one_step, is_on_part, on_parts
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
-from .subproblem import HERE, Visits, backwards
 from .travel import Travel
 
 PRICE = 0.15

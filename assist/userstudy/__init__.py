@@ -1,4 +1,4 @@
-"""Experiments with people at the live assistant: conditions, assignment, procedure, questionnaires, results."""
+"""Experiments with people: conditions, assignment, procedure, questionnaires, tables."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -21,10 +21,10 @@ from planner import CostToGo
 
 from ..live.advice import Advice
 from ..live.course import NOTHING, AbsentError, Course, Event
-from ..live.problem import InapplicableError, UnknownError
-from ..live.simulated import SimulatedPerson
+from ..live.live_task import InapplicableError, UnknownError
+from ..live.simulated_person import SimulatedPerson
 from .assignment import assign
-from .group import Group
+from .participant_team import Group
 from .plan import Stage, UserStudy
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"

@@ -13,7 +13,7 @@ from typing import Any
 from planner import CostToGo
 
 from ..live.course import Course, Event
-from ..live.simulated import SimulatedPerson
+from ..live.simulated_person import SimulatedPerson
 
 Sub = dict[str, Any]
 """An event within the team, as a record."""

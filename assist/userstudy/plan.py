@@ -16,12 +16,9 @@ from msgspec import Meta, Struct
 
 from planner import Instance, InstanceError, find_instances
 from planner.pddl import bundled
+from planner.system.errors import InputFileError
 from planner.system.errors import expected as meant
-
-from ..people.human import Population
-from ..people.own import parse
-from ..study.study import StudyError
-from ..study.toml import (
+from planner.system.typed_toml import (
     AnyTable,
     Number,
     Pair,
@@ -37,6 +34,9 @@ from ..study.toml import (
     located,
     partial_of,
 )
+
+from ..people.human import Population
+from ..people.user_code import parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .assignment import balanced_orders
@@ -273,7 +273,7 @@ def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
 
     Raises
     ------
-    StudyError
+    InputFileError
         What is wrong, in which line and place, and what would be right.
     """
     file = Path(file)
@@ -356,7 +356,7 @@ def _setting(file: Path, content: dict[str, Any]) -> Setting:
     try:
         setting = replace(Setting(), **given(convert(content, SettingTable, file, "setting")))
     except ValueError as error:
-        if isinstance(error, StudyError):
+        if isinstance(error, InputFileError):
             raise
         raise fault(file, "setting", str(error)) from None
     if setting.travel_time:

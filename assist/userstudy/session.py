@@ -15,9 +15,9 @@ from planner.system.errors import ResultsExistError
 from planner.system.files import atomic
 
 from ..live.course import Course
-from ..live.problem import Problem, digest
+from ..live.live_task import Problem, digest
 from ..live.session import Session
-from ..people.own import parse
+from ..people.user_code import parse
 from ..person.pomdp import Policy
 from ..team.policies import OwnPolicy
 from ..team.state import TeamPolicy

@@ -17,13 +17,13 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 
 from planner import LimitError
 
-from . import browser, routes, watching
-from .course import AbsentError
-from .journal import JournalError
-from .limits import Allowance, Guard
-from .pictures import Pictures
-from .problem import InapplicableError
+from ..live.course import AbsentError
+from ..live.journal import JournalError
+from ..live.live_task import InapplicableError
+from . import page_routes, routes, websocket
+from .request_limits import Allowance, Guard
 from .service import BusyError, Service
+from .task_drawings import Pictures
 
 
 def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequence[APIRouter] = ()) -> FastAPI:
@@ -51,7 +51,7 @@ def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequ
     )  # fmt: skip
     app.state.service, app.state.pictures = service, Pictures()
     _says_what_is_wrong(app)
-    for router in (routes.router, watching.router, browser.router, *more):
+    for router in (routes.router, websocket.router, page_routes.router, *more):
         app.include_router(router)
     app.add_middleware(Guard, access=service.access, allowance=allowance)
     return app

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 from fastapi import Depends, HTTPException, Request
 from fastapi.security import HTTPBearer
 
-from .access import Caller
-from .messages import Problem
+from .schemas import Problem
 from .service import Service
+from .tokens import Caller
 
 SAYS = {
     400: "Not a request that can be read.", 401: "No token, or nobody's.", 403: "Another person's link.",

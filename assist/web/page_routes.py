@@ -9,8 +9,8 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from fastapi.responses import FileResponse, HTMLResponse
 
 from ..drawing import svg
-from . import description
-from .access import Access
+from . import openapi_page
+from .tokens import Access
 
 PAGES = Path(__file__).parent / "pages"
 
@@ -61,7 +61,7 @@ async def nowhere(request: Request) -> Response:
 @router.get("/docs")
 async def docs(request: Request) -> Response:
     """Describe the interface."""
-    return document(request, description.page(request.app.openapi()))
+    return document(request, openapi_page.page(request.app.openapi()))
 
 
 @router.get("/join/{name}/{token}")

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .access import Access
+from .tokens import Access
 
 LARGEST = 64 * 1024
 """Bytes of a request's body."""

@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query, Request, Response
 
-from .admission import READ, WRITE, Desk, Operator, Own, bearer, refusals
-from .course import Event
-from .messages import Acted, Arrived, Begun, Drawn, Health, Joined, Me, Once, Paused, Person, Place, Robot, Team
-from .pictures import Pictures
+from ..live.course import Event
+from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
+from .schemas import Acted, Arrived, Begun, Drawn, Health, Joined, Me, Once, Paused, Person, Place, Robot, Team
+from .task_drawings import Pictures
 
 router = APIRouter()
 

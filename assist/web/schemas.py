@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from .advice import Reason
+from ..live.advice import Reason
 
 Id = Annotated[
     str | None,

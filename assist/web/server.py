@@ -21,18 +21,18 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from planner import CostToGo
 
+from ..live.course import AbsentError, Event
+from ..live.journal import JournalError
+from ..live.live_task import InapplicableError
+from ..live.session import Session
+from ..live.simulated_person import SimulatedPerson
 from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
-from .access import Access
-from .course import AbsentError, Event
-from .journal import JournalError
-from .limits import LARGEST
-from .problem import InapplicableError
+from .app import make_app
+from .request_limits import LARGEST
 from .service import BusyError, Service
-from .session import Session
-from .simulated import SimulatedPerson
-from .web import make_app
+from .tokens import Access
 
 PATIENCE = 2
 """Seconds for connections to end by themselves."""

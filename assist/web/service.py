@@ -19,11 +19,11 @@ import threading
 from contextlib import suppress
 from typing import Any
 
-from .access import Access
-from .course import AbsentError, Event
-from .journal import JournalError
-from .problem import InapplicableError
-from .session import Outcome, Outlook, Session
+from ..live.course import AbsentError, Event
+from ..live.journal import JournalError
+from ..live.live_task import InapplicableError
+from ..live.session import Outcome, Outlook, Session
+from .tokens import Access
 
 ROOM = 64
 """Messages on their way to one watcher."""

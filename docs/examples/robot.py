@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import time
 
-from assist.live.client import Client
+from assist.web.client import Client
 
 
 def drive(to: str) -> None:

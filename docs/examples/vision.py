@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 
-from assist.live.client import Client, RefusedError
+from assist.web.client import Client, RefusedError
 
 
 def camera(service: Client, person: str) -> Iterator[str]:

@@ -71,3 +71,7 @@ class DamagedFileError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.file}{'' if self.line is None else f':{self.line}'}: {self.message}"
+
+
+class InputFileError(ValueError):
+    """An input file that cannot be used: what is wrong, in which line, and what would be right."""

@@ -17,9 +17,8 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_t
 import msgspec
 from msgspec import UNSET, Meta, Struct, UnsetType
 
-from planner.system.errors import expected as meant
-
-from .study import StudyError
+from .errors import InputFileError
+from .errors import expected as meant
 
 T = TypeVar("T")
 
@@ -44,25 +43,25 @@ def load(file: Path) -> dict[str, Any]:
 
     Raises
     ------
-    StudyError
+    InputFileError
     """
     try:
         data = file.read_bytes()
     except FileNotFoundError:
-        raise StudyError(f"{file}: no such file") from None
+        raise InputFileError(f"{file}: no such file") from None
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {error.start} is not UTF-8; expected a text file in that encoding"
-        raise StudyError(f"{file}:{line}: {message}") from None
+        raise InputFileError(f"{file}:{line}: {message}") from None
     except tomllib.TOMLDecodeError as error:
-        raise StudyError(f"{file}: {error}") from None
+        raise InputFileError(f"{file}: {error}") from None
 
 
-def fault(file: Path, place: str, message: str) -> StudyError:
+def fault(file: Path, place: str, message: str) -> InputFileError:
     """Say what is wrong where."""
-    return StudyError(f"{file}: {place}: {message}")
+    return InputFileError(f"{file}: {place}: {message}")
 
 
 @contextmanager
@@ -70,11 +69,11 @@ def located(file: Path) -> Iterator[None]:
     """Add the line to what is said of a place in a file."""
     try:
         yield
-    except StudyError as error:
+    except InputFileError as error:
         what = str(error).removeprefix(f"{file}: ")
         if what == str(error) or not file.is_file():
             raise
-        raise StudyError(f"{file}:{line_of(file, what)}: {what}") from error.__cause__
+        raise InputFileError(f"{file}:{line_of(file, what)}: {what}") from error.__cause__
 
 
 def line_of(file: Path, fault: str) -> int:
@@ -126,12 +125,12 @@ def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
 
     Raises
     ------
-    StudyError
+    InputFileError
     """
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        raise StudyError(f"{file}: {_said(str(error), content, kind, place)}") from None
+        raise InputFileError(f"{file}: {_said(str(error), content, kind, place)}") from None
 
 
 def partial_of(data: type) -> type[Struct]:

@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.compiled import answer
-from ..people.decision import Floats
-from ..person.qmdp import Arrays
-from ..person.solver import Solution
-from ..person.upper_hull import PIVOTS, weigh
-from ..team.bounded import Outer
-from ..team.subproblem import Visits
+from ...large_tasks.truncated_bound import Outer
+from ...people.decision import Floats
+from ...people.influence_kernels import answer
+from ...person.problem_arrays import Arrays
+from ...person.solver import Solution
+from ...person.upper_hull import PIVOTS, weigh
+from ...team.attention_subproblem import Visits
 
 Ints = NDArray[np.int64]
 
@@ -36,7 +36,8 @@ END = -1
 
 LEFT = -2
 """The node of a person who has left a truncated task at its frontier. From there on the leaf's upper bound stands for
-their return. It assumes a robot of their own, for which they pay the prices (`assist.certify.clairvoyant`)."""
+their return. It assumes a robot of their own, for which they pay the prices
+(`assist.certify.information_relaxation.sampled_bound`)."""
 
 SLIGHT = 1e-5
 """A belief that could lower the bound by less than this, in cost units, gets no part."""

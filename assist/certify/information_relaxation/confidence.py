@@ -45,7 +45,7 @@ class Sampled:
     paths : int
         Number of sample paths.
     alpha : float
-        Share of the conflicts in the penalty (`assist.certify.clairvoyant`).
+        Share of the conflicts in the penalty (`assist.certify.information_relaxation.sampled_bound`).
     skewness : float
         Third central moment of the paths' values in units of their standard deviation; 0 where all are equal.
     """

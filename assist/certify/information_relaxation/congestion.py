@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.decision import Floats
-from ..person.qmdp import Arrays
-from .lattice import LEFT, Graph, Ints, Known, Lattice, Nodes, at, work_out
+from ...people.decision import Floats
+from ...person.problem_arrays import Arrays
+from .belief_nodes import LEFT, Graph, Ints, Known, Lattice, Nodes, at, work_out
 
 LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
 """Between these G less the price is told apart, and between 0 and the price, in units of the cheapest action's cost;

@@ -1,9 +1,9 @@
 """A tighter bound on team policies, from samples: a robot that knows everybody's luck and pays for using it.
 
-The bound of `assist.certify.bound` lets the robot be in two places at a time as long as it is in one on average. Here
-it is in one place in every step, but knows how everything will come out, and pays a penalty that is zero on average
-for whoever does not know (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic programs",
-2010; for weakly coupled problems with Lagrangian penalties Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
+The bound of `assist.certify.team_bound` lets the robot be in two places at a time as long as it is in one on average.
+Here it is in one place in every step, but knows how everything will come out, and pays a penalty that is zero on
+average for whoever does not know (Brown, Smith and Sun, "Information relaxations and duality in stochastic dynamic
+programs", 2010; for weakly coupled problems with Lagrangian penalties Ye, Zhu and Zhou, arXiv 1405.3363, 2014).
 
 **Theorem.** Let W(s) be any function of the team's state, zero where all have finished, and V(s) one that no policy
 exceeds, both discounted to step 0. With
@@ -18,11 +18,11 @@ the mean return of every policy that does not know what comes is at most
 all before it. So its return is on average at most that of r(s_0, a_0) + ... + V(s_T) less that sum, which is W(s_0)
 less the sum of D plus (V - W)(s_T); and along each luck that is at most what the best actions for this luck make of it.
 
-Here V is the sum of the prices to be paid and of people's bounds, W = V - alpha U with U of `assist.certify.conflicts`,
-and s is made of nodes of `assist.certify.lattice`, at which the robot knows more than it can. For V alone D is what
-people lose by not getting what is best for them, and the price of a step in which the robot is with nobody: with
-alpha 0 the bound is that of the prices, less what is lost in any case. Alpha is chosen on lucks of its own; any is
-sound.
+Here V is the sum of the prices to be paid and of people's bounds, W = V - alpha U with U of
+`assist.certify.information_relaxation.congestion`, and s is made of nodes of
+`assist.certify.information_relaxation.belief_nodes`, at which the robot knows more than it can. For V alone D is what
+people lose by not getting what is best for them, and the price of a step in which the robot is with nobody: with alpha
+0 the bound is that of the prices, less what is lost in any case. Alpha is chosen on lucks of its own; any is sound.
 
 **People who leave a truncated task.** A person whose task is truncated leaves it at a leaf. The leaf's value u(t, y) is
 an upper bound on the person's return from step t and state y on with a robot of their own, whose attention costs the
@@ -71,10 +71,10 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ..people.decision import Floats
+from ...people.decision import Floats
+from .belief_nodes import END, LEFT, Graph, Ints, Lattice
 from .confidence import Sampled
-from .conflicts import Conflicts, OutOfTimeError, Scale, Wishes, lost
-from .lattice import END, LEFT, Graph, Ints, Lattice
+from .congestion import Conflicts, OutOfTimeError, Scale, Wishes, lost
 
 S = TypeVar("S")
 T = TypeVar("T")

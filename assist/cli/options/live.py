@@ -11,7 +11,7 @@ import click
 from planner import Instance, InstanceError, find_instances
 from planner.batch.solve_instance import SolveOptions
 
-from .options import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
+from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .person import model_options
 from .policies import PolicyName, policies_of
 from .population import people_option, population_of, population_options
@@ -19,7 +19,7 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ..live.server import Plan
+    from ...web.server import Plan
 
 MOST = 10_000
 """People in a team."""
@@ -52,9 +52,9 @@ def plan_of(
     population_file: Path | None, people: str | None, **options: Any,
 ) -> Plan:  # fmt: skip
     """Read the tasks and set up the session; errors are those of a command."""
-    from ..drawing import Artist
-    from ..live.server import Plan
-    from ..team.settings import Setting
+    from ...drawing import Artist
+    from ...team.settings import Setting
+    from ...web.server import Plan
 
     if simulate > humans:
         raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")

@@ -13,8 +13,8 @@ from planner import Cache, Instance, LimitError, Limits, OnDemand, cost_to_go, l
 from planner.system.machine import processors
 from planner.system.progress import progress_bar, stages
 
-from .console import EXIT_FAILED, fail
-from .options import (
+from ..terminal.console import EXIT_FAILED, fail
+from .common import (
     JOBS,
     NUMBER,
     OUTPUT_FOLDER,
@@ -31,12 +31,12 @@ from .population import choice_model, people_option
 from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
-    from ..learning.comparison import Comparison
-    from ..learning.likelihood import Method
-    from ..learning.log import Fault, Log
-    from ..learning.observations import Evaluated
-    from ..learning.people import People
-    from ..learning.recording import Recording
+    from ...learning.comparison import Comparison
+    from ...learning.fit import People
+    from ...learning.likelihood import Method
+    from ...learning.log import Fault, Log
+    from ...learning.observations import Evaluated
+    from ...learning.replay import Recording
 
 
 def log_options(command: Command) -> Command:
@@ -130,10 +130,10 @@ def replayed(
     click.UsageError
         An option that cannot be.
     """
-    from ..learning.likelihood import Method
-    from ..learning.log import read_log, told
-    from ..learning.people import LogError, require_actions
-    from ..learning.recording import replay
+    from ...learning.fit import LogError, require_actions
+    from ...learning.likelihood import Method
+    from ...learning.log import read_log, told
+    from ...learning.replay import replay
 
     names, named = _renamed(rename), _columns(columns)
     try:
@@ -172,10 +172,10 @@ def people_of(
     known: Replayed, *, misconceptions: bool, terms: bool, people: str | None, max_states: int, seed: int
 ) -> People:
     """Learn about the people of a log; errors are those of a command."""
-    from ..learning.people import LogError, learn
-    from ..people.choice_model import ChoiceModelError
-    from ..people.own import OwnError
-    from ..person.problem import WHOLE, is_whole
+    from ...large_tasks.person_problem import WHOLE, is_whole
+    from ...learning.fit import LogError, learn
+    from ...people.choice_model import ChoiceModelError
+    from ...people.user_code import OwnError
 
     try:
         chooses = None if people is None else choice_model(people)
@@ -200,9 +200,9 @@ def people_of(
 
 def comparison_of(known: Replayed, folds: int) -> Comparison:
     """Compare choice models on the people of a log; errors are those of a command."""
-    from ..learning.comparison import compare_observed
-    from ..learning.people import LogError, observed
-    from ..people.terms import TERMS
+    from ...learning.comparison import compare_observed
+    from ...learning.fit import LogError, observed
+    from ...people.terms import TERMS
 
     try:
         observations, _ = observed(known.log, known.walked, known.recording, known.known, TERMS)
@@ -243,7 +243,7 @@ def _evaluate(
 
     States that took too long have NaN unless `strict`, where they are an error.
     """
-    from ..learning.observations import Evaluated
+    from ...learning.observations import Evaluated
 
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     kept = Cache(walked.task, cache)

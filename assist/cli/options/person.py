@@ -12,12 +12,12 @@ import click
 from planner import CostToGo, Instance
 from planner.system.progress import progress_bar
 
-from .options import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
+from .common import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
 from .population import people_option, population_of, population_options
 from .task import one_instance
 
 if TYPE_CHECKING:
-    from ..person.problem import PersonProblem
+    from ...large_tasks.person_problem import PersonProblem
 
 
 def model_options() -> tuple[Option[Any], ...]:
@@ -66,7 +66,7 @@ def person_problem(
     time_limit : float, optional
         Seconds for choosing them where there are more.
     """
-    from ..person.problem import PersonProblem, is_whole
+    from ...large_tasks.person_problem import PersonProblem, is_whole
 
     found = one_instance(instance, domain)
     population = population_of(beta, theta, file=population_file, people=people)

@@ -10,11 +10,11 @@ import click
 
 from planner.system.errors import expected
 
-from ..people.own import parse
-from ..team.policies import POLICIES, OwnPolicy
-from ..team.state import PolicyError
-from .console import EXIT_FAILED, fail
-from .options import Option
+from ...people.user_code import parse
+from ...team.policies import POLICIES, OwnPolicy
+from ...team.state import PolicyError
+from ..terminal.console import EXIT_FAILED, fail
+from .common import Option
 
 
 class PolicyName(click.ParamType):  # type: ignore[type-arg]

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import INPUT_FILE, Command, Option, Range, is_given, range_option, with_options
+from ...people import user_code
+from .common import INPUT_FILE, Command, Option, Range, is_given, range_option, with_options
 
 if TYPE_CHECKING:
-    from ..people.choice_model import ChoiceModel
-    from ..people.human import Mixture, Population
+    from ...people.choice_model import ChoiceModel
+    from ...people.human import Mixture, Population
 
 RANGES = ("beta", "theta", "sigma")
 
@@ -54,7 +55,7 @@ def population_of(
     click.UsageError
         Ranges that cannot be, a file that holds no population, both ranges and a file, or no function.
     """
-    from ..people.human import Population
+    from ...people.human import Population
 
     try:
         if file is None:
@@ -80,7 +81,7 @@ def read_population(file: Path) -> Mixture:
     ValueError
         The file holds no population.
     """
-    from ..learning import population as populations
+    from ...learning import population as populations
 
     try:
         return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
@@ -90,12 +91,10 @@ def read_population(file: Path) -> Mixture:
 
 def choice_model(people: str) -> ChoiceModel:
     """Return the choice model that a function of the user's own is, FILE.py:FUNCTION."""
-    from ..people import own
-
-    place = own.parse(people)
+    place = user_code.parse(people)
     if place is None:
         raise ValueError(f"--people '{people}'; expected FILE.py:FUNCTION")
-    return own.OwnModel.load(*place)
+    return user_code.OwnModel.load(*place)
 
 
 def choosing(population: Population, people: str) -> Population:

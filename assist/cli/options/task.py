@@ -7,7 +7,7 @@ import click
 from planner import Cache, CostToGo, Instance, InstanceError, Table, Task, cost_to_go, find_instances, load
 from planner.system.progress import compiling_line, stages
 
-from .console import EXIT_FAILED, fail
+from ..terminal.console import EXIT_FAILED, fail
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
@@ -36,13 +36,14 @@ def tell_note(task: Task) -> None:
 
 def table_of(instance: Instance) -> Table:
     """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
-    from ..study import tasks
-    from ..study.study import StudyError
+    from planner.system.errors import InputFileError
+
+    from ...study import tasks
 
     tell_of_compiling()
     try:
         table = tasks.table_of(instance)
-    except StudyError as error:
+    except InputFileError as error:
         fail(str(error), EXIT_FAILED)
     tell_note(table.task)
     return table
@@ -50,7 +51,7 @@ def table_of(instance: Instance) -> Table:
 
 def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | None) -> CostToGo:
     """Read a task of any size that a person is to be assisted in; a larger one is asked on demand."""
-    from ..people.choices import require_goal
+    from ...people.choices import require_goal
 
     tell_of_compiling()
     task = load(instance)

@@ -9,8 +9,8 @@ import click
 
 from planner import Instance, LimitError
 
-from .console import EXIT_FAILED, fail
-from .options import (
+from ..terminal.console import EXIT_FAILED, fail
+from .common import (
     INPUT_FILE,
     SEED,
     Command,
@@ -29,10 +29,10 @@ from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ..people.human import Mixture, Population
-    from ..team.pool import Pool
-    from ..team.state import TeamPolicy
-    from ..team.travel import Travel
+    from ...people.human import Mixture, Population
+    from ...simulation.pool import Pool
+    from ...team.state import TeamPolicy
+    from ...team.travel import Travel
 
 
 def team_options(command: Command) -> Command:
@@ -87,8 +87,8 @@ def team_of(
     memory_limit: float, max_states: int, region_states: int, **setting: Any,
 ) -> Team:  # fmt: skip
     """Draw so many people; errors are those of a command."""
-    from ..team.pool import Pool
-    from ..team.settings import Setting
+    from ...simulation.pool import Pool
+    from ...team.settings import Setting
 
     if humans > size:
         raise click.UsageError(f"--humans {humans} is more than --pool {size}")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import INPUT_FILE, NUMBER, Command, Option, with_options
+from .common import INPUT_FILE, NUMBER, Command, Option, with_options
 
 if TYPE_CHECKING:
-    from ..team.settings import Setting
-    from ..team.travel import Travel
+    from ...team.settings import Setting
+    from ...team.travel import Travel
 
 
 def travel_options(command: Command) -> Command:

@@ -7,8 +7,8 @@ import math
 import click
 from rich.table import Table
 
-from ..simulation.episodes import SHOWN, Summary
-from .console import print_table
+from ...simulation.episodes import SHOWN, Summary
+from ..terminal.console import print_table
 
 
 def _cell(mean: float, error: float) -> str:

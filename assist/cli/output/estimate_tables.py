@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 from rich.table import Table
 
-from .comparison import Comparison
-from .log import in_order
-from .people import People
-from .population import PopulationFit
+from ...learning.comparison import Comparison
+from ...learning.fit import People
+from ...learning.log import in_order
+from ...learning.population import PopulationFit
 
 
 def table_of(people: People) -> Table:

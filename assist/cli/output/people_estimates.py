@@ -11,11 +11,11 @@ import click
 from planner.system import files
 from planner.system.progress import stages
 
-from .console import print_json, print_table
-from .log import Replayed, comparison_of
+from ..options.log import Replayed, comparison_of
+from ..terminal.console import print_json, print_table
 
 if TYPE_CHECKING:
-    from ..learning.people import People
+    from ...learning.fit import People
 
 FEWEST = 3  # people whose distribution is printed unasked
 
@@ -25,8 +25,8 @@ def show_people(
     as_json: bool,
 ) -> bool:  # fmt: skip
     """Write and print estimates and, where asked for, their distribution; tell whether all of the log was used."""
-    from ..learning.summary import lines_of, table_of
-    from ..plots import people as pictures
+    from ...plots import people as pictures
+    from .estimate_tables import lines_of, table_of
 
     records = people.as_dicts()
     if out:  # first: a population takes a while, and whoever has it has the people, too
@@ -50,8 +50,8 @@ def show_people(
 
 def show_comparison(known: Replayed, folds: int, out: Path | None, figures: Path | None, *, as_json: bool) -> bool:
     """Compare choice models, write and print how they do; tell whether every line of the log was used."""
-    from ..learning.summary import comparison_table
-    from ..plots import people as pictures
+    from ...plots import people as pictures
+    from .estimate_tables import comparison_table
 
     comparison = comparison_of(known, folds)
     document = comparison.as_dict()

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.table import Table
 
-from .console import print_table
+from ..terminal.console import print_table
 
 if TYPE_CHECKING:
-    from ..certify.bound import TeamBound
+    from ...certify.team_bound import TeamBound
 
 ENDED = {"gap": "", "time": "; the time is up", "memory": "; the memory is full", "stalled": "; rounding"}
 
@@ -46,7 +46,7 @@ def show_bounds(record: dict[str, Any]) -> None:
 
 def show_samples(found: TeamBound) -> None:
     """Print what the sample paths add to a team's bound."""
-    from ..certify.confidence import CONFIDENCE, FEWEST
+    from ...certify.information_relaxation.confidence import CONFIDENCE, FEWEST
 
     sampled = found.sampled
     if sampled is None:

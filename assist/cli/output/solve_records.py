@@ -8,7 +8,7 @@ import click
 
 from planner.batch.solve_instance import SWEEPING, SolveRecord
 
-from .console import print_json, print_table
+from ..terminal.console import print_json, print_table
 
 
 class Answers:

@@ -18,9 +18,9 @@ import numpy as np
 
 from planner import CostToGo
 
-from ..live.client import Client
-from ..live.simulated import SimulatedPerson
-from .questionnaires import STEP, Questionnaire
+from ...live.simulated_person import SimulatedPerson
+from ...userstudy.questionnaires import STEP, Questionnaire
+from ..client import Client
 from .service import StudyService
 
 AT_ONCE = 8

@@ -11,14 +11,14 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from pydantic import BaseModel, Field
 
-from ..live.access import Caller
-from ..live.admission import WRITE, Operator, Own, refusals
-from ..live.browser import page_of, piece
-from ..live.messages import Once, Person
-from ..live.routes import plain
-from .cohort import StudyEvent
-from .export import archive
-from .plan import UserStudy
+from ...userstudy.cohort import StudyEvent
+from ...userstudy.export import archive
+from ...userstudy.plan import UserStudy
+from ..authorization import WRITE, Operator, Own, refusals
+from ..page_routes import page_of, piece
+from ..routes import plain
+from ..schemas import Once, Person
+from ..tokens import Caller
 from .service import VISITOR, StudyService
 
 PAGES = Path(__file__).parent / "pages"

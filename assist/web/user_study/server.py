@@ -10,15 +10,15 @@ from pathlib import Path
 
 from planner import CostToGo
 
-from ..live.access import Access
-from ..live.limits import Allowance
-from ..live.server import address, run
-from ..live.web import make_app
-from .plan import UserStudy
+from ...userstudy.plan import UserStudy
+from ...userstudy.session import StudySession
+from ..app import make_app
+from ..request_limits import Allowance
+from ..server import address, run
+from ..tokens import Access
 from .rehearsal import rehearse
 from .routes import router
 from .service import StudyService
-from .session import StudySession
 
 
 def serve(

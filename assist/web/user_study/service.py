@@ -7,11 +7,11 @@ import hashlib
 import hmac
 from typing import Any
 
-from ..live.access import Access
-from ..live.course import Event
-from ..live.service import Service, Watcher
-from .cohort import HERE, LETTERS, Cohort, StudyEvent
-from .session import StudySession
+from ...live.course import Event
+from ...userstudy.cohort import HERE, LETTERS, Cohort, StudyEvent
+from ...userstudy.session import StudySession
+from ..service import Service, Watcher
+from ..tokens import Access
 
 VISITOR = "?"
 """Whose token the join link has: nobody's name, since names have letters."""

@@ -1,0 +1,5 @@
+"""What studies found: statistics, wording, tables, figures and reports."""
+
+from planner.system.lazy_imports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

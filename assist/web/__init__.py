@@ -1,0 +1,5 @@
+"""Live sessions and user studies over HTTP (extra `web`)."""
+
+from planner.system.lazy_imports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)
