@@ -24,9 +24,9 @@ from joint import joint_bounds
 from scipy.special import stdtrit
 from tables import cell, record_option, write_record
 
-from assist.certify.information_relaxation.belief_nodes import Lattice
-from assist.certify.information_relaxation.confidence import CONFIDENCE, FEWEST, Sampled
-from assist.certify.information_relaxation.sampled_bound import ALPHAS, Clairvoyant
+from assist.certify.information_relaxation.belief_nodes import BeliefNodes
+from assist.certify.information_relaxation.confidence import CONFIDENCE, FEWEST, SampledBound
+from assist.certify.information_relaxation.sampled_bound import ALPHAS, InformationRelaxation
 from assist.certify.prices import kinds_of, search, window_of
 from assist.people.belief import Grid
 from assist.people.choices import Choices
@@ -77,7 +77,7 @@ def pool_of(gamma: float, c_suggest: float, c_move: float, seed: int = 0) -> Poo
     return Pool(setting, tuple(people), tuple(policies), np.arange(2))
 
 
-def relaxation(pool: Pool) -> Clairvoyant:
+def relaxation(pool: Pool) -> InformationRelaxation:
     """Return the information relaxation of a team of two at prices that a search found."""
     travel = pool.setting.travel(2)
     window = window_of(pool, (0, 1), 0)
@@ -86,8 +86,8 @@ def relaxation(pool: Pool) -> Clairvoyant:
     lattices = []
     for kind in kinds:
         visits = kind.at(price)
-        lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
-    return Clairvoyant(lattices, price, window)
+        lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
+    return InformationRelaxation(lattices, price, window)
 
 
 def teams() -> list[tuple[tuple[float, float, float], int | None]]:
@@ -112,7 +112,7 @@ def coverage(number: int, paths: int, seeds: int) -> Iterator[dict[str, Any]]:
         found[:, n] = [robot.bound(path, alpha) for alpha in ALPHAS]
     pairs = math.prod(pool.policies[0].pomdp.grid.shape)
     for alpha, values in zip(ALPHAS, found, strict=True):
-        groups = [Sampled.of(own, paths, alpha) for own in values.reshape(seeds, paths)]
+        groups = [SampledBound.of(own, paths, alpha) for own in values.reshape(seeds, paths)]
         mean, student = float(values.mean()), float(stdtrit(paths - 1, CONFIDENCE))
         yield {
             "gamma": gamma, "c_suggest": c_suggest, "c_move": c_move, "pairs": pairs, "alpha": alpha,

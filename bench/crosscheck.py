@@ -40,7 +40,7 @@ from assist.people.choices import Choices, mix
 from assist.people.decision import Floats, perceived_value
 from assist.people.human import Mixture, Population
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.priority import Priority
 from assist.team.settings import Setting
@@ -341,7 +341,7 @@ def compared(case: Case, pool: Pool, policy: TeamPolicy, upper: float, error: fl
     for episodes in EPISODES_ON_PART if pool.wide else EPISODES:
         run = simulate(
             limited, policy, humans=list(case.team), episodes=episodes, seed=case.number + episodes, travel=way,
-            presence=Presence.of(len(case.team), joins=list(case.joins)), world="model",
+            presence=Schedule.of(len(case.team), joins=list(case.joins)), world="model",
         )  # fmt: skip
         returns = run.discounted_return - (~run.finished).sum(axis=1) * dearest * gamma**last / (1 - gamma)
         mean, stderr = float(returns.mean()), float(returns.std(ddof=1) / math.sqrt(episodes))

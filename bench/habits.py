@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 from tables import save
 
-from assist.reports.statistics import Estimate, mean, saving
+from assist.reports.statistics import IntervalEstimate, mean, saving
 from assist.study import Study, load_study, read, run_study
 
 MEASURES = {
@@ -39,7 +39,7 @@ def of_pools(episodes: pd.DataFrame) -> pd.DataFrame:
     return means.rename(columns={column: name for name, column in MEASURES.items()})
 
 
-def shown(estimate: Estimate) -> str:
+def shown(estimate: IntervalEstimate) -> str:
     """Write a number and its interval."""
     return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
 

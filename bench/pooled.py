@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from assist.person.problem_arrays import Arrays
-from assist.simulation.dynamics import Minds, People, act
+from assist.person.problem_arrays import ProblemArrays
+from assist.simulation.dynamics import Minds, PeopleArrays, act
 from assist.simulation.pool import Pool
 from assist.team.attention_subproblem import HERE
 from assist.team.priority import Priority
@@ -21,7 +21,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     """
     solved, pomdp = priority.presence(pool.policies[0]), pool.policies[0].pomdp
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
-    arrays, rng = Arrays.of(pomdp), np.random.default_rng(robots)
+    arrays, rng = ProblemArrays.of(pomdp), np.random.default_rng(robots)
     minds = Minds(
         np.moveaxis(pomdp.chosen, 2, 0).copy(), np.empty((0, 0)), choices.optimal, model.eta / model.utility_scale,
         model.lapse, True,
@@ -29,7 +29,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
     size = episodes * humans
     cell = rng.choice(pomdp.prior.size, size, p=pomdp.prior.ravel() / pomdp.prior.sum())
     b, t = np.divmod(cell, len(pomdp.grid.theta))
-    people = People(
+    people = PeopleArrays(
         np.full(size, choices.initial), np.zeros(size, dtype=np.int64), b, pomdp.grid.theta[t].copy(),
         np.empty((size, 2)), np.repeat(pomdp.prior[None], size, axis=0),
         np.zeros(size, dtype=np.int64), np.zeros(size), np.zeros(size, dtype=bool),

@@ -22,10 +22,10 @@ def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) ->
     """What comes in place of `assist.web.server.serve`: everybody acts a few times, pages are drawn, and it ends."""
     from assist.live.course import Event
     from assist.web.task_drawings import Pictures
-    from assist.web.tokens import Access
+    from assist.web.tokens import AccessTokens
 
     try:
-        access, pictures, people = Access.kept(plan.folder / "secret", "http://here"), Pictures(), session.people
+        access, pictures, people = AccessTokens.kept(plan.folder / "secret", "http://here"), Pictures(), session.people
         ready(access, people)
         simulated = plan.seats().people
         for number in range(STEPS):

@@ -17,7 +17,7 @@ from assist.people.arguments import number, span
 from assist.people.belief import Grid
 from assist.people.human import Human, Mixture, Population
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.settings import Setting
 from assist.team.travel import Travel
@@ -50,7 +50,7 @@ PEOPLE: dict[str, tuple[Callable[[], Any], str]] = {
     "weight": (lambda: Population(weights={"goals": ("a", 1)}), "weight range of goals 'a': expected a number"),  # type: ignore[dict-item]
     "grid": (lambda: Grid(np.array([NAN]), np.array([0, 1])), "beta: expected one or more ascending values"),
     "infinite grid": (lambda: Grid(np.array([0, INF]), np.array([0, 1])), "beta: expected finite values"),
-    "joins": (lambda: Presence.of(1, [2**63]), "joins [9223372036854775808]: expected whole numbers"),
+    "joins": (lambda: Schedule.of(1, [2**63]), "joins [9223372036854775808]: expected whole numbers"),
     "distance": (lambda: Travel.of(1, distance=[[0, 1e300], [1, 0]]), "distance: expected 0 from each place"),
 }  # fmt: skip
 

@@ -16,7 +16,7 @@ from assist.people.choices import Choices
 from assist.people.decision import perceived_cost, perceived_value
 from assist.people.human import Human, Population
 from assist.person import AssistPOMDP, qmdp
-from assist.team.attention_subproblem import AWAY, HERE, Visits
+from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem
 from assist.team.settings import Setting
 from planner import Instance, LimitError, Table
 
@@ -40,7 +40,7 @@ def part_and_whole(
     table = kit(task)
     problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size).problem
     choices = Choices.of(table)
-    visits = Visits.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
+    visits = AttentionSubproblem.of(setting.problem(choices, human, PRIOR), ENTRY, steps)
     values = qmdp(visits.pomdp).value_mdp
     both = np.stack([values[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
     assert problem.frontier is not None
@@ -121,7 +121,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
     everything = setting.problem(found.outer.visits.alone.model.choices, human, PRIOR)
-    whole = Visits.of(everything, ENTRY, steps, price)
+    whole = AttentionSubproblem.of(everything, ENTRY, steps, price)
     exact, layout = qmdp(whole.pomdp).value_mdp, whole.layout
     for around in (found.outer, found.between) if not steps else ():
         values = dict(around.priced(price))
@@ -131,8 +131,8 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
         assert (values[len(price)] - values[0]).max() > 0.5
 
     kept = likely(found.problem, len(price), 6)
-    free = qmdp(Visits.of(found.problem, ENTRY, steps).pomdp).value_mdp
-    visits = found.outer.beyond(Visits.of(found.problem, ENTRY, steps, price, kept=kept), free)
+    free = qmdp(AttentionSubproblem.of(found.problem, ENTRY, steps).pomdp).value_mdp
+    visits = found.outer.beyond(AttentionSubproblem.of(found.problem, ENTRY, steps, price, kept=kept), free)
     frontier, inner = visits.pomdp.frontier, visits.layout
     assert frontier is not None
     states = frontier.states

@@ -18,7 +18,7 @@ from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.attention_subproblem import AWAY, HERE, Visits
+from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem
 from assist.team.policies import POLICIES
 from assist.team.priority import PRICE
 from assist.team.settings import Setting
@@ -35,7 +35,7 @@ def together(pool: Pool) -> TeamBound:
     return upper_bound(pool, gap=1e-3)
 
 
-def root(visits: Visits) -> float:
+def root(visits: AttentionSubproblem) -> float:
     best = qmdp(visits.pomdp, tolerance=1e-9)
     return float((best.value_mdp[visits.pomdp.model.choices.initial] * visits.pomdp.prior).sum())
 
@@ -44,16 +44,16 @@ def test_a_visitor_who_comes_for_nothing_is_as_good_as_one_who_is_there(pool: Po
     for policy in pool.policies:
         alone = policy.pomdp
         there = float((qmdp(alone, tolerance=1e-9).value_mdp[alone.model.choices.initial] * alone.prior).sum())
-        assert root(Visits.of(alone, 0.0)) == pytest.approx(there, abs=1e-7)
-        assert root(Visits.of(alone, 0.0, 0, np.zeros(5))) == pytest.approx(there, abs=1e-7)
+        assert root(AttentionSubproblem.of(alone, 0.0)) == pytest.approx(there, abs=1e-7)
+        assert root(AttentionSubproblem.of(alone, 0.0, 0, np.zeros(5))) == pytest.approx(there, abs=1e-7)
 
 
 def test_a_visitor_who_is_too_dear_never_comes(pool: Pool) -> None:
     alone = pool.policies[0].pomdp
     never = evaluate(alone, np.zeros(len(alone.robot_actions), dtype=np.int64), tolerance=1e-9)
     value = float((never[alone.model.choices.initial] * alone.prior).sum())
-    assert root(Visits.of(alone, 1000.0)) == pytest.approx(value, abs=1e-6)
-    assert root(Visits.of(alone, 0.0, 3, np.full(100, 1000.0))) == pytest.approx(value, abs=1e-2)
+    assert root(AttentionSubproblem.of(alone, 1000.0)) == pytest.approx(value, abs=1e-6)
+    assert root(AttentionSubproblem.of(alone, 0.0, 3, np.full(100, 1000.0))) == pytest.approx(value, abs=1e-2)
 
 
 @settings(max_examples=15, deadline=None)
@@ -62,16 +62,16 @@ def test_what_makes_visits_dearer_or_slower_makes_them_worth_less(pool: Pool, da
     alone = pool.policies[data.draw(st.integers(0, 2))].pomdp
     entry, steps = data.draw(st.floats(0, 2)), data.draw(st.integers(0, 3))
     price = np.array(data.draw(st.lists(st.floats(0, 1), min_size=1, max_size=6)))
-    base = root(Visits.of(alone, entry, steps, price))
-    assert root(Visits.of(alone, entry + 0.1, steps, price)) <= base + 1e-7
-    assert root(Visits.of(alone, entry, steps + 1, price)) <= base + 1e-7
+    base = root(AttentionSubproblem.of(alone, entry, steps, price))
+    assert root(AttentionSubproblem.of(alone, entry + 0.1, steps, price)) <= base + 1e-7
+    assert root(AttentionSubproblem.of(alone, entry, steps + 1, price)) <= base + 1e-7
     at = data.draw(st.integers(0, len(price) - 1))
     dearer = price.copy()
     dearer[at] += 0.5
-    less = root(Visits.of(alone, entry, steps, dearer))
+    less = root(AttentionSubproblem.of(alone, entry, steps, dearer))
     # Whoever pays the price at one step pays no more than that.
     assert base - 0.5 * alone.gamma**at - 1e-7 <= less <= base + 1e-7
-    assert root(Visits.of(alone, entry, steps, price).priced(dearer)) == pytest.approx(less, abs=1e-9)
+    assert root(AttentionSubproblem.of(alone, entry, steps, price).priced(dearer)) == pytest.approx(less, abs=1e-9)
 
 
 @pytest.mark.parametrize("steps", [0, 1, 2])
@@ -80,7 +80,7 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
     setting = replace(pool.setting, travel_time=float(steps))
     one = Pool(setting, pool.people[:1], pool.policies[:1], pool.model[:1])
     travel = setting.travel(1)
-    visits = Visits.of(one.policies[0].pomdp, travel.entry[0], int(travel.entry_steps[0]))
+    visits = AttentionSubproblem.of(one.policies[0].pomdp, travel.entry[0], int(travel.entry_steps[0]))
     solution = solve(visits.pomdp, gap=1e-4)
     states = [visits.states(0, position) for position in range(2 + steps)]
 
@@ -101,7 +101,7 @@ def test_visits_are_what_a_team_of_one_is(pool: Pool, steps: int) -> None:
 
 def test_no_policy_exceeds_the_bound(pool: Pool, together: TeamBound) -> None:
     found = together
-    assert found.upper <= sum(root(Visits.of(p.pomdp, 0.2)) for p in pool.policies)  # what each gets alone
+    assert found.upper <= sum(root(AttentionSubproblem.of(p.pomdp, 0.2)) for p in pool.policies)  # what each gets alone
     assert found.upper <= found.upper_seen
     assert (found.price >= 0).all()
     values = {}

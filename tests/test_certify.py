@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from assist.certify import certificate, prices, team_bound
 from assist.certify.certificate import PORTION, Certificate, horizon, returns
-from assist.certify.prices import ROUNDS, Kind, kinds_of, search
+from assist.certify.prices import ROUNDS, SubproblemKind, kinds_of, search
 from assist.certify.team_bound import TeamBound, certify, upper_bound
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -24,7 +24,7 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.team.attention import NoAssistance
-from assist.team.attention_subproblem import AWAY, HERE, Layout, Visits, policy_bytes
+from assist.team.attention_subproblem import AWAY, HERE, AttentionSubproblem, TimeExpansion, policy_bytes
 from assist.team.settings import Setting
 from assist.team.state import TeamAction, TeamState
 from planner import LimitError, sweep
@@ -174,7 +174,7 @@ def test_people_at_the_edges_of_prices(strangers: Pool) -> None:
 def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Choices) -> None:
     """One is set up anew in every round, while those of both people are there; so three have to fit."""
     travel, alone = SETTING.travel(2), pool.policies[0].pomdp
-    states = len(Layout.of(alone, 2, 3))
+    states = len(TimeExpansion.of(alone, 2, 3))
     one = policy_bytes(states, slots=choices.applicable.shape[1], robots=1 + alone.suggested.shape[1]) / 1e6
     with pytest.raises(LimitError, match=rf"^2 problems of people, each of up to {states} states with 3 steps"):
         kinds_of(pool, (0, 1), travel, 3, memory_limit_mb=0.999 * 3 * one)
@@ -187,7 +187,7 @@ def test_problems_that_do_not_fit_are_refused_beforehand(pool: Pool, choices: Ch
 
 def test_states_are_numbered_by_step_position_and_state() -> None:
     """At step 0 only state 1 is there, later all three are; a state that is not there has -1."""
-    layout = Layout(3, 2, (np.array([1]), np.arange(3)))
+    layout = TimeExpansion(3, 2, (np.array([1]), np.arange(3)))
     everywhere = np.arange(3)
     assert len(layout) == 8
     assert layout.number(0, AWAY, everywhere).tolist() == [-1, 0, -1]
@@ -218,7 +218,7 @@ def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
         return {int(y) for x in going for y in choices.targets[x, choices.applicable[x]]}
 
     there = executed({choices.initial})
-    layers = Layout.of(alone, 2, steps).layers
+    layers = TimeExpansion.of(alone, 2, steps).layers
     for layer in layers[:-1]:
         assert set(layer.tolist()) == there
         there = executed(after(there))
@@ -230,7 +230,7 @@ def test_states_at_a_step_are_those_that_can_be_reached_in_so_many(
 
 def test_half_of_the_states_of_a_step_cannot_be_reached_then() -> None:
     alone = AssistPOMDP.of(HumanModel.exact(Choices.of(kit("paper"))))
-    assert len(Layout.of(alone, 2, 20)) == 13_232
+    assert len(TimeExpansion.of(alone, 2, 20)) == 13_232
 
 
 def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: Pool, bound: TeamBound) -> None:
@@ -238,7 +238,7 @@ def test_a_bound_is_what_peoples_problems_are_worth_and_what_is_paid(strangers: 
     assert (bound.team, bound.pool) == ((0, 1, 2), strangers)
     assert len(bound.travel) == 3
     assert 0 < len(bound.price) <= 4
-    one = solve(Visits.of(alone, travel.entry[0], 0, bound.price).pomdp, gap=1e-6)
+    one = solve(AttentionSubproblem.of(alone, travel.entry[0], 0, bound.price).pomdp, gap=1e-6)
     paid = sum(price * gamma**step for step, price in enumerate(bound.price))
     assert bound.upper == pytest.approx(3 * one.upper + paid, abs=1e-5)
     assert bound.upper_seen == pytest.approx(3 * one.value_qmdp + paid, abs=1e-4)
@@ -304,7 +304,7 @@ def test_a_robot_for_each_person_of_a_kind(pool: Pool) -> None:
     """Means add up, and variances, since people's luck is independent."""
     found = upper_bound(pool, (0, 0, 1), window=3, gap=1e-6)
     mean, error = found.relaxed(episodes=400, seed=5)
-    kinds: list[Kind] = kinds_of(pool, found.team, found.travel, len(found.price))
+    kinds: list[SubproblemKind] = kinds_of(pool, found.team, found.travel, len(found.price))
     assert [kind.count for kind in kinds] == [2, 1]
     values = [kind.simulated(found.price, horizon(0.5), 400, 5 + number)[1] for number, kind in enumerate(kinds)]
     paid = sum(price * 0.5**step for step, price in enumerate(found.price))

@@ -14,10 +14,10 @@ from scipy.optimize import brentq, linprog
 from test_joint import COSTS, pool_of
 
 from assist.certify.information_relaxation import congestion, sampled_bound
-from assist.certify.information_relaxation.belief_nodes import END, LEFT, Graph, Lattice, at, divide, worth
-from assist.certify.information_relaxation.confidence import Sampled
+from assist.certify.information_relaxation.belief_nodes import END, LEFT, BeliefNodes, SampleGraph, at, divide, worth
+from assist.certify.information_relaxation.confidence import SampledBound
 from assist.certify.information_relaxation.congestion import DYING, FADING, LATE, OutOfTimeError, Scale, lost
-from assist.certify.information_relaxation.sampled_bound import ALPHAS, Clairvoyant, Path
+from assist.certify.information_relaxation.sampled_bound import ALPHAS, InformationRelaxation, SamplePath
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
@@ -29,27 +29,27 @@ from assist.team.settings import Setting
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 
 
-def made(price: np.ndarray, workers: int = 1, pool: Pool | None = None) -> Clairvoyant:
+def made(price: np.ndarray, workers: int = 1, pool: Pool | None = None) -> InformationRelaxation:
     pool = pool or pool_of(*COSTS[0])
     lattices = []
     for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), around=pool.wide):
         visits = kind.at(price)
-        lattices.append(Lattice(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
-    return Clairvoyant(lattices, price, workers=workers)
+        lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
+    return InformationRelaxation(lattices, price, workers=workers)
 
 
 @pytest.fixture(scope="module")
-def robot() -> Clairvoyant:
+def robot() -> InformationRelaxation:
     return made(PRICE)
 
 
 @pytest.fixture(scope="module")
-def without_prices() -> Clairvoyant:
+def without_prices() -> InformationRelaxation:
     return made(np.zeros(0))
 
 
 @pytest.fixture(scope="module", params=[(12, 12), (2, 2), (12, 2)])
-def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
+def short_sighted(request: pytest.FixtureRequest) -> InformationRelaxation:
     """With so few steps that everything can be tried; conflicts count in all of them, in the first two, two ahead."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sampled_bound, "AFTER", 1)
@@ -59,7 +59,7 @@ def short_sighted(request: pytest.FixtureRequest) -> Clairvoyant:
 
 
 @pytest.fixture(scope="module")
-def truncated() -> Clairvoyant:
+def truncated() -> InformationRelaxation:
     """Two people whose tasks are truncated after one state, with prices, and few enough steps to try everything."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sampled_bound, "AFTER", 1)
@@ -67,23 +67,23 @@ def truncated() -> Clairvoyant:
         return made(PRICE[1:4], pool=Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1))
 
 
-def drawn(robot: Clairvoyant, seeds: Iterable[int]) -> list[Path]:
+def drawn(robot: InformationRelaxation, seeds: Iterable[int]) -> list[SamplePath]:
     return robot.paths([np.random.default_rng(seed) for seed in seeds])
 
 
 @pytest.fixture(scope="module")
-def paths(robot: Clairvoyant) -> list[Path]:
+def paths(robot: InformationRelaxation) -> list[SamplePath]:
     return drawn(robot, range(4))
 
 
-def belief_at(lattice: Lattice, node: int) -> np.ndarray:
+def belief_at(lattice: BeliefNodes, node: int) -> np.ndarray:
     known, size = lattice.known, lattice.known.corner.shape[1]
     if node >= len(known.drop):
         return np.eye(size)[(node - len(known.drop)) % size]
     return known.point[node] / known.point[node].sum()
 
 
-def chances(lattice: Lattice, edge: int) -> dict[int, float]:
+def chances(lattice: BeliefNodes, edge: int) -> dict[int, float]:
     """The chance of each node that may follow."""
     ends = slice(lattice.nodes.begin[edge], lattice.nodes.begin[edge + 1])
     found: dict[int, float] = {}
@@ -92,7 +92,7 @@ def chances(lattice: Lattice, edge: int) -> dict[int, float]:
     return found
 
 
-def test_what_a_belief_is_divided_among_adds_up_to_it(robot: Clairvoyant, paths: list[Path]) -> None:
+def test_what_a_belief_is_divided_among_adds_up_to_it(robot: InformationRelaxation, paths: list[SamplePath]) -> None:
     """By the filter's own chances: nodes after an action, times their chances, are the joint of choice and type."""
     lattice, graph = robot.people[0].lattice, paths[0][0][0]
     pomdp = lattice.visits.pomdp
@@ -127,7 +127,9 @@ def test_what_a_belief_is_divided_among_adds_up_to_it(robot: Clairvoyant, paths:
 
 
 @pytest.mark.parametrize("free", [False, True])
-def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_prices: Clairvoyant) -> None:
+def test_the_penalty_has_mean_zero(
+    free: bool, robot: InformationRelaxation, without_prices: InformationRelaxation
+) -> None:
     """The mean of U over all that two people may do next is what the search takes for it."""
     compared = []
     robot = without_prices if free else robot
@@ -155,7 +157,7 @@ def test_the_penalty_has_mean_zero(free: bool, robot: Clairvoyant, without_price
     assert max(compared) > 0.05
 
 
-def test_nobody_gains_by_a_conflict(robot: Clairvoyant) -> None:
+def test_nobody_gains_by_a_conflict(robot: InformationRelaxation) -> None:
     """What is lost in each step is nothing at least: the search takes that for granted where later steps count less."""
     steps, rng, found = len(robot.scale.weight), np.random.default_rng(0), []
     for s in range(steps):
@@ -194,7 +196,7 @@ def test_late_conflicts_never_count_in_full() -> None:
     )
 
 
-def test_a_belief_is_divided_so_that_least_is_promised(robot: Clairvoyant) -> None:
+def test_a_belief_is_divided_so_that_least_is_promised(robot: InformationRelaxation) -> None:
     """Among nodes that are known, by the linear program: no other parts make a smaller mean of bounds."""
     lattice, rng, spread = robot.people[0].lattice, np.random.default_rng(0), 0
     known, size = lattice.known, lattice.known.corner.shape[1]
@@ -211,7 +213,12 @@ def test_a_belief_is_divided_so_that_least_is_promised(robot: Clairvoyant) -> No
 
 
 def least(
-    robot: Clairvoyant, path: Path, alpha: float, state: tuple[int, ...], t: int, seen: dict[tuple[int, ...], float]
+    robot: InformationRelaxation,
+    path: SamplePath,
+    alpha: float,
+    state: tuple[int, ...],
+    t: int,
+    seen: dict[tuple[int, ...], float],
 ) -> float:
     """The least sum of D from a state on, by trying everything."""
     graphs, wishes = path.graphs, path.wishes
@@ -230,7 +237,7 @@ def least(
     if t == robot.steps:
         return -loss(t, here)
 
-    def edges(graph: Graph, j: int) -> list[int]:
+    def edges(graph: SampleGraph, j: int) -> list[int]:
         return [j] if j < 0 else list(range(graph.edge[j], graph.edge[j + 1]))
 
     best = np.inf
@@ -250,7 +257,7 @@ def least(
 
 @pytest.mark.parametrize("alpha", [0.0, 0.75])
 def test_the_search_finds_the_least(
-    alpha: float, short_sighted: Clairvoyant, monkeypatch: pytest.MonkeyPatch
+    alpha: float, short_sighted: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
     """All that can be done is tried; and where the search is given up, the bound is not below."""
     robot, found, given_up = short_sighted, [], 0
@@ -270,7 +277,9 @@ def test_the_search_finds_the_least(
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.75])
-def test_the_search_finds_the_least_where_people_leave_truncated_tasks(alpha: float, truncated: Clairvoyant) -> None:
+def test_the_search_finds_the_least_where_people_leave_truncated_tasks(
+    alpha: float, truncated: InformationRelaxation
+) -> None:
     """Once a person has left, steps in which the robot attends to no other person are not refunded."""
     left = 0
     for path in drawn(truncated, range(6)):
@@ -299,7 +308,7 @@ def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= value - 4 * error
 
 
-def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: Clairvoyant) -> None:
+def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: InformationRelaxation) -> None:
     """Each person's bound is at these prices, so that the team's is theirs and all that the prices come to."""
     lattices = [person.lattice for person in short_sighted.people]
     gamma = lattices[0].arrays.gamma
@@ -332,8 +341,8 @@ def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) 
 def test_few_paths_say_less() -> None:
     """Standard errors above the mean, from a table of Student's t; two paths hardly say anything."""
     for paths, errors in ((2, 31.821), (3, 6.965), (11, 2.764), (100_000, 2.326)):
-        assert Sampled(-9.0, 0.5, paths, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
-        assert Sampled(-9.0, 0.5, paths, 0.3, skewness=-2.0).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
+        assert SampledBound(-9.0, 0.5, paths, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
+        assert SampledBound(-9.0, 0.5, paths, 0.3, skewness=-2.0).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
 
 
 @pytest.mark.parametrize(("skewness", "paths"), [(0.3, 30), (1.0, 40), (2.0, 100), (6.0, 30)])
@@ -345,7 +354,7 @@ def test_a_skewed_mean_has_the_bound_at_which_halls_cubic_is_students_t(skewness
         return w + g * w**2 / 3 + g**2 * w**3 / 27 + g / (6 * paths) + from_table / math.sqrt(paths)
 
     above = -brentq(cubic, -50, 1) * math.sqrt(paths)
-    sampled = Sampled(-9.0, 0.5, paths, 0.3, skewness)
+    sampled = SampledBound(-9.0, 0.5, paths, 0.3, skewness)
     assert sampled.upper == pytest.approx(-9.0 + 0.5 * above, abs=1e-3)
     assert above > from_table
 
@@ -353,15 +362,15 @@ def test_a_skewed_mean_has_the_bound_at_which_halls_cubic_is_students_t(skewness
 def test_the_correction_for_skewness_misses_less_often_than_students_t() -> None:
     """Means of a distribution with a long tail above, known by its formula; Student's t alone misses too often."""
     rng, seeds, mean = np.random.default_rng(0), 2000, math.exp(0.5)
-    found = [Sampled.of(rng.lognormal(size=30).tolist(), 30, 0.0) for _ in range(seeds)]
+    found = [SampledBound.of(rng.lognormal(size=30).tolist(), 30, 0.0) for _ in range(seeds)]
     missed = np.mean([one.upper < mean for one in found])
     student = np.mean([one.mean + 2.462 * one.stderr < mean for one in found])
     assert missed < 0.75 * student
-    small = [Sampled.of(rng.gamma(2.0, size=30).tolist(), 30, 0.0) for _ in range(seeds)]
+    small = [SampledBound.of(rng.gamma(2.0, size=30).tolist(), 30, 0.0) for _ in range(seeds)]
     assert np.mean([one.upper < 2.0 for one in small]) <= 0.05 + 3 * math.sqrt(0.05 * 0.95 / seeds)
 
 
-def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_alpha_is_chosen_on_two_lucks_at_least(robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
     robot.sampled(2, 0)  # what people will want after these lucks takes time, too
     drawn, paths = [], robot.paths
@@ -372,11 +381,13 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: Clairvoyant, monkeypatch: 
 
 
 @pytest.mark.parametrize("best", range(len(ALPHAS)))
-def test_alpha_is_best_on_lucks_of_its_own(best: int, robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_alpha_is_best_on_lucks_of_its_own(
+    best: int, robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """How well people fare is the same for all: what counts is which bound is lowest on the mean of the same lucks."""
     tried: list[tuple[float, int]] = []
 
-    def bounds(paths: Sequence[Path], alpha: float) -> list[float]:
+    def bounds(paths: Sequence[SamplePath], alpha: float) -> list[float]:
         """Give bounds that are lowest at the one, but on some lucks at another."""
         tried.append((alpha, len(paths)))
         far = abs(ALPHAS.index(alpha) - best)
@@ -390,12 +401,12 @@ def test_alpha_is_best_on_lucks_of_its_own(best: int, robot: Clairvoyant, monkey
 
 
 def test_an_alpha_that_takes_the_search_long_leaves_time_for_few_lucks(
-    robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch
+    robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On the same lucks 0.6 is the lowest, but with what is left of the time 0.45 comes to less."""
     clock, each = [0.0], dict.fromkeys(ALPHAS, 1.0)
 
-    def bounds(paths: Sequence[Path], alpha: float) -> list[float]:
+    def bounds(paths: Sequence[SamplePath], alpha: float) -> list[float]:
         clock[0] += each[alpha] * len(paths)
         return [(-50.0, -54.0)[luck % 2] + abs(alpha - 0.6) for luck in range(len(paths))]
 
@@ -417,31 +428,35 @@ def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
 
 
 def test_wishes_are_worked_out_bit_by_bit(
-    robot: Clairvoyant, paths: list[Path], monkeypatch: pytest.MonkeyPatch
+    robot: InformationRelaxation, paths: list[SamplePath], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However often it is asked whether to go on, they are the same."""
     monkeypatch.setattr(congestion, "PAUSE", 3)
     asked: list[int] = []
-    again = Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0)
+    again = InformationRelaxation(
+        [person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0
+    )
     assert again.lost == robot.lost
     assert len(asked) > 20
     (path,) = drawn(again, [0])
     assert [again.bound(path, alpha) for alpha in (0.3, 0.8)] == [robot.bound(paths[0], alpha) for alpha in (0.3, 0.8)]
 
 
-def test_a_time_limit_holds_while_wishes_are_worked_out(robot: Clairvoyant, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_time_limit_holds_while_wishes_are_worked_out(
+    robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Nothing is sampled where time is over before two lucks have been looked at; later, those are what there is."""
     monkeypatch.setattr(congestion, "PAUSE", 20)
     asked = iter((1.0, 1.0, 1.0, 0.0))
     with pytest.raises(OutOfTimeError):
-        Clairvoyant([person.lattice for person in robot.people], PRICE, left=lambda _: next(asked))
+        InformationRelaxation([person.lattice for person in robot.people], PRICE, left=lambda _: next(asked))
     assert list(asked) == []  # it went on while there was time
 
     def sampled(draws: int) -> int:
         """Let time be over while so many draws are followed by another: two, on which alpha is chosen, come first."""
         paths, drawn = robot.paths, []
 
-        def until(generators: list[np.random.Generator]) -> list[Path]:
+        def until(generators: list[np.random.Generator]) -> list[SamplePath]:
             drawn.extend(generators)
             if len(drawn) > draws:
                 raise OutOfTimeError

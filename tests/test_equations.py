@@ -28,7 +28,7 @@ from assist.people.human import HumanModel
 from assist.person import hsvi
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem_arrays import Arrays
+from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from assist.simulation import dynamics
 from planner import sweep
@@ -85,7 +85,7 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
 ) -> None:
     """Likelihood, filter (array at a time and compiled), QMDP, alpha vectors, and the search's children."""
     problem = problem_of(drawn, person, sigma)
-    choices, arrays, rng = problem.model.choices, Arrays.of(problem), np.random.default_rng(seed)
+    choices, arrays, rng = problem.model.choices, ProblemArrays.of(problem), np.random.default_rng(seed)
     for array in (problem.weight, problem.chosen, problem.unsuggested):
         assert np.isfinite(array).all()
     best = qmdp(problem)

@@ -11,7 +11,7 @@ from conftest import invoke, kit
 from recorded import lines, people_at_work, write_log
 
 from assist import fit
-from assist.learning.fit import People
+from assist.learning.fit import FittedPeople
 from assist.learning.log import Log
 from assist.people.choice_model import ChoiceModelError, boltzmann
 from assist.people.choices import Choices
@@ -49,11 +49,11 @@ def walked(model: object, beta: float, episodes: int) -> list[dict]:
 
 
 @pytest.fixture(scope="module")
-def plain() -> People:
+def plain() -> FittedPeople:
     return fit(PAPER, Log.of(ROWS))
 
 
-def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: People) -> None:
+def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: FittedPeople) -> None:
     """Chances are interpolated between values of beta, which changes the third digit at most."""
     own = fit(PAPER, Log.of(ROWS), chooses=same)
     assert list(own) == list(plain)
@@ -97,7 +97,7 @@ def test_trust_looks_at_the_models_own_value() -> None:
     assert np.any(gains[0] != 0)
 
 
-def test_people_like_them_choose_so_too(plain: People) -> None:
+def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
     found = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
     assert found.population().chooses is short_sighted
     assert plain.population().chooses is None

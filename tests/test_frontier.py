@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from assist.large_tasks import truncated_task
-from assist.large_tasks.truncated_task import Region
+from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, trust
 from assist.people.human import HumanModel, Population
@@ -87,7 +87,7 @@ def test_bounds_on_the_frontier_hold(drawn: list[tuple[int, int, int]], given: d
     human = {name: given[name] for name in ("eta", "lapse")}
     cost = {name: given[name] for name in ("gamma", "c_suggest")}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), **human), **cost)  # type: ignore[arg-type]
-    part = Region.of(table, states=states)
+    part = TruncatedTask.of(table, states=states)
     problem = part.problem(**given)  # type: ignore[arg-type]
     assert problem.frontier is not None
     at = part.states[part.frontier]
@@ -104,13 +104,13 @@ def test_a_parts_interval_and_the_wholes_overlap(
     table = solvable(drawn)
     if table is None:
         return
-    everything = Region.of(table, states=len(table)).problem(**given)  # type: ignore[arg-type]
+    everything = TruncatedTask.of(table, states=len(table)).problem(**given)  # type: ignore[arg-type]
     human = {name: given[name] for name in ("eta", "lapse")}
     whole = AssistPOMDP.of(
         HumanModel.exact(Choices.of(table), **human),  # type: ignore[arg-type]
         gamma=given["gamma"], c_suggest=given["c_suggest"],
     )  # fmt: skip
-    part = Region.of(table, states=states).problem(**given)  # type: ignore[arg-type]
+    part = TruncatedTask.of(table, states=states).problem(**given)  # type: ignore[arg-type]
     exact, same, bounds = (solve(problem, gap=1e-3, time_limit=0.2) for problem in (whole, everything, part))
     assert len(everything.frontier.states) == 0  # type: ignore[union-attr]
     for one, other in ((exact, same), (exact, bounds)):
@@ -128,7 +128,7 @@ def test_a_part_suggests_what_the_whole_does(drawn: list[tuple[int, int, int]], 
     table = solvable(drawn)
     if table is None:
         return
-    full, part = Choices.of(table), Region.of(table, states=states)
+    full, part = Choices.of(table), TruncatedTask.of(table, states=states)
     for x in np.setdiff1d(np.arange(len(part.states)), part.frontier):
         assert suggestions(part.choices, int(x)) == suggestions(full, int(part.states[x]))
 
@@ -137,7 +137,7 @@ def test_what_is_suggested_on_demand_is_what_the_table_has() -> None:
     """Loading and unloading are free: without an order among them a cheapest way could go in circles for ever."""
     table = table_of(ROUND_TRIP)
     asked = OnDemand(table.task)
-    full, part = Choices.of(table), Region.of(asked, states=30)
+    full, part = Choices.of(table), TruncatedTask.of(asked, states=30)
     inside = np.setdiff1d(np.arange(len(part.states)), part.frontier)
     same = table.numbers(asked.values(part.states))
     np.testing.assert_array_equal(part.choices.h, table.lookup(same))
@@ -154,7 +154,7 @@ def test_bounds_of_a_whole_and_of_all_of_it_as_a_part_overlap_where_actions_are_
     table = table_of(ROUND_TRIP)
     setting = {"gamma": 0.95, "c_suggest": 0.01}
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table)), **setting)  # type: ignore[arg-type]
-    part = Region.of(table, states=len(table)).problem(**setting)  # type: ignore[arg-type]
+    part = TruncatedTask.of(table, states=len(table)).problem(**setting)  # type: ignore[arg-type]
     one, other = (solve(problem, gap=0.02, time_limit=2) for problem in (whole, part))
     assert max(one.lower, other.lower) <= min(one.upper, other.upper)
 
@@ -166,7 +166,7 @@ def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
     As far as the upper bound knows, each of these steps may cost as little as standing still: 1.
     """
     table = sweep(graph_task([(node, node - 1, cost) for node in range(1, 9)], start=8))
-    part = Region.of(table, states=3)
+    part = TruncatedTask.of(table, states=3)
     frontier = part.problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [5 * cost]
@@ -179,7 +179,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
     up = [(node, node - 1, 1) for node in range(1, 13)]
     down = [(node, node + 1, 1) for node in range(1, 12)]
     table = sweep(graph_task(up + down, start=8))
-    part = Region.of(table, states=2)
+    part = TruncatedTask.of(table, states=2)
     h = part.choices.h[part.frontier]
     frontier = part.problem(gamma=0.9, c_suggest=0.5, eta=0.0, lapse=0.0).frontier
     assert frontier is not None
@@ -207,7 +207,7 @@ def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top:
     whole = AssistPOMDP.of(HumanModel.exact(Choices.of(table), eta=eta, lapse=0.0), **setting)  # type: ignore[arg-type]
     expected = values(whole, policy="worst optimal")[:, 0]
     for states in range(1, top):
-        part = Region.of(table, states=states, population=blind)
+        part = TruncatedTask.of(table, states=states, population=blind)
         frontier = part.problem(eta=eta, lapse=0.0, **setting).frontier  # type: ignore[arg-type]
         assert frontier is not None
         np.testing.assert_allclose(frontier.lower, expected[part.states[frontier.states]], rtol=1e-5)
@@ -218,7 +218,7 @@ def test_what_is_too_much_to_look_through_is_bounded_with_care(
     monkeypatch: pytest.MonkeyPatch, more: list[tuple[int, int, int]]
 ) -> None:
     ladder = [(node, to, 1) for node in range(1, 7) for to in (node - 1, min(node + 1, 6))]
-    part = Region.of(sweep(graph_task(ladder + more, start=3)), states=2)
+    part = TruncatedTask.of(sweep(graph_task(ladder + more, start=3)), states=2)
     known = part.problem(gamma=0.9).frontier
     monkeypatch.setattr(truncated_task, "SURVEYED", 1)
     careful = part.problem(gamma=0.9).frontier
@@ -249,21 +249,21 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
     asked = OnDemand(tables["corridor"].task)
-    part = truncated_task._Survey.of(asked, Region.of(tables["corridor"], start=4, states=2).choices)
+    part = truncated_task._Survey.of(asked, TruncatedTask.of(tables["corridor"], start=4, states=2).choices)
     assert (part.highest, part.actions, part.rise) == (12, 8, np.inf)
 
 
 def test_who_follows_for_nothing_pays_nothing() -> None:
     """A goal that is a free step away: the bound comes as near to 0 as its sweeps do, from the worst there is."""
     table = sweep(graph_task([(3, 2, 1), (2, 1, 0), (1, 0, 0)], start=3))
-    frontier = Region.of(table, states=1).problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
+    frontier = TruncatedTask.of(table, states=1).problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
     assert frontier is not None
     assert (frontier.lower > -1e-4).all()
     assert (frontier.lower <= 0).all()
 
 
 def test_standing_still_costs_1_where_all_else_is_free() -> None:
-    part = Region.of(sweep(graph_task([(1, 0, 0), (1, 2, 0), (2, 3, 0)])), states=1)
+    part = TruncatedTask.of(sweep(graph_task([(1, 0, 0), (1, 2, 0), (2, 3, 0)])), states=1)
     frontier, anybody = part.problem(gamma=0.9).frontier, part.bounds_of_anybody(gamma=0.9, thetas=10)
     assert frontier is not None
     for bounds in (frontier, anybody):
@@ -273,7 +273,7 @@ def test_standing_still_costs_1_where_all_else_is_free() -> None:
 
 def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None:
     table = sweep(graph_task([(1, 0, 2), (1, 2, 2), (2, 3, 5), (3, 2, 1)]))
-    part = Region.of(table, states=1)
+    part = TruncatedTask.of(table, states=1)
     frontier = part.problem(gamma=0.9, c_suggest=7.0).frontier
     assert frontier is not None
     assert part.choices.h[part.frontier].tolist() == [np.inf]
@@ -285,7 +285,7 @@ def test_in_a_dead_end_nothing_is_suggested_and_every_step_is_paid_for() -> None
 
 
 def test_a_discount_that_cannot_be_is_refused() -> None:
-    part = Region.of(table_of(ROUND_TRIP), states=3)
+    part = TruncatedTask.of(table_of(ROUND_TRIP), states=3)
     for gamma in (0.0, 1.0, 1.5, float("nan")):
         with pytest.raises(ValueError, match="gamma"):
             part.problem(gamma=gamma)

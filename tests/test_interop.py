@@ -22,7 +22,7 @@ from assist.interop.observed import FORBIDDEN, Observed, action_names
 from assist.people.choices import Choices
 from assist.people.human import HumanModel
 from assist.people.memory import remembered
-from assist.person.pomdp import AssistPOMDP, Frontier
+from assist.person.pomdp import AssistPOMDP, LeafBounds
 from assist.person.qmdp import evaluate, qmdp
 from planner import Instance, Table, load, sweep
 from planner.system.errors import MissingExtraError
@@ -288,7 +288,7 @@ def test_no_value_changes(tiny_choices: Choices, tmp_path: Path, name: str) -> N
 
 def test_what_cannot_be_written_is_refused(tiny_choices: Choices, tmp_path: Path) -> None:
     pomdp = make(tiny_choices)
-    frontier = Frontier(np.array([0]), np.zeros((1, 3)), np.zeros(1))
+    frontier = LeafBounds(np.array([0]), np.zeros((1, 3)), np.zeros(1))
     for write in (write_pomdpx, write_pomdp):
         with pytest.raises(ValueError, match="frontier"):
             write(dataclasses.replace(pomdp, frontier=frontier), tmp_path / "problem")

@@ -21,7 +21,7 @@ from assist.person.qmdp import evaluate, qmdp
 from assist.person.solver import solve
 from assist.simulation.pool import Pool
 from assist.simulation.simulate import simulate
-from assist.team.attention_subproblem import Visits
+from assist.team.attention_subproblem import AttentionSubproblem
 from assist.team.settings import Setting
 from assist.team.state import NOBODY
 from assist.team.travel import Travel
@@ -68,7 +68,7 @@ def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], e
     pool = pool_of(*costs, execute=execute, c_execute=0.8)
     alone = pool.policies[0].pomdp
     joint = joint_bounds(pool, (0,), gap=1e-3)
-    visits = solve(Visits.of(alone, costs[1]).pomdp, gap=1e-3)
+    visits = solve(AttentionSubproblem.of(alone, costs[1]).pomdp, gap=1e-3)
     assert (joint.states, joint.hidden) == (2 * len(alone.robot_actions), 6)
     assert joint.gap <= 1e-3
     assert joint.lower <= visits.upper

@@ -18,7 +18,7 @@ from assist.people.choice_model import Weighted
 from assist.people.choices import Choices
 from assist.people.human import Human, Population
 from assist.people.memory import choices_of
-from assist.people.user_code import OwnModel, _loaded
+from assist.people.user_code import UserChoiceModel, _loaded
 from assist.web import server
 from planner import Table
 
@@ -225,7 +225,7 @@ def test_a_simulated_person_chooses_as_the_model_says(tiny: Table) -> None:
 
 
 def test_a_simulated_person_with_a_model_of_ones_own(tiny: Table, own: Path) -> None:
-    person = SimulatedPerson(Population(sigma=(0.0, 0.0), chooses=OwnModel.load(own, "moves")), seed=3)
+    person = SimulatedPerson(Population(sigma=(0.0, 0.0), chooses=UserChoiceModel.load(own, "moves")), seed=3)
     choices = Choices.of(tiny)
     assert person.chances(tiny, choices.initial) == pytest.approx([0.5, 0.5])
     theta = person.theta
@@ -238,10 +238,10 @@ def test_the_service_says_which_seats_are_simulated(begun: Begun, tmp_path: Path
 
     from assist.web.app import make_app
     from assist.web.service import Service
-    from assist.web.tokens import Access
+    from assist.web.tokens import AccessTokens
 
     session = begun(TINY, PAPER, "--humans", 2, "--simulate", 1)
-    service = Service(session, Access.kept(tmp_path / "secret", "http://testserver"), tick=60.0)
+    service = Service(session, AccessTokens.kept(tmp_path / "secret", "http://testserver"), tick=60.0)
     service.simulated = frozenset(begun.plan.simulated)
     headers = {"Authorization": f"Bearer {service.access.operator}"}
     with TestClient(make_app(service)) as client:

@@ -23,7 +23,7 @@ from assist.web import server
 from assist.web.app import make_app
 from assist.web.request_limits import LARGEST, Allowance
 from assist.web.service import Service
-from assist.web.tokens import Access
+from assist.web.tokens import AccessTokens
 from planner import Table
 
 ANN = "/api/people/ann"
@@ -41,7 +41,7 @@ class Web:
         session = Session({"tiny": table}, folder / "journal.jsonl", setting=Setting(c_suggest=0.02, c_move=0.01))
         if not session.people:
             session.report([Event("joined", name) for name in ("ann", "bob")])
-        self.access = Access.kept(folder / "secret", "http://testserver")
+        self.access = AccessTokens.kept(folder / "secret", "http://testserver")
         self.service = Service(session, self.access, tick=60.0)
         self.app = make_app(self.service, **more)
         self.client = TestClient(self.app, raise_server_exceptions=False)
@@ -349,7 +349,7 @@ def test_links_are_those_of_before(tiny: Table, tmp_path: Path) -> None:
             tokens.append([web.access.join_url("ann"), web.access.operator_url()])
     assert tokens[0] == tokens[1]
     assert (tmp_path / "secret").stat().st_mode & 0o077 == 0
-    assert Access(b"another" * 5, "").operator != web.access.operator
+    assert AccessTokens(b"another" * 5, "").operator != web.access.operator
 
 
 def test_the_interface_is_described(web: Web) -> None:

@@ -12,7 +12,7 @@ from teams import equal, reachable, run, state
 from assist.people.choices import Choices
 from assist.person.qmdp import evaluate, qmdp
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance, Reactive
 from assist.team.priority import Priority
@@ -223,7 +223,7 @@ def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool:
         with_them(pool, np.full(4, 0.2), 1, [table.initial, nearly, table.initial])
     # People who join after a step are where those who began before them cannot be.
     policy = Priority.of(pool.policies, travel, np.full(4, 0.2))
-    late = Presence.of(3, joins=[0, 0, 1])
+    late = Schedule.of(3, joins=[0, 0, 1])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
     part = Pool.sample(tiny, 3, seed=0, states=1)

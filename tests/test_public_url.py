@@ -29,7 +29,7 @@ from assist.web.app import make_app
 from assist.web.client import Client, RefusedError
 from assist.web.server import server_of
 from assist.web.service import Service
-from assist.web.tokens import Access, public_address
+from assist.web.tokens import AccessTokens, public_address
 from assist.web.user_study.routes import router
 from assist.web.user_study.service import VISITOR, StudyService
 from planner import Table
@@ -58,14 +58,14 @@ class Proxy:
 def team(table: Table, folder: Path, base: str) -> Service:
     session = Session({"tiny": table}, folder / "journal.jsonl", setting=Setting(c_suggest=0.02, c_move=0.01))
     session.report([Event("joined", name) for name in ("ann", "bob")])
-    return Service(session, Access.kept(folder / "secret", base), tick=60.0)
+    return Service(session, AccessTokens.kept(folder / "secret", base), tick=60.0)
 
 
 def study(table: Table, folder: Path, base: str) -> StudyService:
     session = StudySession(
         read(written(folder / "study.toml", PLAN)), {"tiny": table, "practice": table}, folder / "data"
     )
-    return StudyService(session, Access.kept(folder / "data" / "secret", base))
+    return StudyService(session, AccessTokens.kept(folder / "data" / "secret", base))
 
 
 def everything(client: TestClient, page: str, found: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -179,9 +179,9 @@ def test_the_address_is_read() -> None:
     ):  # fmt: skip
         assert public_address(given) == expected
     for path, expected in ((ROOT, "/"), (f"{ROOT}/", "/"), (f"{ROOT}/api/me", "/api/me"), ("/api/me", "/api/me")):
-        assert Access(b"", PUBLIC).within(path) == expected
-    assert Access(b"", PUBLIC).within(f"{ROOT}more") == f"{ROOT}more"
-    assert Access(b"", "https://host.example").within("/api/me") == "/api/me"
+        assert AccessTokens(b"", PUBLIC).within(path) == expected
+    assert AccessTokens(b"", PUBLIC).within(f"{ROOT}more") == f"{ROOT}more"
+    assert AccessTokens(b"", "https://host.example").within("/api/me") == "/api/me"
     for wrong in (
         "", "kits", "host.example/kits", "//host.example", "ftp://host.example", "https://", "https:///kits",
         "https://host.example:99999", "https://host.example:port", "https://[::1", "https://host.example/?a=b",

@@ -19,7 +19,7 @@ from assist.people.decision import choice, influence, lapse, perceived_cost_to_g
 from assist.people.human import Human, HumanModel
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem_arrays import Arrays
+from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import QMDP, qmdp
 from planner import Table, sweep
 
@@ -154,4 +154,8 @@ def test_one_compiled_form_serves_every_problem(tiny_choices: Choices, sent: boo
     if sent:
         other, vectors = pickle.loads(pickle.dumps((other, vectors)))
         assert other.chosen.flags.writeable
-    assert numba.typeof(Arrays.of(problem)) == numba.typeof(Arrays.of(other)) == numba.typeof(vectors._arrays)
+    assert (
+        numba.typeof(ProblemArrays.of(problem))
+        == numba.typeof(ProblemArrays.of(other))
+        == numba.typeof(vectors._arrays)
+    )

@@ -42,7 +42,7 @@ from assist.person.pomdp import AssistPOMDP
 from assist.person.qmdp import qmdp
 from assist.simulation.common_random_numbers import BLOCK
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.settings import Setting
 from assist.team.state import PolicyError, TeamAction
@@ -50,7 +50,7 @@ from assist.team.travel import Travel
 from assist.userstudy.questionnaires import FORMS, Item
 from assist.web import request_limits
 from assist.web.client import Client
-from assist.web.tokens import Access
+from assist.web.tokens import AccessTokens
 from planner import OnDemand, PDDLError, Table, load
 from planner.engine import Engine
 from planner.grounding.load import from_sas
@@ -127,10 +127,12 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         ValueError, "parts with different choice models; expected the same for all",
     ),
     "noise": (lambda _: Misconception(0.5, 1, "both"), ValueError, "noise 'both': expected 'state' or 'action'"),
-    "own model's file": (lambda g: user_code.load(g.folder / "x.py", "mine"), user_code.OwnError, "x.py: no such file"),
+    "own model's file": (
+        lambda g: user_code.load(g.folder / "x.py", "mine"), user_code.UserCodeError, "x.py: no such file",
+    ),
     "own model's kind": (
         lambda g: of_no_python_file(g.folder),
-        user_code.OwnError, "expected a Python file, whose name ends",
+        user_code.UserCodeError, "expected a Python file, whose name ends",
     ),
     "suggestions": (
         lambda g: AssistPOMDP.of(g.pool.policies[0].pomdp.model, suggestions="best"),
@@ -174,7 +176,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
         lambda _: Travel(np.zeros((2, 2)), np.array([[0, -1], [0, 0]]), 1.0),
         ValueError, "steps: expected one number of 0 or more for each distance",
     ),
-    "gone before they come": (lambda _: Presence.of(2, joins=3, leaves=2), ValueError, "join at step 0 or later and"),
+    "gone before they come": (lambda _: Schedule.of(2, joins=3, leaves=2), ValueError, "join at step 0 or later and"),
     "ways of others": (
         lambda g: simulate(g.pool, "none", humans=2, episodes=1, seed=0, travel=g.pool.setting.travel(3)),
         ValueError, "travel for 3, presence for 2: expected 2 people",
@@ -264,7 +266,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),
     "secret": (
-        lambda g: Access.kept(says("short", g.folder), "http://x"),
+        lambda g: AccessTokens.kept(says("short", g.folder), "http://x"),
         OSError, "from which the links' tokens follow;",
     ),
     "advice": (

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from assist.large_tasks import truncated_task as region
 from assist.large_tasks.person_problem import PersonProblem
-from assist.large_tasks.truncated_task import Region
+from assist.large_tasks.truncated_task import TruncatedTask
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import Human, HumanModel, Mixture, Population
@@ -41,7 +41,7 @@ def test_a_parts_bounds_hold_for_the_whole(instance: Instance) -> None:
     exact = solve(whole(table), gap=1e-3, time_limit=3)
     widths = []
     for states in (5, 40, 100, 10_000):
-        part = Region.of(table, states=states)
+        part = TruncatedTask.of(table, states=states)
         bounds = solve(part.problem(**SETTING), gap=1e-3, time_limit=3)  # type: ignore[arg-type]
         assert bounds.lower <= exact.upper
         assert exact.lower <= bounds.upper
@@ -62,7 +62,7 @@ def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -
     problem = whole(table)
     best = qmdp(problem)
     for states in (5, 60):
-        part = Region.of(table, states=states)
+        part = TruncatedTask.of(table, states=states)
         frontier = part.problem(**SETTING).frontier  # type: ignore[arg-type]
         assert frontier is not None
         assert len(frontier.states) == len(part.frontier) > 0
@@ -73,7 +73,7 @@ def test_bounds_on_the_frontier_hold_in_each_of_its_states(instance: Instance) -
 
 def test_a_part_has_the_choices_of_the_task() -> None:
     table = table_of(INSTANCES["paper-fixed"])
-    part = Region.of(table, states=30)
+    part = TruncatedTask.of(table, states=30)
     full = Choices.of(table)
     inside = np.setdiff1d(np.arange(len(part.choices)), part.frontier)
     assert len(inside) == 30 + part.choices.goal[inside].sum()
@@ -91,7 +91,7 @@ def test_a_part_has_the_choices_of_the_task() -> None:
 
 
 def test_a_part_numbers_its_states_as_it_met_them() -> None:
-    part = Region.of(table_of(INSTANCES["paper-fixed"]), states=10)
+    part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=10)
     assert part.states[0] == part.known.initial
     assert part.local(part.states[::-1]).tolist() == list(range(len(part.states)))[::-1]
     last = int(part.states.max())
@@ -103,7 +103,7 @@ def looked_at(table: Table, human: Human | None = None) -> list[int]:
     nodes = table.values(np.arange(len(table)))[:, 0]
     beyond = [set[int]()]
     for count in range(1, len(table)):
-        part = Region.of(table, states=count, population=Population(beta=(1.0, 1.0)), human=human)
+        part = TruncatedTask.of(table, states=count, population=Population(beta=(1.0, 1.0)), human=human)
         beyond.append(set(nodes[np.delete(part.states, part.frontier)].tolist()) - {0})
     return [node for before, after in pairwise(beyond) for node in after - before]
 
@@ -142,7 +142,7 @@ def test_a_part_is_where_somebodys_mistakes_lead() -> None:
 
 def test_people_are_the_same_in_a_part_as_in_the_whole() -> None:
     table = table_of(INSTANCES["sealed"])
-    human, part = Human(1.0, 0.5, 1.0, Misconception(1.0, 5)), Region.of(table, states=30)
+    human, part = Human(1.0, 0.5, 1.0, Misconception(1.0, 5)), TruncatedTask.of(table, states=30)
     whole = human.expects(Choices.of(table))
     np.testing.assert_array_equal(human.expects(part.choices), whole[part.states])
     np.testing.assert_array_equal(region.expected(human, table, part.states, part.choices.h), whole[part.states])
@@ -151,19 +151,19 @@ def test_people_are_the_same_in_a_part_as_in_the_whole() -> None:
 def test_a_part_begins_where_it_is_told_and_ends_with_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     table, told = table_of(INSTANCES["paper-fixed"]), list[int]()
     monkeypatch.setitem(region.BATCH, "sweep", 3)
-    part = Region.of(table, start=7, states=8, time_limit=1e9, progress=told.append)
+    part = TruncatedTask.of(table, start=7, states=8, time_limit=1e9, progress=told.append)
     assert (part.states[0], told[0], max(told), sum(told)) == (7, 1, 3, 8)
-    everything = Region.of(table, progress=told.append)
+    everything = TruncatedTask.of(table, progress=told.append)
     assert (len(everything.states), len(everything.frontier)) == (len(table), 0)
     assert sum(told) == 8 + len(table) - table.space.goal.sum()
     now = iter([0.0, 1.0, 5.0, 7.0])
     monkeypatch.setattr(region, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    short = Region.of(table, time_limit=6.0)
+    short = TruncatedTask.of(table, time_limit=6.0)
     assert len(short.states) - len(short.frontier) - short.choices.goal.sum() == 1 + 3
 
 
 def test_a_parts_problem_is_of_the_people_and_prices_that_are_given() -> None:
-    part = Region.of(table_of(INSTANCES["sealed"]), states=15)
+    part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=15)
     some = Mixture((Population(beta=(0.1, 0.3), theta=(0.8, 0.9)), Population(theta=(0.2, 0.3))), (0.75, 0.25))
     people = {"eta": 0.4, "lapse": 0.02, "utility_scale": 3.0}
     prices = {"gamma": 0.9, "c_suggest": 0.3, "suggestions": "all"}
@@ -183,7 +183,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
     """Only what is known of the rest differs: on demand nothing is, so that the lower bound is lower."""
     table = table_of(INSTANCES["paper-fixed"])
     asked = OnDemand(load(INSTANCES["paper-fixed"]))
-    ours, theirs = Region.of(table, states=20), Region.of(asked, states=20)
+    ours, theirs = TruncatedTask.of(table, states=20), TruncatedTask.of(asked, states=20)
     values = {tuple(row) for row in table.values(ours.states).tolist()}
     assert values == {tuple(row) for row in asked.values(theirs.states).tolist()}
     known, unknown = (solve(r.problem(**SETTING), time_limit=2) for r in (ours, theirs))  # type: ignore[arg-type]
@@ -195,7 +195,7 @@ def test_a_part_of_a_task_that_is_asked_on_demand_is_the_same() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.integers(1, 150), st.floats(0.5, 0.995), st.floats(0, 2))
 def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: float) -> None:
-    part = Region.of(table_of(INSTANCES["sealed"]), states=states)
+    part = TruncatedTask.of(table_of(INSTANCES["sealed"]), states=states)
     problem = part.problem(gamma=gamma, c_suggest=c_suggest)
     bounds = solve(problem, time_limit=0.05)
     assert bounds.lower <= bounds.upper <= bounds.value_qmdp + 1e-9 * abs(bounds.value_qmdp)
@@ -203,14 +203,14 @@ def test_bounds_of_any_part_are_ordered(states: int, gamma: float, c_suggest: fl
 
 
 def test_nothing_is_executed_where_a_problem_breaks_off() -> None:
-    part = Region.of(table_of(INSTANCES["paper-fixed"]), states=5)
+    part = TruncatedTask.of(table_of(INSTANCES["paper-fixed"]), states=5)
     frontier = part.problem().frontier
     with pytest.raises(ValueError, match="execute: expected"):
         AssistPOMDP.of(HumanModel.exact(part.choices), execute=True, frontier=frontier)
 
 
 def test_a_solution_is_saved_with_its_bounds(tmp_path: Path) -> None:
-    for problem in (whole(table_of(INSTANCES["sealed"])), Region.of(table_of(WAYS), states=20).problem()):
+    for problem in (whole(table_of(INSTANCES["sealed"])), TruncatedTask.of(table_of(WAYS), states=20).problem()):
         solution = solve(problem, gap=0.01, time_limit=1)
         solution.save(tmp_path / "policy.npz", note=np.array("kept"))
         again = Solution.load(tmp_path / "policy.npz")
@@ -241,7 +241,7 @@ def test_a_problem_covers_all_of_a_small_table_and_a_region_of_anything_else(tin
     asked = OnDemand(tiny.task)
     for known, states in ((tiny, 5), (asked, 5), (asked, 10_000)):
         part = PersonProblem.of(known, states=states, **SETTING)  # type: ignore[arg-type]
-        region = Region.of(known, states=states)
+        region = TruncatedTask.of(known, states=states)
         assert part.states.tolist() == region.states.tolist()
         assert part.pomdp.frontier is not None
         assert part.pomdp.frontier.states.tolist() == region.frontier.tolist()

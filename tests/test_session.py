@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from assist.live import idempotency
 from assist.live.assistant import Assistant
 from assist.live.course import AbsentError, Event
-from assist.live.idempotency import Answered
+from assist.live.idempotency import AnsweredIds
 from assist.live.journal import Journal, JournalError
 from assist.live.live_task import InapplicableError, UnknownError
 from assist.live.session import Session
@@ -145,7 +145,7 @@ def test_all_answers_are_found_whatever_their_hashes(
 ) -> None:
     """However few hashes there are, and for whatever is asked."""
     journal = Journal(tmp_path_factory.mktemp("answered") / "journal.jsonl")
-    found = Answered(journal, hashed=lambda key: (int(key[1]) % hashes - 1) << 61)
+    found = AnsweredIds(journal, hashed=lambda key: (int(key[1]) % hashes - 1) << 61)
     expected: dict[tuple[str, str], int] = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(idempotency, "LATEST", 1000 if latest else 3)

@@ -17,13 +17,13 @@ from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_value, trust
 from assist.people.human import HumanModel, Population
 from assist.person.pomdp import AssistPOMDP
-from assist.person.problem_arrays import Arrays
+from assist.person.problem_arrays import ProblemArrays
 from assist.simulation.common_random_numbers import BLOCK
-from assist.simulation.dynamics import Minds, People, act
+from assist.simulation.dynamics import Minds, PeopleArrays, act
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.illustration import typical
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.attention import AttentionSwitching, NoAssistance
 from assist.team.policies import POLICIES
@@ -234,14 +234,14 @@ def test_compiled_steps_follow_the_equations(tiny_choices: Choices) -> None:
         for robot in range(pomdp.robot_actions[x]):
             beta, theta = rng.uniform(0.1, 3), rng.uniform(0, 1)
             belief = rng.dirichlet(np.ones(betas * thetas)).reshape(betas, thetas)
-            people = People(
+            people = PeopleArrays(
                 np.full(n, x), np.full(n, robot), np.zeros(n, dtype=np.int64), np.full(n, theta),
                 rng.random((n, 2)), np.repeat(belief[None], n, axis=0), np.zeros(n, dtype=np.int64), np.zeros(n),
                 np.zeros(n, dtype=bool),
             )  # fmt: skip
             alone = choice(model.q, tiny_choices.applicable, np.full(len(tiny_choices), beta))
             minds = Minds(alone[None], value[None], tiny_choices.optimal, model.eta, model.lapse, False)
-            act(np.arange(n), people, minds, Arrays.of(pomdp))
+            act(np.arange(n), people, minds, ProblemArrays.of(pomdp))
             place, told = pomdp.afterstate[x, robot], pomdp.suggested[x, robot]
             if tiny_choices.goal[place]:
                 assert (people.x == place).all()
@@ -322,7 +322,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
     )
     joins = data.draw(st.lists(st.integers(0, 6), min_size=humans, max_size=humans))
     stays = data.draw(st.lists(st.integers(1, 30), min_size=humans, max_size=humans))
-    presence = Presence.of(humans, joins, np.add(joins, stays))
+    presence = Schedule.of(humans, joins, np.add(joins, stays))
     rng = np.random.default_rng(0)
 
     def restless(team: TeamState) -> TeamAction:
@@ -399,7 +399,7 @@ def test_people_who_left_are_not_cut_off(pool: Pool) -> None:
     """An episode is cut off where a person could have gone on after the last step."""
     short = replace(pool, setting=replace(pool.setting, max_steps=3))
     for leaves, cut in ((1, 0), (3, 0), (4, 20)):
-        presence = Presence.of(2, leaves=[leaves, leaves])
+        presence = Schedule.of(2, leaves=[leaves, leaves])
         episodes = simulate(short, "none", humans=2, episodes=20, seed=0, presence=presence)
         assert not episodes.finished.any()
         assert episodes.summary().cut_off == cut

@@ -17,7 +17,7 @@ from assist.people.human import Population
 from assist.plots import study as study_figures
 from assist.plots.episode import episode_figure
 from assist.plots.study import COMPARISONS
-from assist.plots.style import LOOKS, Look, looks, save_for_pages
+from assist.plots.style import LOOKS, PolicyLook, looks, save_for_pages
 from assist.simulation.belief_trace import beliefs_of_episode
 from assist.simulation.episodes import Trace
 from assist.simulation.pool import Pool
@@ -83,7 +83,7 @@ def where(frame: pd.DataFrame, **values: str) -> pd.DataFrame:
     return frame
 
 
-def lines_of(axis: Axes, look: Look) -> np.ndarray:
+def lines_of(axis: Axes, look: PolicyLook) -> np.ndarray:
     """The points of the line, as opposed to those of the markers, that has the look of a policy."""
     [line] = [one for one in axis.get_lines() if one.get_color() == look.color and one.get_linestyle() != "None"]
     return np.asarray(line.get_xydata())

@@ -91,7 +91,7 @@ def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
 
 
 @cache
-def searched(name: str) -> hsvi.Hull:
+def searched(name: str) -> hsvi.UpperHull:
     """The points of a solution in the form that the search works with."""
     solution = solution_of(name)
     size = solution.pomdp.prior.size

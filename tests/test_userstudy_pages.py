@@ -21,7 +21,7 @@ from userstudies import PLAN, SCORES, written
 from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
-from assist.web.tokens import Access
+from assist.web.tokens import AccessTokens
 from assist.web.user_study import service
 from assist.web.user_study.routes import router
 from assist.web.user_study.service import VISITOR, StudyService
@@ -37,7 +37,7 @@ class Web:
     def __init__(self, table: Table, folder: Path, text: str = PLAN) -> None:
         study = read(written(folder / "study.toml", text))
         session = StudySession(study, {"tiny": table, "practice": table}, folder / "data")
-        self.access = Access.kept(folder / "data" / "secret", "http://testserver")
+        self.access = AccessTokens.kept(folder / "data" / "secret", "http://testserver")
         self.service = StudyService(session, self.access)
         self.client = TestClient(make_app(self.service, more=[router]), raise_server_exceptions=False)
 

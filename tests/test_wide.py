@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import KITTING, table_of
 
-from assist.certify.information_relaxation.belief_nodes import Lattice
-from assist.certify.information_relaxation.sampled_bound import Clairvoyant
+from assist.certify.information_relaxation.belief_nodes import BeliefNodes
+from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import TeamBound, upper_bound
 from assist.large_tasks.truncated_task import never_erring
@@ -17,7 +17,7 @@ from assist.people.human import Population
 from assist.person.solver import solve
 from assist.simulation.episodes import Episodes, Trace
 from assist.simulation.pool import Pool
-from assist.simulation.schedule import Presence
+from assist.simulation.schedule import Schedule
 from assist.simulation.simulate import simulate
 from assist.team.policy_on_part import is_for_one_step, is_on_part, on_parts
 from assist.team.settings import Setting
@@ -83,7 +83,7 @@ def test_a_policy_on_a_part_is_told_apart_before_it_is_solved(tiny: Table) -> No
 @pytest.mark.parametrize("knowledge", ["own", "exact"])
 def test_everybody_may_join_late(tiny: Table, knowledge: Any) -> None:
     """There are steps before anybody is there."""
-    late, setting = Presence.of(2, joins=[3, 1]), Setting(knowledge=knowledge, c_suggest=0.2)
+    late, setting = Schedule.of(2, joins=[3, 1]), Setting(knowledge=knowledge, c_suggest=0.2)
     whole, part = (
         episodes(tiny, "attention", states=states, region=EVERYTHING, presence=late, setting=setting)
         for states in (len(tiny), 0)
@@ -183,10 +183,10 @@ def test_lucks_go_on_around_the_region(tiny: Table, monkeypatch: pytest.MonkeyPa
     parts = [(visits := kind.at(np.zeros(0)), solve(visits.pomdp, gap=1e-3)) for kind in kinds]
     means, steps = [], []
     for outers in ([None, None], [kind.outer for kind in kinds]):
-        lattices = [Lattice(*part, outer) for part, outer in zip(parts, outers, strict=True)]
+        lattices = [BeliefNodes(*part, outer) for part, outer in zip(parts, outers, strict=True)]
         for lattice, (_, solution) in zip(lattices, parts, strict=True):
             assert lattice.value == pytest.approx(solution.upper, abs=1e-9)
-        robot = Clairvoyant(lattices, np.zeros(0), 12)
+        robot = InformationRelaxation(lattices, np.zeros(0), 12)
         paths = robot.paths([np.random.default_rng(number) for number in range(30)])
         means.append(np.mean([robot.bound(path, 0.3) for path in paths]))
         steps.append(np.mean([len(graph.layer) for path in paths for graph in path.graphs]))

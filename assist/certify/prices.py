@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planner import LimitError
 from planner.system.progress import Progress
 
-from ..large_tasks.truncated_bound import Bounded, Outer, likely
-from ..large_tasks.truncated_policy import WidePolicy
+from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, likely
+from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.arguments import positive
 from ..people.decision import Floats
 from ..person.qmdp import QMDP, ahead, highest, improve
@@ -26,7 +26,7 @@ from ..person.solver import first_bounds_bytes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
 from ..team.attention import NoAssistance
-from ..team.attention_subproblem import HERE, Layout, Visits, backwards, policy_bytes
+from ..team.attention_subproblem import HERE, AttentionSubproblem, TimeExpansion, backwards, policy_bytes
 from ..team.state import TeamAction, TeamState
 from ..team.travel import Travel
 
@@ -52,21 +52,21 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Kind:
+class SubproblemKind:
     """People of a team who have the same problem, and how many they are.
 
     Attributes
     ----------
     pool : Pool
-    visits : Visits
+    visits : AttentionSubproblem
         Their problem, at prices of 0; without prices where it is on a part of a task.
     tail : float array, shape (P * n, B, T)
         What it is worth from the step on from which attention is free, by position and state.
     places : tuple of int
         Theirs in the team.
-    outer : Outer or None
+    outer : OuterRelaxation or None
         What is known around the part on which that is, if it is not the whole task.
-    between : Outer or None
+    between : OuterRelaxation or None
         The same on a smaller region: people are looked at on it while prices are looked for.
     pairs : int
         On how many states, each with one step, people are looked at where there are prices and something is known
@@ -74,11 +74,11 @@ class Kind:
     """
 
     pool: Pool
-    visits: Visits
+    visits: AttentionSubproblem
     tail: Floats
     places: tuple[int, ...]
-    outer: Outer | None = None
-    between: Outer | None = None
+    outer: OuterRelaxation | None = None
+    between: OuterRelaxation | None = None
     pairs: int = 0
 
     @property
@@ -86,19 +86,19 @@ class Kind:
         """How many they are."""
         return len(self.places)
 
-    def best(self, visits: Visits) -> QMDP:
+    def best(self, visits: AttentionSubproblem) -> QMDP:
         """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
         return backwards(visits, self.tail)
 
-    def at(self, price: Floats) -> Visits:
+    def at(self, price: Floats) -> AttentionSubproblem:
         """Give the problem at prices of any steps."""
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
         if self.outer is None or not len(price):
-            return Visits.of(alone, entry, steps, price)
-        visits = Visits.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
+            return AttentionSubproblem.of(alone, entry, steps, price)
+        visits = AttentionSubproblem.of(alone, entry, steps, price, kept=likely(alone, len(price), self.pairs))
         return self.outer.beyond(visits, self.tail)
 
-    def _acting(self, price: Floats) -> tuple[Visits, Callable[[int, Ints], QMDP]]:
+    def _acting(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
         """Give a problem at these prices, and QMDP's policy in some of its states at each step."""
         if self.between is None:
             visits = self.visits.priced(price)
@@ -146,7 +146,7 @@ def kinds_of(
     memory_limit_mb: float = math.inf,
     until: float = math.inf,
     tell: Progress = lambda *_: None,
-) -> list[Kind]:
+) -> list[SubproblemKind]:
     """Give a team's kinds, with prices of 0 on so many steps.
 
     Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
@@ -172,29 +172,31 @@ def kinds_of(
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), places) in zip(problems, members.items(), strict=True):
-        free = Visits.of(one.problem, entry, entry_steps)
+        free = AttentionSubproblem.of(one.problem, entry, entry_steps)
         tail = highest(free.pomdp)
         improve(free.pomdp, tail, tolerance=1e-5)
-        visits = free if one.outer is not None else Visits.of(one.problem, entry, entry_steps, np.zeros(window))
+        visits = (
+            free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
+        )
         _refuse_above(memory_limit_mb, first_bounds_bytes(visits.pomdp), 1, len(visits.layout), window)
-        kinds.append(Kind(pool, visits, tail, tuple(places), one.outer, one.between, one.pairs))
+        kinds.append(SubproblemKind(pool, visits, tail, tuple(places), one.outer, one.between, one.pairs))
     return kinds
 
 
 def _alone(
     pool: Pool, model: int, entry: float, around: bool, until: float, memory_limit_mb: float, kept_mb: float
-) -> Bounded:  # fmt: skip
+) -> TruncatedProblem:  # fmt: skip
     """Give the problem of a model with a robot that is always there: on a region, if the task is not looked at whole.
 
     Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
     """
     policy = pool.policies[model]
-    if isinstance(policy, WidePolicy):
+    if isinstance(policy, TruncatedPolicy):
         return policy.bounded(entry, around=around, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb)
-    return Bounded(policy.pomdp)
+    return TruncatedProblem(policy.pomdp)
 
 
-def _allow(problems: list[Bounded], entry_steps: list[int], window: int, limit_mb: float) -> None:
+def _allow(problems: list[TruncatedProblem], entry_steps: list[int], window: int, limit_mb: float) -> None:
     """Refuse problems that would not fit the memory."""
     needed, states = 0.0, 0
     for one, steps in zip(problems, entry_steps, strict=True):
@@ -202,7 +204,7 @@ def _allow(problems: list[Bounded], entry_steps: list[int], window: int, limit_m
         timed = window and one.outer is None
         if timed:  # each step has a state or more; to list them takes long
             _refuse_above(limit_mb, policy_bytes(window), len(problems), window, window)
-        states = len(Layout.of(alone, 2 + steps, window if timed else 0))
+        states = len(TimeExpansion.of(alone, 2 + steps, window if timed else 0))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
     needed *= 1 + 1 / len(problems)  # one is solved anew in every round
@@ -231,7 +233,7 @@ def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
     return max(math.ceil(2 * shortest), int((working > MANY).sum()))
 
 
-def search(kinds: list[Kind], window: int, *, seed: int, deadline: float, tell: Progress) -> Floats:
+def search(kinds: list[SubproblemKind], window: int, *, seed: int, deadline: float, tell: Progress) -> Floats:
     """Look for prices until so many rounds are over or, on `time.perf_counter()`'s clock, the deadline is.
 
     Returns

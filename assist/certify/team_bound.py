@@ -38,21 +38,21 @@ from planner.system.arrays import outline
 from planner.system.machine import processors
 from planner.system.progress import Progress, Wanted, shows_progress
 
-from ..large_tasks.truncated_policy import WidePolicy
+from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.decision import Floats
 from ..person.solver import Solution, solve
 from ..simulation.pool import MEMORY_LIMIT_MB, Pool
-from ..team.attention_subproblem import Visits
+from ..team.attention_subproblem import AttentionSubproblem
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 from .certificate import Certificate, Meeting, horizon, returns
-from .information_relaxation.belief_nodes import Lattice
-from .information_relaxation.confidence import Sampled
+from .information_relaxation.belief_nodes import BeliefNodes
+from .information_relaxation.confidence import SampledBound
 from .information_relaxation.congestion import OutOfTimeError
-from .information_relaxation.sampled_bound import AFTER, Clairvoyant
-from .prices import Kind, kinds_of, search, window_of
+from .information_relaxation.sampled_bound import AFTER, InformationRelaxation
+from .prices import SubproblemKind, kinds_of, search, window_of
 
 FOR_BOUND = 0.8
 """The share of a time limit in which a bound is looked for; policies are simulated in the rest."""
@@ -110,7 +110,7 @@ class TeamBound:
     seconds : float
     proven : float
         What holds in any case.
-    sampled : Sampled or None
+    sampled : SampledBound or None
         The sample paths' mean; None where none were asked for, or there was no time for any. Of fewer than
         `confidence.FEWEST` it is reported, and `upper` is `proven`.
     """
@@ -124,7 +124,7 @@ class TeamBound:
     price: Floats
     seconds: float
     proven: float
-    sampled: Sampled | None = None
+    sampled: SampledBound | None = None
 
     __repr__ = outline
 
@@ -250,7 +250,7 @@ def upper_bound(
     luck = entropy(seed)
     for_people = (1 - FOR_PATHS) * limit if paths else limit
 
-    def kinds_with(steps: int, around: bool) -> list[Kind]:
+    def kinds_with(steps: int, around: bool) -> list[SubproblemKind]:
         return kinds_of(
             pool, members, travel, steps, around=around, memory_limit_mb=memory_limit_mb,
             until=start + FOR_REGIONS * for_people, tell=progress,
@@ -293,7 +293,7 @@ def upper_bound(
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
         with suppress(OutOfTimeError):
-            robot = Clairvoyant(relaxed.lattices(), relaxed.price, together, left, workers)
+            robot = InformationRelaxation(relaxed.lattices(), relaxed.price, together, left, workers)
             sampled = robot.sampled(paths, luck)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     return TeamBound(
@@ -305,13 +305,15 @@ def upper_bound(
 def _worth_prices(pool: Pool, team: tuple[int, ...], memory_limit_mb: float) -> bool:
     """Tell whether prices are looked for on parts of a large task: not if states take searches or memory is short."""
     models = set(pool.model[list(team)].tolist())
-    searches = any(isinstance(pool.policies[m], WidePolicy) and pool.policies[m].ground.known.searches for m in models)
+    searches = any(
+        isinstance(pool.policies[m], TruncatedPolicy) and pool.policies[m].ground.known.searches for m in models
+    )
     return not searches and memory_limit_mb / len(models) >= ROOM
 
 
 def _timed(
-    kinds_with: Callable[[int, bool], list[Kind]], steps: int, wanted: bool, around: bool
-) -> tuple[list[Kind], int]:
+    kinds_with: Callable[[int, bool], list[SubproblemKind]], steps: int, wanted: bool, around: bool
+) -> tuple[list[SubproblemKind], int]:
     """Give a team's kinds on parts of a large task, and on how many steps they have prices: as memory allows.
 
     None if it is not known what prices do where a part breaks off, unless they are wanted in any case.
@@ -332,8 +334,8 @@ def _timed(
 class _Relaxed:
     """A team taken apart: people's problems at some prices, with their solutions."""
 
-    kinds: list[Kind]
-    parts: list[tuple[Visits, Solution]]
+    kinds: list[SubproblemKind]
+    parts: list[tuple[AttentionSubproblem, Solution]]
     price: Floats
 
     def _all(self, each: Callable[[Solution], float]) -> float:
@@ -361,16 +363,16 @@ class _Relaxed:
         """Whether each problem was solved as far as was asked for."""
         return all(solution.stopped == "gap" for _, solution in self.parts)
 
-    def lattices(self) -> list[Lattice]:
+    def lattices(self) -> list[BeliefNodes]:
         """Give each person's; people of a kind share one."""
         # For a robot whose way takes time, what is around a part is of one whose way takes none.
         around = [kind.outer if not len(self.price) and not kind.visits.entry_steps else None for kind in self.kinds]
-        lattices = [Lattice(*part, outer) for part, outer in zip(self.parts, around, strict=True)]
+        lattices = [BeliefNodes(*part, outer) for part, outer in zip(self.parts, around, strict=True)]
         return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
 
 
 def _met(
-    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[Kind], price: Floats, steps: int, seed: int
+    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[SubproblemKind], price: Floats, steps: int, seed: int
 ) -> Meeting:
     """Simulate priority at these prices for so many steps.
 
@@ -384,7 +386,7 @@ def _met(
     return meeting
 
 
-def _beliefs(kind: Kind, visits: Visits, met: Meeting) -> tuple[NDArray[np.int64], Floats]:
+def _beliefs(kind: SubproblemKind, visits: AttentionSubproblem, met: Meeting) -> tuple[NDArray[np.int64], Floats]:
     """Give the states of a problem and the beliefs with which people of a kind are met, the latest first."""
     found = [one for place in kind.places for one in met.met[place] if len(one[1])]
     states = np.concatenate([visits.layout.number(step, here, x) for step, x, here, _ in found])
@@ -398,12 +400,13 @@ def _beliefs(kind: Kind, visits: Visits, met: Meeting) -> tuple[NDArray[np.int64
 
 
 def _relax(
-    kinds: list[Kind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int, tell: Progress,
+    kinds: list[SubproblemKind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int,
+    tell: Progress,
     met: Meeting | None = None,
 ) -> _Relaxed:  # fmt: skip
     """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
 
-    def one(number: int, kind: Kind) -> tuple[Visits, Solution]:
+    def one(number: int, kind: SubproblemKind) -> tuple[AttentionSubproblem, Solution]:
         visits = kind.at(price)
         best = kind.best(visits)
         still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
@@ -414,7 +417,7 @@ def _relax(
             met=None if met is None else _beliefs(kind, visits, met),
         )  # fmt: skip
 
-    parts: list[tuple[Visits, Solution]] = []
+    parts: list[tuple[AttentionSubproblem, Solution]] = []
     tell("bounding people's problems", 0, len(kinds))
     with ThreadPoolExecutor(workers) as threads:
         for part in threads.map(one, range(len(kinds)), kinds):

@@ -17,7 +17,7 @@ from .options.policies import policy_errors
 from .user_study import PORT, conduct, listen, live_server, public_url_option
 
 if TYPE_CHECKING:
-    from ..web.tokens import Access
+    from ..web.tokens import AccessTokens
 
 
 @click.command()
@@ -57,7 +57,7 @@ def serve(
             raise click.UsageError(str(error)) from None
     listening = listen(host, port, public_url)
 
-    def ready(access: Access, people: tuple[str, ...]) -> None:
+    def ready(access: AccessTokens, people: tuple[str, ...]) -> None:
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}
         click.echo(json.dumps({"url": access.base, "operator": access.operator_url(), "join": join}))
         click.echo(

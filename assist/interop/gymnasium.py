@@ -21,12 +21,12 @@ from planner.system.errors import MissingExtraError
 
 from ..people.decision import Floats
 from ..people.human import Mixture, Population
-from ..simulation.common_random_numbers import Luck
+from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.pool import Pool
 from ..simulation.task_view import World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState
-from .rendering import Stage
+from .rendering import EnvironmentPicture
 from .teams import Sight, Teams, pool_of
 
 try:
@@ -99,7 +99,9 @@ class _Desk:
         """Give the numbers of a policy's actions."""
         return np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
 
-    def step(self, rows: NDArray[np.int64], numbers: NDArray[np.int64], luck: Luck) -> tuple[Any, Any, Any]:
+    def step(
+        self, rows: NDArray[np.int64], numbers: NDArray[np.int64], luck: CommonRandomNumbers
+    ) -> tuple[Any, Any, Any]:
         """Step some teams; give which actions were not possible, what everybody did, and the rewards, shape (N,)."""
         teams = self.teams
         illegal = self.mask()[np.arange(len(numbers)), numbers] == 0
@@ -162,9 +164,9 @@ class TeamEnv(gymnasium.Env):
         self.observation_space, self.action_space = self._desk.spaces()
         self._seed: int | None = None
         self._episode = -1
-        self._luck: Luck | None = None
+        self._luck: CommonRandomNumbers | None = None
         self._seen: list[tuple[int, str]] = []
-        self._stage: Stage | None = None
+        self._stage: EnvironmentPicture | None = None
 
     @property
     def pool(self) -> Pool:
@@ -207,7 +209,7 @@ class TeamEnv(gymnasium.Env):
             self._episode = -1
         self._episode = int(options.get("episode", self._episode + 1))
         teams = self._desk.teams
-        luck = self._luck = Luck(self._seed, np.array([self._episode]), teams.x.shape[1])
+        luck = self._luck = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
         drawn = luck.team(len(teams.pool.people))
         people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
         teams.begin(np.zeros(1, dtype=np.int64), people, lambda: luck.draw(0, np.zeros(1, dtype=np.int64)))
@@ -257,7 +259,7 @@ class TeamEnv(gymnasium.Env):
         if isinstance(self._instance, Pool):
             raise TypeError("render: expected an environment of a task by its file or name, and this one is of a pool")
         if self._stage is None:
-            self._stage = Stage(self._instance)
+            self._stage = EnvironmentPicture(self._instance)
         teams = self._desk.teams
         there = int(teams.location[0]) if self.is_free else BASE
         return self._stage.draw(
@@ -296,7 +298,7 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         batch = gymnasium.vector.utils.batch_space
         self.observation_space = batch(self.single_observation_space, num_envs)
         self.action_space = batch(self.single_action_space, num_envs)
-        self._luck: Luck | None = None
+        self._luck: CommonRandomNumbers | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
 
     @property
@@ -335,12 +337,12 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         given = self.np_random_seed if seed is not None else None
         number = int(self.np_random.integers(2**63)) if given is None else int(given)
         teams = self._desk.teams
-        self._luck = Luck(number, np.arange(self.num_envs), teams.x.shape[1])
+        self._luck = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
         self._begin(np.arange(self.num_envs), self._luck)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         return self._observed(np.zeros(self.num_envs, dtype=bool))
 
-    def _begin(self, rows: NDArray[np.int64], luck: Luck) -> None:
+    def _begin(self, rows: NDArray[np.int64], luck: CommonRandomNumbers) -> None:
         people = luck.team(len(self.pool.people))[rows]
         self._desk.teams.begin(rows, people, lambda: luck.draw(0, rows))
 

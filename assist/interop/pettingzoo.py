@@ -10,7 +10,7 @@ import numpy as np
 from planner.system.errors import MissingExtraError
 
 from ..people.human import Mixture, Population
-from ..simulation.common_random_numbers import Luck
+from ..simulation.common_random_numbers import CommonRandomNumbers
 from ..simulation.pool import Pool
 from ..simulation.task_view import World
 from ..team.settings import Setting
@@ -120,7 +120,7 @@ class StationsEnv(pettingzoo.ParallelEnv):
             self._episode = -1
         self._episode = int((options or {}).get("episode", self._episode + 1))
         teams, row = self._teams, np.zeros(1, dtype=np.int64)
-        luck = self._luck = Luck(self._seed, np.array([self._episode]), len(self.possible_agents))
+        luck = self._luck = CommonRandomNumbers(self._seed, np.array([self._episode]), len(self.possible_agents))
         teams.begin(row, luck.team(len(teams.pool.people)), lambda: luck.draw(0, row))
         self.agents = list(self.possible_agents)
         return self._observed(dict.fromkeys(self.agents, False))

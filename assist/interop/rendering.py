@@ -17,7 +17,7 @@ from ..drawing.picture import Artist
 from ..drawing.raster import png, require
 
 
-class Stage:
+class EnvironmentPicture:
     """Draws teams at a task.
 
     Parameters

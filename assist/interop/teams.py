@@ -19,9 +19,9 @@ from planner import load, sweep
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population
 from ..simulation.common_random_numbers import from_the_prior
-from ..simulation.dynamics import People, act
+from ..simulation.dynamics import PeopleArrays, act
 from ..simulation.pool import LARGEST, Pool
-from ..simulation.task_view import Group, World
+from ..simulation.task_view import ModelGroup, World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
 
@@ -68,7 +68,7 @@ class Teams:
             raise ValueError("pool: expected people on a task that is looked at whole (Pool.sample, `states`)")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
-        self.groups = {number: Group.of_model(pool, number, world) for number in range(len(pool.policies))}
+        self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
         self._row = np.sum([group.row for group in self.groups.values()], axis=0)
         choices = [pool.choices(number) for number in range(len(pool.people))]
         self._initial = np.array([one.initial for one in choices])
@@ -146,7 +146,7 @@ class Teams:
         there = np.zeros(self.x.shape, dtype=bool)
         there[rows] = ~self.finished[rows]
         charged = np.zeros(self.x.size)
-        people = People.of_teams(self.x, robot, self.who, self.theta, luck, self.belief, self.erred)
+        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, luck, self.belief, self.erred)
         for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
             group = self.groups[number]
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]

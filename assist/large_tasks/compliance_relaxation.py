@@ -45,7 +45,7 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Complying:
+class ComplianceBounds:
     """Upper bounds on what the robot gets with somebody whose beta is seen.
 
     Attributes
@@ -83,7 +83,7 @@ def at_most(
     lapse: float,
     optimal: bool = True,
     deadline: float = math.inf,
-) -> Complying:
+) -> ComplianceBounds:
     """Bound from above what the robot gets with somebody from some states on.
 
     They choose by cost-to-go alone (eq. 4).
@@ -134,7 +134,7 @@ def at_most(
         return value[: len(states)] * (1 - ROUNDING / (1 - gamma))  # values are negative
 
     with ThreadPoolExecutor(processors()) as threads:
-        return Complying(states, np.stack(list(threads.map(one, betas.tolist())), axis=1))
+        return ComplianceBounds(states, np.stack(list(threads.map(one, betas.tolist())), axis=1))
 
 
 def mistaken_about_states(human: Human) -> bool:

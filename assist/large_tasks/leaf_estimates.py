@@ -1,7 +1,7 @@
 """What a person's problem is worth on a region of their task, and about what it is worth everywhere else.
 
-Where a `Region` breaks off, bounds are far from what really follows: a policy that took them for values would think
-that people who leave it never err again. So here the values at the frontier are *estimated*, by the mean of the
+Where a `TruncatedTask` breaks off, bounds are far from what really follows: a policy that took them for values would
+think that people who leave it never err again. So here the values at the frontier are *estimated*, by the mean of the
 region's values at states of the same cost-to-go, and worked out together with these: sweeps of value iteration, then
 new means, a few times. The same means stand for all states outside. No bound rests on them.
 """
@@ -19,7 +19,7 @@ from planner.system.progress import Progress
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import highest, improve
-from .truncated_task import Region, never_erring
+from .truncated_task import TruncatedTask, never_erring
 
 TOLERANCE = 0.3
 """Largest error of a region's values given those at its frontier, in cost units.
@@ -39,7 +39,7 @@ AGAIN = 2
 
 
 @dataclass(frozen=True)
-class Estimates:
+class LeafEstimates:
     """Values of a region's states, and of all others by their cost-to-go.
 
     Attributes
@@ -73,24 +73,24 @@ class Estimates:
     def of(
         cls,
         problem: AssistPOMDP,
-        region: Region,
+        region: TruncatedTask,
         rows: NDArray[np.int64] | None = None,
         *,
-        like: Estimates | None = None,
+        like: LeafEstimates | None = None,
         tolerance: float | None = None,
         progress: Progress | None = None,
-    ) -> Estimates:
+    ) -> LeafEstimates:
         """Work them out.
 
         Parameters
         ----------
         problem : AssistPOMDP
             One person's, on the region, which breaks off where the region does.
-        region : Region
+        region : TruncatedTask
             Of n states.
         rows : int array, shape (P, n)
             The problem's state for each position of the robot; those of the region unless given.
-        like : Estimates, optional
+        like : LeafEstimates, optional
             Of a problem with similar values, from which these begin; with as many positions, or one.
         tolerance : float
             Largest error of a value given those at the frontier; `TOLERANCE` unless given, `DIGITS` where there is no

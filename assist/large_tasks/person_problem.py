@@ -17,7 +17,7 @@ from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import AssistPOMDP, Suggestions
-from .truncated_task import Region
+from .truncated_task import TruncatedTask
 
 WHOLE = 20_000
 """States of a table up to which all are worked out, and those of a region beyond it."""
@@ -27,7 +27,7 @@ ASKED = 200
 
 
 def is_whole(known: CostToGo, states: int | None = None) -> TypeGuard[Table]:
-    """Decide whether a person's problem covers all of a task, or only a `Region` of it.
+    """Decide whether a person's problem covers all of a task, or only a `TruncatedTask` of it.
 
     All of it does if every cost-to-go is known and there are at most so many states: then nothing breaks off, the
     value is that of the task, and people's misconceptions and the robot's own actions may lead anywhere. A solver
@@ -132,7 +132,7 @@ class PersonProblem:
         ):
             if given:
                 raise ValueError(f"{name}: expected a task of at most {states:,} states, and all of them known")
-        region = Region.of(
+        region = TruncatedTask.of(
             known, start=start, states=states, population=population, time_limit=time_limit, progress=progress
         )
         pomdp = region.problem(

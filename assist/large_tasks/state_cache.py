@@ -1,9 +1,9 @@
 """The states of a task of any size that somebody has come to, with what can be done there: nothing else is kept.
 
 What the next step of some people needs is little: the choices of the states in which they are, and of those to which
-they may be advised to go, since that is what trust looks at. `Visited.around` gives it as a `Region` that breaks off
-at once. What has been looked at is kept, so that memory grows with what is visited; a state's misconceptions need no
-memory (`people.misconception`).
+they may be advised to go, since that is what trust looks at. `StateCache.around` gives it as a `TruncatedTask` that
+breaks off at once. What has been looked at is kept, so that memory grows with what is visited; a state's misconceptions
+need no memory (`people.misconception`).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from planner import CostToGo, Transitions, optimal_choices
 
 from ..people.choices import WAIT, Choices, keys_of
-from .truncated_task import Region
+from .truncated_task import TruncatedTask
 
 Ints = NDArray[np.int64]
 
 NONE = np.empty(0, dtype=np.int64)
 
 
-class Visited:
+class StateCache:
     """What is known of the states that have been met; it grows with what it is asked, by one thread at a time.
 
     Parameters
@@ -48,7 +48,9 @@ class Visited:
     def __len__(self) -> int:
         return len(self._states)
 
-    def around(self, states: Ints, *, then: Ints = NONE, ahead: bool = False, advice_is_optimal: bool = True) -> Region:
+    def around(
+        self, states: Ints, *, then: Ints = NONE, ahead: bool = False, advice_is_optimal: bool = True
+    ) -> TruncatedTask:
         """Give some states with their choices, and what these lead to as a frontier.
 
         Parameters
@@ -113,7 +115,7 @@ class Visited:
         ends = np.cumsum(counts)
         return whose, np.arange(len(whose)) - (ends - counts)[whose] + self._first[rows][whose]
 
-    def _region(self, here: Ints, after: Ints) -> Region:
+    def _region(self, here: Ints, after: Ints) -> TruncatedTask:
         """Arrange rows that have been looked at; those `here` are nobody's targets."""
         looked = np.concatenate([here, after])
         whose, at = self._choices(looked)
@@ -142,7 +144,7 @@ class Visited:
             key=self._key[rows],
         )  # fmt: skip
         frontier = np.arange(len(looked), len(rows))
-        return Region(self.known, choices, self._states[rows], frontier[~goal[frontier]])
+        return TruncatedTask(self.known, choices, self._states[rows], frontier[~goal[frontier]])
 
 
 class _Rows:

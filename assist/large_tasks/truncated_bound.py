@@ -42,9 +42,10 @@ Proof, from the outside.
 What is known about people soon hardly differs from all there is to know: what they do shows it. So most of what seeing
 is worth is within a few steps of the beginning, in the innermost part.
 
-People who leave that part can be followed on the larger region (`Outer`); for a robot whose way takes time that is left
-out, since there it takes none. Where attention has a price at each step, there is a state for every step; so only the
-likeliest at each are looked at (`likely`), and the values at their frontier are computed step by step (`Outer.beyond`).
+People who leave that part can be followed on the larger region (`OuterRelaxation`); for a robot whose way takes time
+that is left out, since there it takes none. Where attention has a price at each step, there is a state for every step;
+so only the likeliest at each are looked at (`likely`), and the values at their frontier are computed step by step
+(`OuterRelaxation.beyond`).
 """
 
 from __future__ import annotations
@@ -64,14 +65,14 @@ from ..people.belief import Grid
 from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
-from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.pomdp import AssistPOMDP, LeafBounds
 from ..person.qmdp import backward, highest, improve
 from ..person.solver import first_bounds_bytes
-from ..team.attention_subproblem import AWAY, HERE, Visits
+from ..team.attention_subproblem import AWAY, HERE, AttentionSubproblem
 from ..team.settings import Setting
 from .compliance_relaxation import around, at_most, mistaken_about_states
-from .state_cache import Visited
-from .truncated_task import Region
+from .state_cache import StateCache
+from .truncated_task import TruncatedTask
 
 HIDDEN = 10_000
 """States of the region on which beta and theta are hidden, if there are time and memory for so many.
@@ -157,12 +158,12 @@ On a task of 654,610 states a person's bound at its beginning was -22.224 after 
 
 
 @dataclass(frozen=True)
-class Outer:
+class OuterRelaxation:
     """The larger region around that on which beta and theta are hidden, where a robot sees them.
 
     Attributes
     ----------
-    visits : Visits
+    visits : AttentionSubproblem
         The person's problem on it, with a robot that comes and goes.
     value : float array, shape (m, B, T)
         What no robot exceeds in its states.
@@ -170,7 +171,7 @@ class Outer:
         Which of the region's states each of the inner one's is; -1 where it is none of them.
     """
 
-    visits: Visits
+    visits: AttentionSubproblem
     value: Floats
     place: NDArray[np.int64]
 
@@ -191,7 +192,7 @@ class Outer:
             np.minimum(found, self.value, out=found)  # prices make nobody better off
             yield step, found
 
-    def beyond(self, visits: Visits, free: Floats) -> Visits:
+    def beyond(self, visits: AttentionSubproblem, free: Floats) -> AttentionSubproblem:
         """Give the problem of visits of the inner region, with prices, with what follows where that breaks off.
 
         A robot on its way gets no more than one that is there, and is paid for as well. Nor does anybody get more than
@@ -206,28 +207,28 @@ class Outer:
         for step, most in self.priced(visits.price):
             at = np.flatnonzero(layout.step[states] == step)
             upper[at] = np.minimum(upper[at], most[own[at]])
-        return replace(visits, pomdp=replace(visits.pomdp, frontier=Frontier(states, upper, upper)))
+        return replace(visits, pomdp=replace(visits.pomdp, frontier=LeafBounds(states, upper, upper)))
 
 
 @dataclass(frozen=True)
-class Bounded:
+class TruncatedProblem:
     """One person's problem, of which a bound is one of the whole task.
 
     Attributes
     ----------
     problem : AssistPOMDP
         With a robot that is always there, on the region where beta and theta are hidden.
-    outer : Outer or None
+    outer : OuterRelaxation or None
         What is known around it, if that has been asked for and anything is.
-    between : Outer or None
+    between : OuterRelaxation or None
         The same on a smaller region: prices are looked for on it.
     pairs : int
         On how many states, each with one step, they are hidden where each is there once for every step.
     """
 
     problem: AssistPOMDP
-    outer: Outer | None = None
-    between: Outer | None = None
+    outer: OuterRelaxation | None = None
+    between: OuterRelaxation | None = None
     pairs: int = 0
 
 
@@ -243,7 +244,7 @@ def bounded(
     until: float = math.inf,
     memory_limit_mb: float = math.inf,
     kept_mb: float = math.inf,
-) -> Bounded:
+) -> TruncatedProblem:
     """Set up a person's problem with a robot that is always there, on a region with bounds of the whole task beyond.
 
     Parameters
@@ -275,40 +276,40 @@ def bounded(
     who = {"population": prior, "human": human}
     in_time = PAIRS_PER_SECOND * (until - time.perf_counter())
     hidden, seen = min(size, HIDDEN, FEW), 0 if known.searches else SEEN
-    inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
+    inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
     more = int(min(size, HIDDEN, _affordable(problem, hidden, until, kept_mb)))
     if more > hidden and len(inner.frontier) and not known.searches:
         hidden = more
-        inner = Region.of(known, states=hidden, **who)  # type: ignore[arg-type]
+        inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
         problem = _seen(inner, setting, human, prior)
     assert problem.frontier is not None
     left = (until - time.perf_counter()) * FOR_REGIONS
     if not (seen > hidden and len(inner.frontier) and left > 0):
-        return Bounded(_within(inner, problem, None, setting, human, prior))
+        return TruncatedProblem(_within(inner, problem, None, setting, human, prior))
     limit = None if left == math.inf else left
-    outer = Region.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
+    outer = TruncatedTask.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
     around_it = _seen(outer, setting, human, prior)
     if (share := memory_limit_mb * 1e6 / _bytes(around_it)) < 1:  # half of it, as small ones have larger frontiers
         few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
-        outer = Region.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
+        outer = TruncatedTask.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
         around_it = _seen(outer, setting, human, prior)
     comply = _complying(outer, setting, human, prior, until, memory_limit_mb)
     visits, value = _values(around_it, comply, entry, until, memory_limit_mb)
-    found = Outer(visits, value, outer.local(inner.states))
+    found = OuterRelaxation(visits, value, outer.local(inner.states))
     problem = _within(inner, problem, found, setting, human, prior)
     if not around or (found.place < 0).any():
-        return Bounded(problem)
+        return TruncatedProblem(problem)
     room = FOR_PAIRS * kept_mb * 1e6 / (2 * NEXT_TO * _bytes_of_a_state(problem))
     pairs = int(max(PAIRS_FEW, min(PAIRS, in_time, room)))
-    middle = Region.of(known, states=min(BETWEEN, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
+    middle = TruncatedTask.of(known, states=min(BETWEEN, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
     place = outer.local(middle.states)
     if (place < 0).any():  # time was over before
-        return Bounded(problem, found, found, pairs)
+        return TruncatedProblem(problem, found, found, pairs)
     between = _within(middle, _seen(middle, setting, human, prior), replace(found, place=place), setting, human, prior)
-    own = Visits.of(between, entry)
+    own = AttentionSubproblem.of(between, entry)
     values = np.ascontiguousarray(value[visits.layout.number(0, own.layout.position, place[own.layout.x])])
-    return Bounded(problem, found, Outer(own, values, middle.local(inner.states)), pairs)
+    return TruncatedProblem(problem, found, OuterRelaxation(own, values, middle.local(inner.states)), pairs)
 
 
 def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
@@ -344,7 +345,7 @@ def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float)
 
 
 def _within(
-    region: Region, problem: AssistPOMDP, outer: Outer | None, setting: Setting, human: Human | None,
+    region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None, setting: Setting, human: Human | None,
     prior: Population | Mixture,
 ) -> AssistPOMDP:  # fmt: skip
     """Give a region's problem with what is known where it breaks off; `outer.place` is of the region's states."""
@@ -360,7 +361,7 @@ def _within(
     return setting.problem(region.choices, human, prior, frontier=frontier)
 
 
-def _seen(region: Region, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
+def _seen(region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
     """Return the problem on a region beyond which people never err, with V(x) of the whole task at its frontier."""
     beyond = region.bounds_of_anybody(setting.gamma, 1)
     expected = -region.choices.h[region.frontier]
@@ -378,13 +379,13 @@ def _expected(
     """Return V(x) of eq. 6 in some states, shape (N,), from their choices in the whole task."""
     if not len(states):
         return np.empty(0)
-    around = Visited(known).around(states)
+    around = StateCache(known).around(states)
     model = setting.problem(around.choices, human, prior, frontier=around.bounds_of_anybody(setting.gamma, 1)).model
     return value(setting.chooses(human, prior), around.choices, model.q)[: len(states)]
 
 
 def _complying(
-    region: Region, setting: Setting, human: Human | None, prior: Population | Mixture, until: float,
+    region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture, until: float,
     memory_limit_mb: float,
 ) -> Floats | None:  # fmt: skip
     """Bound what anybody gets in a region's states, shape (n, B), with a part around it where people comply.
@@ -409,7 +410,7 @@ def _complying(
 
 def _values(
     problem: AssistPOMDP, comply: Floats | None, entry: float, until: float, memory_limit_mb: float
-) -> tuple[Visits, Floats]:
+) -> tuple[AttentionSubproblem, Floats]:
     """Bound what a robot that comes and goes gets on a region where it sees beta and theta, shape (m, B, T).
 
     Nobody gets more there than `comply`, shape (n, B), if that is known.
@@ -420,7 +421,7 @@ def _values(
             f"bounding what somebody gets on {len(problem.robot_actions):,} states takes about {needed:,.0f} MB of "
             f"memory, and {memory_limit_mb:,.0f} MB are allowed; expected a smaller region or a higher limit"
         )
-    visits = Visits.of(problem, entry)
+    visits = AttentionSubproblem.of(problem, entry)
     found = highest(visits.pomdp)
     if comply is not None:
         found = np.minimum(found, comply[visits.layout.x][:, :, None])

@@ -1,13 +1,14 @@
 """One person's policy on a task of any size.
 
 A task of millions of states, or one that is only asked on demand, has no room for what a policy keeps of each of them.
-A `WidePolicy` is worked out on the states that are met most likely from the initial one on (a `Region`), and looks one
-step ahead from wherever somebody is: exactly, with the person's misconceptions there, on values that are those of the
-region inside it and estimates by the exact cost-to-go outside (`large_tasks.leaf_estimates`). So it suggests optimal
-actions where the person would err anywhere in the task, and forgets about states as soon as they are left.
+A `TruncatedPolicy` is worked out on the states that are met most likely from the initial one on (a `TruncatedTask`),
+and looks one step ahead from wherever somebody is: exactly, with the person's misconceptions there, on values that are
+those of the region inside it and estimates by the exact cost-to-go outside (`large_tasks.leaf_estimates`). So it
+suggests optimal actions where the person would err anywhere in the task, and forgets about states as soon as they are
+left.
 
-What the next step needs of the states in which people are is a problem of its own (`Around`), which breaks off at once:
-its arrays have a row for each of these states and for those that come next. Team policies see the people in it.
+What the next step needs of the states in which people are is a problem of its own (`LocalProblem`), which breaks off at
+once: its arrays have a row for each of these states and for those that come next. Team policies see the people in it.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.pomdp import AssistPOMDP
 from ..person.qmdp import QMDP, SOLVING, ahead
-from ..team.attention_subproblem import Visits
+from ..team.attention_subproblem import AttentionSubproblem
 from ..team.settings import Setting
-from .leaf_estimates import Estimates
-from .state_cache import NONE, Visited
-from .truncated_bound import Bounded, bounded
-from .truncated_task import Region
+from .leaf_estimates import LeafEstimates
+from .state_cache import NONE, StateCache
+from .truncated_bound import TruncatedProblem, bounded
+from .truncated_task import TruncatedTask
 
 REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
 """States that a policy is worked out on, by how a state's cost-to-go is come by."""
@@ -44,7 +45,7 @@ def how(known: CostToGo) -> str:
     return "orbits" if known.method == "on-demand" and not known.searches else known.method
 
 
-class Ground:
+class SharedTask:
     """A task that people of one pool share, and what has been met of it.
 
     Parameters
@@ -58,20 +59,20 @@ class Ground:
 
     def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
         self.known, self.prior, self.size = known, prior, size or REGION[how(known)]
-        self.visited = Visited(known)
+        self.visited = StateCache(known)
 
 
 @dataclass(frozen=True, eq=False)
-class WidePolicy:
+class TruncatedPolicy:
     """One person's policy on a task of any size; states are named as the task's cost-to-go names them.
 
     Attributes
     ----------
-    ground : Ground
+    ground : SharedTask
     setting : Setting
     human : Human or None
         The person, as far as the robot knows what they are mistaken about; None: it knows the task only.
-    like : WidePolicy or None
+    like : TruncatedPolicy or None
         For somebody else, from whose values theirs are worked out; where there are many people that saves time.
     solved : dict
         What has been estimated so far, by what it depends on: the prices of attention, if there are any.
@@ -79,12 +80,12 @@ class WidePolicy:
         The problems of which bounds have been asked for, by what coming costs and whether what is around is known.
     """
 
-    ground: Ground
+    ground: SharedTask
     setting: Setting
     human: Human | None = None
-    like: WidePolicy | None = None
-    solved: dict[tuple[float, ...], Estimates] = field(default_factory=dict, repr=False)
-    bounds: dict[tuple[float, bool], Bounded] = field(default_factory=dict, repr=False)
+    like: TruncatedPolicy | None = None
+    solved: dict[tuple[float, ...], LeafEstimates] = field(default_factory=dict, repr=False)
+    bounds: dict[tuple[float, bool], TruncatedProblem] = field(default_factory=dict, repr=False)
     on_part: ClassVar[bool] = True
 
     @property
@@ -98,12 +99,12 @@ class WidePolicy:
         return self.around(np.array([self.ground.known.initial])).pomdp
 
     @cached_property
-    def region(self) -> Region:
+    def region(self) -> TruncatedTask:
         """The states that the person most likely meets from the initial one on."""
         ground = self.ground
-        return Region.of(ground.known, states=ground.size, population=ground.prior, human=self.human)
+        return TruncatedTask.of(ground.known, states=ground.size, population=ground.prior, human=self.human)
 
-    def problem(self, region: Region) -> AssistPOMDP:
+    def problem(self, region: TruncatedTask) -> AssistPOMDP:
         """Set up the problem on a part of the task, with bounds that hold for the whole where it breaks off."""
         beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
@@ -111,7 +112,7 @@ class WidePolicy:
     def bounded(
         self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
         kept_mb: float = math.inf,
-    ) -> Bounded:  # fmt: skip
+    ) -> TruncatedProblem:  # fmt: skip
         """Give the problem of which a bound is wanted, worked out once; arguments as in `bounded`."""
         if (entry, True) in self.bounds:  # which has all there is
             return self.bounds[entry, True]
@@ -128,28 +129,28 @@ class WidePolicy:
         """The values of beta and theta that the robot distinguishes."""
         return Grid.regular(self.ground.prior)
 
-    def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> Around:
-        """Give the problem of the next step of people in some states; arguments as in `Visited.around`."""
+    def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> LocalProblem:
+        """Give the problem of the next step of people in some states; arguments as in `StateCache.around`."""
         optimal = self.setting.suggestions == "optimal"
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
-        return Around(self, self.problem(region), region, len(states), deep)
+        return LocalProblem(self, self.problem(region), region, len(states), deep)
 
-    def prepare(self) -> Estimates:
+    def prepare(self) -> LeafEstimates:
         """Give what the person's problem is worth with a robot that is always there; worked out once."""
         if () not in self.solved:
             with told(None) as tell:
                 tell(SOLVING, 0, None)
                 region, like = self.region, None if self.like is None else self.like.prepare()
-                self.solved[()] = Estimates.of(self.problem(region), region, like=like, progress=tell)
+                self.solved[()] = LeafEstimates.of(self.problem(region), region, like=like, progress=tell)
         return self.solved[()]
 
-    def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float) -> Estimates:
+    def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float) -> LeafEstimates:
         """Give what it is worth with a robot that comes and goes, for each position; worked out once.
 
         Parameters
         ----------
         entry, entry_steps, longest
-            As in `Visits.of`.
+            As in `AttentionSubproblem.of`.
         price : float
             What each step of attention costs.
         """
@@ -157,9 +158,9 @@ class WidePolicy:
         if key not in self.solved:
             region = self.region
             like = self.prepare() if self.like is None else self.like.prepare_visits(*key)
-            visits = Visits.of(self.problem(region), entry, entry_steps, longest=longest)
+            visits = AttentionSubproblem.of(self.problem(region), entry, entry_steps, longest=longest)
             rows = np.stack([visits.states(0, position) for position in range(visits.layout.positions)])
-            self.solved[key] = Estimates.of(visits.at_price(price), region, rows, like=like)
+            self.solved[key] = LeafEstimates.of(visits.at_price(price), region, rows, like=like)
         return self.solved[key]
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
@@ -176,16 +177,16 @@ class WidePolicy:
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
+class LocalProblem:
     """The problem of the next step of people in some states, and the policy there; itself a `Policy`.
 
     Attributes
     ----------
-    wide : WidePolicy
+    wide : TruncatedPolicy
         Where it is from.
     pomdp : AssistPOMDP
         Its first `count` states are those in which people are, and what it says of others is for their sake.
-    region : Region
+    region : TruncatedTask
         The task's states.
     count : int
     deep : bool
@@ -194,12 +195,12 @@ class Around:
         The problems with a robot that comes and goes that have been asked for, by the arguments of `visits`.
     """
 
-    wide: WidePolicy
+    wide: TruncatedPolicy
     pomdp: AssistPOMDP
-    region: Region
+    region: TruncatedTask
     count: int
     deep: bool
-    solved: dict[tuple[float, ...], tuple[Visits, QMDP]] = field(default_factory=dict, repr=False)
+    solved: dict[tuple[float, ...], tuple[AttentionSubproblem, QMDP]] = field(default_factory=dict, repr=False)
     for_one_step: ClassVar[bool] = True
 
     @cached_property
@@ -208,12 +209,12 @@ class Around:
         value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
         return self._ahead(self.pomdp, value, np.arange(self.count))
 
-    def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[Visits, QMDP]:
-        """Give the problem with a robot that comes and goes, and the policy there; arguments as in `WidePolicy`."""
+    def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[AttentionSubproblem, QMDP]:
+        """Return the problem with a robot that comes and goes, and its policy; arguments as in `TruncatedPolicy`."""
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
             estimates = self.wide.prepare_visits(*key)
-            visits = Visits.of(self.pomdp, entry, entry_steps, longest=longest)
+            visits = AttentionSubproblem.of(self.pomdp, entry, entry_steps, longest=longest)
             layout = visits.layout
             value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
             here = np.flatnonzero(layout.x < self.count)

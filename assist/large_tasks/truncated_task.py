@@ -1,9 +1,9 @@
 """The part of a large task that matters to one person's problem.
 
 A task of millions of states, or one that can only be asked on demand, has no room for what a solver keeps of each
-state. But from the initial state hardly any of them are met: a `Region` holds the states that people and
+state. But from the initial state hardly any of them are met: a `TruncatedTask` holds the states that people and
 advice most likely lead to, and breaks off at the others, the frontier. There the problem has bounds that follow
-from the cost-to-go alone (`Region.problem`), so that what a solver proves of the region holds of the whole task:
+from the cost-to-go alone (`TruncatedTask.problem`), so that what a solver proves of the region holds of the whole task:
 
 - above: every action lowers h* by at most its cost, so that from h* on no less is paid than if each step cost as
   little, and each unit of h* was put off as long, as any action allows;
@@ -30,7 +30,7 @@ from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Mixture, Population
-from ..person.pomdp import AssistPOMDP, Frontier, Suggestions, check_costs
+from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions, check_costs
 
 BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
 ADVISED = 0.9  # the weight of an action that an adviser would have people take
@@ -41,7 +41,7 @@ SURVEYED = 10_000_000  # states of a table of which all choices are looked at fo
 
 
 @dataclass(frozen=True)
-class Region:
+class TruncatedTask:
     """Some states of a task with their choices, and the states around them.
 
     Attributes
@@ -74,7 +74,7 @@ class Region:
         human: Human | None = None,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
-    ) -> Region:
+    ) -> TruncatedTask:
         """Collect the states that are met most likely.
 
         Parameters
@@ -131,7 +131,7 @@ class Region:
             frontier=self.bounds(grid, model, gamma, c_suggest),
         )  # fmt: skip
 
-    def bounds_of_anybody(self, gamma: float, thetas: int) -> Frontier:
+    def bounds_of_anybody(self, gamma: float, thetas: int) -> LeafBounds:
         """Bound the value on the frontier, for so many values of theta, whatever the person is mistaken about.
 
         Above: `never_erring`. Below: the robot says nothing, and no step costs more than the dearest.
@@ -139,9 +139,9 @@ class Region:
         costs = np.append(self.known.task.costs, 1)  # standing still costs 1
         upper = never_erring(self.choices.h[self.frontier], costs, gamma)
         floor = -float(costs.max()) / (1 - gamma)
-        return Frontier(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
+        return LeafBounds(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
 
-    def bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> Frontier:
+    def bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> LeafBounds:
         """Bound the value on the frontier of somebody who is not mistaken, or of whom that is not known.
 
         Above: `never_erring`. Below: `_advised` for states that have a way to the goal. In dead ends the robot can be
@@ -159,7 +159,7 @@ class Region:
             reached = np.isfinite(h)
             lower[reached] = levels[h[reached].astype(np.int64)]
         lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot is silent
-        return Frontier(self.frontier, lower, anybody.upper, anybody.floor)
+        return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
 
 def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
@@ -346,7 +346,7 @@ class _Growth:
         self.expanded += len(batch)
         return len(batch)
 
-    def region(self) -> Region:
+    def region(self) -> TruncatedTask:
         """Arrange what has been collected."""
         none = np.empty(0, dtype=np.int64)
         looked = np.array([row is not None for row in self.rows])
@@ -363,4 +363,4 @@ class _Growth:
             h, goal, rows, optimal, names=task.actions, prices=task.costs, known=looked,
             key=keys_of(self.known, states),
         )  # fmt: skip
-        return Region(self.known, choices, states, np.flatnonzero(~looked & ~goal))
+        return TruncatedTask(self.known, choices, states, np.flatnonzero(~looked & ~goal))

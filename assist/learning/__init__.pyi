@@ -5,8 +5,8 @@ from .diagnostics import Calibration as Calibration
 from .diagnostics import Check as Check
 from .diagnostics import calibrate as calibrate
 from .diagnostics import check as check
+from .fit import FittedPeople as FittedPeople
 from .fit import LogError as LogError
-from .fit import People as People
 from .fit import fit as fit
 from .hierarchy import Hierarchy as Hierarchy
 from .likelihood import Method as Method
@@ -18,12 +18,12 @@ from .log import read_log as read_log
 from .maximum_likelihood import Estimate as Estimate
 from .maximum_likelihood import Fit as Fit
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
-from .misconception_fit import Misconception as Misconception
+from .misconception_fit import MisconceptionFit as MisconceptionFit
 from .misconception_fit import fit_misconception as fit_misconception
 from .observations import Evaluated as Evaluated
 from .observations import Observations as Observations
 from .observations import observe as observe
-from .person_estimate import Record as Record
+from .person_estimate import PersonEstimate as PersonEstimate
 from .population import PopulationFit as PopulationFit
 from .population import fit_population as fit_population
 from .population import mixture as mixture

@@ -28,7 +28,7 @@ from .log import Fault, Log, in_order
 from .maximum_likelihood import largest_beta, maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
 from .observations import Evaluated, Ints, Observations, observe
-from .person_estimate import Record, nothing_known
+from .person_estimate import PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
 from .replay import Recording, replay, situation
 
@@ -42,12 +42,12 @@ class LogError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class People(Mapping[str, Record]):
-    """What a log says of people: a `Record` by the name of each.
+class FittedPeople(Mapping[str, PersonEstimate]):
+    """What a log says of people: a `PersonEstimate` by the name of each.
 
     Attributes
     ----------
-    records : tuple of Record
+    records : tuple of PersonEstimate
         In the order of the names.
     unknown : dict of str to dict
         The people of whom nothing could be used, each with the record that says why.
@@ -63,7 +63,7 @@ class People(Mapping[str, Record]):
         How they were taken to choose, where that is not by cost-to-go.
     """
 
-    records: tuple[Record, ...]
+    records: tuple[PersonEstimate, ...]
     unknown: Mapping[str, Mapping[str, Any]]
     faults: tuple[Fault, ...]
     method: Method
@@ -73,7 +73,7 @@ class People(Mapping[str, Record]):
 
     __repr__ = outline
 
-    def __getitem__(self, person: str) -> Record:
+    def __getitem__(self, person: str) -> PersonEstimate:
         for record in self.records:
             if record.person == person:
                 return record
@@ -147,7 +147,7 @@ def fit(
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
     progress: Wanted = None,
-) -> People:
+) -> FittedPeople:
     """Learn expertise, influence and trust of people from a log of their actions.
 
     Parameters
@@ -189,7 +189,7 @@ def fit(
     Warns
     -----
     UserWarning
-        Some lines cannot be used, or some states were not evaluated; `People.faults` has the lines.
+        Some lines cannot be used, or some states were not evaluated; `FittedPeople.faults` has the lines.
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
@@ -258,7 +258,7 @@ def learn(
     seed: int | np.random.Generator = 0,
     jobs: int = 1,
     progress: Callable[[int], None] | None = None,
-) -> People:
+) -> FittedPeople:
     """Learn about people from what was replayed; for who has the cost-to-go of its states in another way.
 
     Parameters
@@ -298,7 +298,7 @@ def learn(
         misconception = fit_misconception(fitted) if misconceptions else None
         person = fitted.observations.person
         fits_model = UNCHECKED if chooses is not None else check(fitted, rng)  # it is one of the paper's model
-        records.append(Record(fitted, fits_model, misconception, left_out.get(person, 0)))
+        records.append(PersonEstimate(fitted, fits_model, misconception, left_out.get(person, 0)))
         if (misconceptions or terms) and progress is not None:
             progress(1)
 
@@ -314,7 +314,7 @@ def learn(
         )
         for person in sorted(named - {o.person for o in observations}, key=in_order)
     }
-    return People(tuple(records), unknown, faults, method, facts, population, chooses)
+    return FittedPeople(tuple(records), unknown, faults, method, facts, population, chooses)
 
 
 def observed(

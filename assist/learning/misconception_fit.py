@@ -44,7 +44,7 @@ LARGEST_SIGMA = 5.0
 
 
 @dataclass(frozen=True)
-class Misconception:
+class MisconceptionFit:
     """A person's misconception.
 
     Attributes
@@ -83,7 +83,7 @@ class Misconception:
             array.flags.writeable = False
 
 
-def fit_misconception(fitted: Fit) -> Misconception:
+def fit_misconception(fitted: Fit) -> MisconceptionFit:
     """Estimate sigma and h of a person.
 
     Parameters
@@ -135,7 +135,7 @@ def fit_misconception(fitted: Fit) -> Misconception:
     perceived = model.h + (z / beta if sigma > 0 else 0.0)
     order = np.argsort(model.states)
     interval = (0.0 if sigma == 0 else end(-1), top if sigma >= top else end(1))
-    return Misconception(
+    return MisconceptionFit(
         float(sigma),
         interval,
         interval[1] >= top,

@@ -11,7 +11,7 @@ from planner.system.arrays import outline
 from ..people.decision import NOTHING
 from .diagnostics import Check
 from .maximum_likelihood import Estimate, Fit
-from .misconception_fit import Misconception
+from .misconception_fit import MisconceptionFit
 from .observations import Ints
 
 STRIKING = 0.01  # below this probability of the check the model is said not to fit
@@ -20,7 +20,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Record:
+class PersonEstimate:
     """What was learned about one person.
 
     A parameter about which the person's actions say nothing is None, and its interval the whole range; without
@@ -31,14 +31,14 @@ class Record:
     ----------
     fit : Fit
     check : Check
-    misconception : Misconception or None
+    misconception : MisconceptionFit or None
     left_out : int
         Actions that were left out, since the cost-to-go after one of the choices is not known.
     """
 
     fit: Fit
     check: Check
-    misconception: Misconception | None = None
+    misconception: MisconceptionFit | None = None
     left_out: int = 0
 
     __repr__ = outline
@@ -181,7 +181,7 @@ def _estimate(name: str, estimate: Estimate | None, fit: Fit | None = None) -> d
     return {name: _value(estimate, fit), f"{name}_interval": list(estimate.interval), f"{name}_open": _open(estimate)}
 
 
-def _misconception(m: Misconception, facts: Callable[[Ints], list[list[str]]] | None) -> dict[str, Any]:
+def _misconception(m: MisconceptionFit, facts: Callable[[Ints], list[list[str]]] | None) -> dict[str, Any]:
     shown = [{}] * len(m.states) if facts is None else [{"facts": held} for held in facts(m.states)]
     return {
         "sigma": m.sigma,

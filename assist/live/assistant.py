@@ -35,8 +35,8 @@ from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
-from .live_task import InapplicableError, Problem, digest, population_of
-from .roster import Record, Roster, Step
+from .live_task import InapplicableError, LiveTask, digest, population_of
+from .roster import Roster, RosterEntry, Step
 
 FORMAT = "kitassist team 1"
 """Of saved teams."""
@@ -99,7 +99,7 @@ class Assistant:
         self.policy = policy
         self._task = task
         self._distance = None if distance is None else np.array(distance, dtype=float)
-        self._problems: dict[tuple[int, Population | Mixture], Problem] = {}
+        self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         if isinstance(policy, str) and policy not in POLICIES:
             named(policy, (), self.setting.travel(1))  # says what there is
@@ -194,13 +194,13 @@ class Assistant:
         self._team.put(record, part, row)
         self._advice = None
 
-    def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> Problem:
+    def _problem(self, task: CostToGo | Policy | None, population: Population | Mixture | None) -> LiveTask:
         task, population = task or self._task, population or self.population
         if task is None:
             raise ValueError("there is no task; expected one for the team, or for each person")
         key = (id(task), population)
         if key not in self._problems:
-            self._problems[key] = Problem(task, self.setting, population)
+            self._problems[key] = LiveTask(task, self.setting, population)
             if isinstance(self.policy, str):  # it is made anew
                 self._made = None
         return self._problems[key]
@@ -273,7 +273,7 @@ class Assistant:
         """Return whether a person's last action was not an optimal choice."""
         return bool(self._team.erred[self._team.known(person).place])
 
-    def _believe(self, record: Record, step: Step) -> bool:
+    def _believe(self, record: RosterEntry, step: Step) -> bool:
         """Update the belief in a person by a step, and return whether it was not an optimal choice."""
         part, row = record.problem.at(step.place)
         belief, choices = self._team.belief[record.place], part.choices
@@ -352,7 +352,7 @@ class Assistant:
             self._made = made
         return self._made
 
-    def _suggestion(self, record: Record) -> str | None:
+    def _suggestion(self, record: RosterEntry) -> str | None:
         part, row = self._team.part(record)
         return part.policy.pomdp.suggestion(row, int(self._team.robot[record.place]))
 
@@ -492,5 +492,5 @@ class Assistant:
         if advice is not None:
             self._advice = Advice.of(advice)
 
-    def _suggest(self, record: Record, suggestion: str | None) -> None:
+    def _suggest(self, record: RosterEntry, suggestion: str | None) -> None:
         self._team.robot[record.place] = record.problem.robot(*self._team.part(record), suggestion)

@@ -21,7 +21,7 @@ LATEST = 1024
 """Answers that are known by their names; when there are so many they go to the others."""
 
 
-class Answered:
+class AnsweredIds:
     """Finds the line of a journal in which an event of some id was answered.
 
     Parameters

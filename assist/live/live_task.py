@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from planner import CostToGo
 
 from ..large_tasks.person_problem import WHOLE, is_whole
-from ..large_tasks.truncated_policy import Ground, WidePolicy
+from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
 from ..people.choices import Choices, require_goal
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
 from ..person.pomdp import Policy
-from ..person.problem_arrays import Arrays
+from ..person.problem_arrays import ProblemArrays
 from ..person.qmdp import qmdp
 from ..team.settings import Setting
 
@@ -39,20 +39,20 @@ class InapplicableError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class TaskPart:
     """States of a task, with the policy for one person there.
 
     Attributes
     ----------
     policy : Policy
-    arrays : Arrays
+    arrays : ProblemArrays
         Its problem, as compiled code reads it.
     states : int array, shape (n,), or None
         The number of each state in the task; None if the same.
     """
 
     policy: Policy
-    arrays: Arrays
+    arrays: ProblemArrays
     states: NDArray[np.int64] | None = None
 
     @property
@@ -70,7 +70,7 @@ class Part:
         return actions[actions >= 0].astype(np.int32)
 
 
-class Problem:
+class LiveTask:
     """One task with one prior, for any number of people.
 
     A place is where somebody is in it, by which it is found again: a row of a task that is looked at whole, which may
@@ -95,37 +95,37 @@ class Problem:
     def __init__(self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture) -> None:
         self.task, self.prior = task, prior
         self.policy = task if is_policy(task) else _policy_for(cast(CostToGo, task), setting, prior)
-        if isinstance(self.policy, WidePolicy):
+        if isinstance(self.policy, TruncatedPolicy):
             self.initial, self._whole = self.policy.ground.known.initial, None
         else:
             self.initial = self.policy.pomdp.model.choices.initial
-            self._whole = Part(self.policy, Arrays.of(self.policy.pomdp))
+            self._whole = TaskPart(self.policy, ProblemArrays.of(self.policy.pomdp))
         # Of what is not looked at whole, only where somebody is.
-        self._around: WeakValueDictionary[int, Part] = WeakValueDictionary()
+        self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()
         part, row = self.at(self.initial)
         require_goal(part.choices.h[row])
         self.matcher = Matcher(part.choices.names)
 
-    def at(self, place: int) -> tuple[Part, int]:
+    def at(self, place: int) -> tuple[TaskPart, int]:
         """Give the part in which a place is, and its row there."""
         if self._whole is not None:
             return self._whole, place
         part = self._around.get(place)
         if part is None:
-            assert isinstance(self.policy, WidePolicy)
+            assert isinstance(self.policy, TruncatedPolicy)
             around = self.policy.around(np.array([place]), deep=True)
-            self._around[place] = part = Part(around, Arrays.of(around.pomdp), around.region.states)
+            self._around[place] = part = TaskPart(around, ProblemArrays.of(around.pomdp), around.region.states)
         return part, 0
 
-    def place(self, part: Part, row: int) -> int:
+    def place(self, part: TaskPart, row: int) -> int:
         """Give the place of a row."""
         return row if part.states is None else part.state(row)
 
-    def after(self, part: Part, row: int, slot: int) -> tuple[Part, int]:
+    def after(self, part: TaskPart, row: int, slot: int) -> tuple[TaskPart, int]:
         """Find where a choice leads: the part, and the row there."""
         return self.at(self.place(part, int(part.choices.targets[row, slot])))
 
-    def slot(self, part: Part, row: int, action: str) -> int:
+    def slot(self, part: TaskPart, row: int, action: str) -> int:
         """Find the slot of an action.
 
         Raises
@@ -145,7 +145,7 @@ class Problem:
             kind = InapplicableError if self.matcher.unknown(words) is None else UnknownError
             raise kind(str(error)) from None
 
-    def robot(self, part: Part, row: int, suggestion: str | None) -> int:
+    def robot(self, part: TaskPart, row: int, suggestion: str | None) -> int:
         """Find the robot action that suggests an action; 0 for None."""
         if suggestion is None:
             return 0
@@ -162,18 +162,18 @@ def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) 
         return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
     if prior.weights:
         raise ValueError(f"people who remember what they did: expected a task of at most {WHOLE:,} states")
-    return WidePolicy(Ground(known, prior), setting)
+    return TruncatedPolicy(SharedTask(known, prior), setting)
 
 
 def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
     """Tell a policy for one person from a task's cost-to-go."""
-    return isinstance(task, WidePolicy) or hasattr(task, "pomdp")
+    return isinstance(task, TruncatedPolicy) or hasattr(task, "pomdp")
 
 
 def digest(task: CostToGo | Policy) -> str:
     """Give what tells a task from others, wherever it was loaded; a policy also by all that beliefs depend on."""
     content = hashlib.sha256()
-    if isinstance(task, WidePolicy):
+    if isinstance(task, TruncatedPolicy):
         task = task.ground.known
     if is_policy(task):
         pomdp, choices = task.pomdp, task.pomdp.model.choices

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..people.decision import Floats
 from ..team.state import Ask, by_model
-from .live_task import Part, Problem, UnknownError
+from .live_task import LiveTask, TaskPart, UnknownError
 
 NAMED = 10  # people, in a message
 
@@ -42,7 +42,7 @@ Numbers = dict[str | None, int]
 """Of all actions that were done or suggested, in the order in which they came first; None stands for nothing."""
 
 
-class Past:
+class FinishedTasks:
     """The tasks that somebody has left behind, with what was done and suggested in each: eight bytes an action.
 
     Parameters
@@ -53,10 +53,10 @@ class Past:
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
-        self._problems: list[Problem] = []
+        self._problems: list[LiveTask] = []
         self._ends, self._done = array("q"), array("i")  # of each step its action and its suggestion, in turn
 
-    def add(self, problem: Problem, steps: list[Step]) -> None:
+    def add(self, problem: LiveTask, steps: list[Step]) -> None:
         """Keep a task."""
         for step in steps:
             for name in step.action, step.suggestion:
@@ -64,7 +64,7 @@ class Past:
         self._problems.append(problem)
         self._ends.append(len(self._done))
 
-    def __iter__(self) -> Iterator[tuple[Problem, list[Named]]]:
+    def __iter__(self) -> Iterator[tuple[LiveTask, list[Named]]]:
         """Give each task with its steps."""
         names, begin = list(self._numbers), 0
         for problem, end in zip(self._problems, self._ends, strict=True):
@@ -79,17 +79,17 @@ class Past:
 
 
 @dataclass
-class Record:
+class RosterEntry:
     """The task that somebody is at, their steps in it, and what was believed of them when they began it."""
 
     name: str
     place: int
-    problem: Problem
+    problem: LiveTask
     before: Floats
-    past: Past
+    past: FinishedTasks
     steps: list[Step] = field(default_factory=list)
 
-    def episodes(self) -> list[tuple[Problem, list[Named]]]:
+    def episodes(self) -> list[tuple[LiveTask, list[Named]]]:
         """Give all tasks that they have been at, with their steps."""
         return [*self.past, (self.problem, [step.named() for step in self.steps])]
 
@@ -107,9 +107,9 @@ class Roster:
 
     Attributes
     ----------
-    parts : list of Part
+    parts : list of TaskPart
         Of everybody's tasks, numbered; a number is used again when nobody is there any more.
-    records : list of Record
+    records : list of RosterEntry
         By place.
     x, model : int arrays, shape (P,)
         The row of everybody's state, and the number of its part.
@@ -121,12 +121,12 @@ class Roster:
     """
 
     def __init__(self, places: int) -> None:
-        self.parts: list[Part] = []
+        self.parts: list[TaskPart] = []
         self._people: list[int] = []  # in each part
-        self._number: dict[Part, int] = {}
+        self._number: dict[TaskPart, int] = {}
         self._actions: Numbers = {}
-        self.records: list[Record] = []
-        self.by_name: dict[str, Record] = {}
+        self.records: list[RosterEntry] = []
+        self.by_name: dict[str, RosterEntry] = {}
         self.x, self.model, self.robot = (np.zeros(places, dtype=np.int64) for _ in range(3))
         self.erred, self.present, self.ended = (np.zeros(places, dtype=bool) for _ in range(3))
         self.belief = np.zeros((places, 0, 0))
@@ -141,7 +141,7 @@ class Roster:
         """Who is there."""
         return tuple(record.name for record in self.records if self.present[record.place])
 
-    def known(self, name: str) -> Record:
+    def known(self, name: str) -> RosterEntry:
         """Give the record of somebody who is there.
 
         Raises
@@ -156,7 +156,7 @@ class Roster:
             raise UnknownError(f"{name!r} is not in the team; who is there: {there or 'nobody'}")
         return record
 
-    def add(self, name: str, problem: Problem) -> None:
+    def add(self, name: str, problem: LiveTask) -> None:
         """Take somebody new in, at the next place, which there has to be."""
         part, row = problem.at(problem.initial)
         prior = part.policy.pomdp.prior
@@ -164,14 +164,14 @@ class Roster:
             self.belief = np.zeros((len(self), *prior.shape))
         elif prior.shape != self.belief.shape[1:]:
             raise ValueError(f"{name}: a belief of shape {prior.shape}; expected {self.belief.shape[1:]}, as in others")
-        record = Record(name, len(self.records), problem, prior.copy(), Past(self._actions))
+        record = RosterEntry(name, len(self.records), problem, prior.copy(), FinishedTasks(self._actions))
         self.records.append(record)
         self.by_name[name] = record
         self.present[record.place] = True
         self.belief[record.place] = prior
         self.put(record, part, row)
 
-    def part(self, record: Record) -> tuple[Part, int]:
+    def part(self, record: RosterEntry) -> tuple[TaskPart, int]:
         """Give the part in which somebody is, and their row there."""
         return self.parts[self.model[record.place]], int(self.x[record.place])
 
@@ -186,7 +186,7 @@ class Roster:
             setattr(self, name, longer(getattr(self, name)))
         self._change, self._answers = longer(self._change), {}
 
-    def put(self, record: Record, part: Part, row: int, *, erred: bool = False, robot: int = 0) -> None:
+    def put(self, record: RosterEntry, part: TaskPart, row: int, *, erred: bool = False, robot: int = 0) -> None:
         """Put somebody into a state."""
         k = record.place
         if self._change[k]:
@@ -196,7 +196,7 @@ class Roster:
         self.ended[k] = part.choices.goal[row]
         self._change[k] += 1
 
-    def _numbered(self, part: Part) -> int:
+    def _numbered(self, part: TaskPart) -> int:
         """Give the number of a part, which may be that of one in which nobody is any more."""
         if part not in self._number:
             free = self._people.index(0) if 0 in self._people else len(self.parts)

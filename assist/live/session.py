@@ -35,7 +35,7 @@ from ..team.settings import Setting
 from ..team.state import PolicyError, TeamPolicy
 from .advice import Advice
 from .course import Course, Event
-from .idempotency import Answered, Key, key_of
+from .idempotency import AnsweredIds, Key, key_of
 from .journal import Journal, JournalError
 from .live_task import InapplicableError, digest
 
@@ -49,7 +49,7 @@ Outcome = dict[str, Any] | Exception
 """What has come of an event: what whoever reported it sees now, or why it has not happened."""
 
 
-class Happenings(Protocol):
+class EventSourced(Protocol):
     """What a session keeps: what happens, and what is seen of it, as described at `Course`, that of one team."""
 
     count: int
@@ -212,13 +212,13 @@ class Session:
         known = {name: getattr(task, "task", None) for name, task in self._tasks.items()}
         return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
 
-    def _course_anew(self) -> Happenings:
+    def _course_anew(self) -> EventSourced:
         """Give one in which nothing has happened yet."""
         return Course(self._tasks, **self._options)
 
     def _resume(self) -> None:
         """Let all happen again that is in the journal."""
-        course, answered, last = self._course_anew(), Answered(self._journal), 0.0
+        course, answered, last = self._course_anew(), AnsweredIds(self._journal), 0.0
         self._course = course
         for number, (begin, record) in enumerate(self._journal, start=1):
             if begin == 0:

@@ -20,7 +20,7 @@ from .choices import Choices
 from .decision import Floats
 
 
-class OwnError(ValueError):
+class UserCodeError(ValueError):
     """A file or function that there is not, or that fails."""
 
 
@@ -39,21 +39,21 @@ def load(file: Path, name: str) -> Callable[..., Any]:
         There is no such file or function, or the file cannot be run.
     """
     if not file.is_file():
-        raise OwnError(f"{file}: no such file")
+        raise UserCodeError(f"{file}: no such file")
     # A name of its own for each file, under which its classes find their module.
     module_name = f"_own_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(module_name, file)
     if spec is None or spec.loader is None:
-        raise OwnError(f"{file}: expected a Python file, whose name ends in .py")
+        raise UserCodeError(f"{file}: expected a Python file, whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[module_name] = module
     try:
         spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        raise OwnError(described(error, file)) from error
+        raise UserCodeError(described(error, file)) from error
     function = getattr(module, name, None)
     if not callable(function):
-        raise OwnError(f"{file}: has no function '{name}'")
+        raise UserCodeError(f"{file}: has no function '{name}'")
     return function
 
 
@@ -69,7 +69,7 @@ def described(error: Exception | SystemExit, file: Path) -> str:
 
 
 @dataclass(frozen=True)
-class OwnModel:
+class UserChoiceModel:
     """A choice model of the user's own: a `ChoiceModel` that is loaded in every process in which it is needed.
 
     Attributes
@@ -83,7 +83,7 @@ class OwnModel:
     name: str
 
     @classmethod
-    def load(cls, file: Path, name: str) -> OwnModel:
+    def load(cls, file: Path, name: str) -> UserChoiceModel:
         """Load it once, so that what is wrong with the file is said now.
 
         Raises

@@ -1,7 +1,7 @@
 from .alpha_vectors import VectorPolicy as VectorPolicy
 from .archive import ArchiveError as ArchiveError
 from .pomdp import AssistPOMDP as AssistPOMDP
-from .pomdp import Frontier as Frontier
+from .pomdp import LeafBounds as LeafBounds
 from .pomdp import Policy as Policy
 from .qmdp import QMDP as QMDP
 from .qmdp import evaluate as evaluate

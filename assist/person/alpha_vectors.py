@@ -20,7 +20,7 @@ from planner.system.jit import njit
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
-from .problem_arrays import Arrays, read_only
+from .problem_arrays import ProblemArrays, read_only
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class VectorPolicy:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
-    def _arrays(self) -> Arrays:
-        return Arrays.of(self.pomdp)
+    def _arrays(self) -> ProblemArrays:
+        return ProblemArrays.of(self.pomdp)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
         """Give the value of each robot action, shape (N, R): one exact step, then the vectors.
@@ -144,7 +144,7 @@ def _maximise(
 
 @njit()
 def _look_ahead(
-    q: Floats, x: NDArray[np.int64], belief: Floats, vectors: Floats, first: NDArray[np.int64], m: Arrays
+    q: Floats, x: NDArray[np.int64], belief: Floats, vectors: Floats, first: NDArray[np.int64], m: ProblemArrays
 ) -> None:
     """Fill `q`, shape (N, R), with the value of every robot action; padding keeps what it holds.
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from .problem_arrays import Arrays
+from .problem_arrays import ProblemArrays
 
 
 # Sums may be reordered, so that they are computed several terms at a time.
 @njit(fastmath={"reassoc", "contract", "arcp"})
-def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arrays) -> None:
+def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: ProblemArrays) -> None:
     """Update one belief, shape (B, T), in place: Bayes' rule for what a person did, then the move of theta.
 
     Parameters
@@ -20,7 +20,7 @@ def update(belief: Floats, after: Floats, x: int, robot: int, slot: int, m: Arra
         Room to work in.
     x, robot, slot : int
         The person's state, what the robot did to them (0: nothing), and the slot of what they did then.
-    m : Arrays
+    m : ProblemArrays
         Their problem.
     """
     betas, thetas = belief.shape

@@ -1,6 +1,6 @@
 """The search for bounds on one person's problem: compiled code and the arrays that it works on.
 
-**Above**, each state has a `Hull`. The value is a convex and homogeneous function of the (unnormalised) belief, so
+**Above**, each state has a `UpperHull`. The value is a convex and homogeneous function of the (unnormalised) belief, so
 that weights w >= 0 with  sum_i w_i b_i <= b  give
 
     V(b) <= corner . b + sum_i w_i d_i,     d_i = v_i - corner . b_i <= 0,
@@ -13,7 +13,7 @@ makes the bound much tighter between beliefs. Whatever pivots and rounding do, t
 the end: any that keep the two conditions give a bound. So the bound that the search works with is not exactly convex;
 `upper_hull` answers with one that is.
 
-**Below**, each state has `Plans`, alpha vectors: what some plan gets for each (beta, theta).
+**Below**, each state has `AlphaVectors`, alpha vectors: what some plan gets for each (beta, theta).
 
 `trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
 the result on.
@@ -45,7 +45,7 @@ TINY, HUGE = 1e-290, 1e300  # TINY * HUGE is large, so that an empty entry of bo
 FAST = {"reassoc", "contract", "nsz", "nnan"}
 
 
-class Hull(NamedTuple):
+class UpperHull(NamedTuple):
     """Beliefs with values, as linked lists, one for each state.
 
     Attributes
@@ -89,7 +89,7 @@ class Room(NamedTuple):
     change: Floats
 
 
-class Plans(NamedTuple):
+class AlphaVectors(NamedTuple):
     """Alpha vectors as linked lists, one for each state.
 
     Vectors that are nowhere best any more leave the list, so that the search need not look at them, but stay
@@ -107,7 +107,7 @@ class Plans(NamedTuple):
     space: NDArray[np.int64]  # places that have been used, and the first free one among them
 
 
-class Path(NamedTuple):
+class Trial(NamedTuple):
     """What a trial knows at each depth."""
 
     state: NDArray[np.int64]
@@ -122,10 +122,10 @@ class Path(NamedTuple):
     mass: Floats  # its probability
 
 
-def empty_hull(corner: Floats, capacity: int) -> Hull:
+def empty_hull(corner: Floats, capacity: int) -> UpperHull:
     """Make a hull of the corners only."""
     states, size = corner.shape
-    return Hull(
+    return UpperHull(
         corner=corner,
         belief=np.empty((capacity, size)),
         inverse=np.empty((capacity, size)),
@@ -137,9 +137,9 @@ def empty_hull(corner: Floats, capacity: int) -> Hull:
     )
 
 
-def no_plans(states: int, size: int, capacity: int) -> Plans:
+def no_plans(states: int, size: int, capacity: int) -> AlphaVectors:
     """Make room for vectors of so many numbers."""
-    return Plans(
+    return AlphaVectors(
         vector=np.empty((capacity, size)),
         witness=np.empty((capacity, size)),
         robot=np.zeros(capacity, dtype=np.int32),
@@ -152,9 +152,9 @@ def no_plans(states: int, size: int, capacity: int) -> Plans:
     )
 
 
-def new_path(size: int, robots: int, slots: int) -> Path:
+def new_path(size: int, robots: int, slots: int) -> Trial:
     """Make room for a trial, with beliefs of so many numbers, and so many choices of the robot and of the person."""
-    return Path(
+    return Trial(
         state=np.empty(DEPTH, dtype=np.int64),
         belief=np.empty((DEPTH, size)),
         bound=np.empty(DEPTH),

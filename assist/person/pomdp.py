@@ -43,7 +43,7 @@ def check_costs(gamma: float, **costs: float) -> None:
 
 
 @dataclass(frozen=True)
-class Frontier:
+class LeafBounds:
     """States at which a problem breaks off, with bounds on what any policy, and some policy, gets from there.
 
     Attributes
@@ -106,7 +106,7 @@ class AssistPOMDP:
         The chance of all slots but the suggested one, summed: 1 - p would lose its digits where p is almost 1.
     low, weight : int and float arrays, shape (n, R, T)
         Where a robot action moves theta to, as `Grid.shares` gives it.
-    frontier : Frontier or None
+    frontier : LeafBounds or None
         Where the problem breaks off, if it covers a part of a task only.
     order : int array, or None
         The states that are not final, in the order in which values are best worked out; by cost-to-go unless given.
@@ -126,7 +126,7 @@ class AssistPOMDP:
     unsuggested: Floats
     low: NDArray[np.int64]
     weight: Floats
-    frontier: Frontier | None = None
+    frontier: LeafBounds | None = None
     order: NDArray[np.int64] | None = None
 
     __repr__ = outline
@@ -152,7 +152,7 @@ class AssistPOMDP:
         suggestions: Suggestions = "optimal",
         execute: bool = False,
         c_execute: float = 1.0,
-        frontier: Frontier | None = None,
+        frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
         """Set up the problem for a person drawn from a population (the paper's, unless given).
 
@@ -164,7 +164,7 @@ class AssistPOMDP:
             Suggest only actions that begin a cheapest way to the goal, or any applicable action.
         execute : bool
             Whether the robot can also do such an action itself, after which the person acts.
-        frontier : Frontier, optional
+        frontier : LeafBounds, optional
             Where the choices break off. Nothing can be executed there.
         """
         check_costs(gamma, c_suggest=c_suggest, c_execute=c_execute)

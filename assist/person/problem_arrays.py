@@ -22,7 +22,7 @@ def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
     return view
 
 
-class Arrays(NamedTuple):
+class ProblemArrays(NamedTuple):
     """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
 
     A named tuple, however long: numba takes no dataclasses.
@@ -46,7 +46,7 @@ class Arrays(NamedTuple):
     lapse: float
 
     @classmethod
-    def of(cls, pomdp: AssistPOMDP) -> Arrays:
+    def of(cls, pomdp: AssistPOMDP) -> ProblemArrays:
         """Collect the arrays of a problem."""
         choices = pomdp.model.choices
         arrays = {

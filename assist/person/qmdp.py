@@ -32,7 +32,7 @@ from planner.system.progress import Progress, Wanted, shows_progress
 
 from ..people.decision import Floats
 from .pomdp import AssistPOMDP
-from .problem_arrays import Arrays, read_only
+from .problem_arrays import ProblemArrays, read_only
 
 ROUNDING = 1e-12
 """Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
@@ -138,7 +138,7 @@ def qmdp(
 
 def load_compiled(pomdp: AssistPOMDP) -> None:
     """Have the code that `qmdp` needs loaded, or compiled, which takes seconds once after an installation."""
-    arrays, nothing = Arrays.of(pomdp), read_only(np.zeros(0, dtype=np.int64))
+    arrays, nothing = ProblemArrays.of(pomdp), read_only(np.zeros(0, dtype=np.int64))
     value = np.zeros((0, 0, 0))
     _sweep(value, nothing, nothing, 0, arrays)
     _q_values(value[None], value, nothing, arrays)
@@ -177,7 +177,7 @@ def improve(
 
     Those of final states stay as they are.
     """
-    robot, arrays = np.full(len(value), -1), Arrays.of(pomdp)
+    robot, arrays = np.full(len(value), -1), ProblemArrays.of(pomdp)
     return _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps, deadline, progress)
 
 
@@ -197,7 +197,7 @@ def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = 
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     q[ends] = -np.inf
     q[ends, 0] = value[ends]
-    _q_values(q, value, read_only(order), Arrays.of(pomdp))
+    _q_values(q, value, read_only(order), ProblemArrays.of(pomdp))
     return QMDP(pomdp, value, q)
 
 
@@ -206,7 +206,7 @@ def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
 
     Those of final states stay as they are.
     """
-    arrays, order, found = Arrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
+    arrays, order, found = ProblemArrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
     with ThreadPoolExecutor(processors()) as pool:
         list(pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])))
     return found
@@ -227,7 +227,7 @@ def evaluate(
     deadline : float
         A time on `time.perf_counter()`'s clock after which no sweep begins; what has not converged by then is below.
     """
-    arrays = Arrays.of(pomdp)
+    arrays = ProblemArrays.of(pomdp)
     active = ~pomdp.final
     silent = pomdp.frontier is None and not robot[active].any()
     if silent:  # then theta does not matter, and one value of it stands for all
@@ -250,7 +250,7 @@ def evaluate(
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 
 
-def _alone_for_ever(m: Arrays, active: NDArray[np.bool_]) -> Floats:
+def _alone_for_ever(m: ProblemArrays, active: NDArray[np.bool_]) -> Floats:
     """Give a start from below for `evaluate` where nothing is ever suggested, shape (active states, B).
 
     Linear equations, solved directly; sweeps take long where people go round in circles. What the solution v leaves
@@ -286,7 +286,7 @@ def _converge(
     value: Floats,
     order: NDArray[np.int64],
     robot: NDArray[np.int64],
-    arrays: Arrays,
+    arrays: ProblemArrays,
     tolerance: float,
     sweeps: int,
     deadline: float = math.inf,
@@ -324,7 +324,7 @@ def _converge(
 
 
 @njit()
-def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: Arrays) -> None:
+def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: ProblemArrays) -> None:
     """Fill in, shape (T,), the person's mean return without a suggestion, and that of a uniform choice."""
     expected[:] = 0.0
     mean[:] = 0.0
@@ -338,7 +338,7 @@ def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: Arr
 
 @njit()
 def _row(
-    q: Floats, expected: Floats, mean: Floats, other: Floats, value: Floats, x: int, b: int, only: int, m: Arrays
+    q: Floats, expected: Floats, mean: Floats, other: Floats, value: Floats, x: int, b: int, only: int, m: ProblemArrays
 ) -> None:
     """Fill `q`, shape (R, T), with the return of every robot action (or of `only` one) in state x for one beta.
 
@@ -389,7 +389,7 @@ def _row(
 
 
 @njit(nogil=True)
-def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: Arrays) -> float:
+def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: ProblemArrays) -> float:
     """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
@@ -408,7 +408,7 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
 
 
 @njit(nogil=True)
-def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: Arrays) -> None:
+def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: ProblemArrays) -> None:
     """Fill in the best values of states, for one beta, given those of what follows."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
@@ -435,7 +435,7 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
 
 
 @njit()
-def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: Arrays) -> None:
+def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: ProblemArrays) -> None:
     """Fill `q`, shape (n, R, B, T), with the return of every robot action; minus infinity in padding."""
     robots, thetas = q.shape[1], len(m.theta)
     row, expected, mean, other = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)

@@ -41,7 +41,7 @@ from ..people.decision import Floats
 from . import archive, hsvi, upper_hull
 from .alpha_vectors import VectorPolicy
 from .pomdp import AssistPOMDP
-from .problem_arrays import Arrays, read_only
+from .problem_arrays import ProblemArrays, read_only
 from .qmdp import QMDP, ROUNDING, evaluate, load_compiled, qmdp, sweep_order
 
 SOLVING = "solving a person's POMDP: backups"
@@ -307,7 +307,7 @@ class _Search:
     """The bounds of one problem while they are improved."""
 
     def __init__(self, pomdp: AssistPOMDP, best: QMDP) -> None:
-        self.pomdp, self.arrays = pomdp, Arrays.of(pomdp)
+        self.pomdp, self.arrays = pomdp, ProblemArrays.of(pomdp)
         states, size = len(pomdp.robot_actions), pomdp.prior.size
         margin = ROUNDING / (1 - pomdp.gamma)
         corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)

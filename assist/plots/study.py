@@ -22,7 +22,7 @@ from .style import (
     THICK,
     THIN,
     VERMILLION,
-    Look,
+    PolicyLook,
     entry,
     ink,
     legend_below,
@@ -42,9 +42,9 @@ MOST_COSTS = 6  # that are all written beside a policy's points
 UPRIGHT = 6  # kinds of people from which on their names stand upright
 MEASURES = {"actions": "human actions per person", "interventions": "robot interventions per episode"}
 COMPARISONS = {
-    "actions against none": Look(BLUE, "o"),
-    "actions against reactive": Look(SKY, "^", (0, (5, 1.5))),
-    "interventions against reactive": Look(VERMILLION, "D", (0, (5, 1.5, 1, 1.5))),
+    "actions against none": PolicyLook(BLUE, "o"),
+    "actions against reactive": PolicyLook(SKY, "^", (0, (5, 1.5))),
+    "interventions against reactive": PolicyLook(VERMILLION, "D", (0, (5, 1.5, 1, 1.5))),
 }
 
 
@@ -328,7 +328,7 @@ def _dodge(count: int, gap: float) -> Sequence[float]:
     return [gap * (i - (count - 1) / 2) for i in range(count)]
 
 
-def _intervals(axis: Axes, x: Any, cell: DataFrame, look: Look) -> None:
+def _intervals(axis: Axes, x: Any, cell: DataFrame, look: PolicyLook) -> None:
     """Draw means, their intervals, and standard deviations as thinner bars."""
     mean, sd = (cell[column].to_numpy(dtype=float) for column in ("mean", "sd"))
     _bars(axis, x, mean - sd, mean + sd, look, THIN, zorder=2)
@@ -339,7 +339,7 @@ def _intervals(axis: Axes, x: Any, cell: DataFrame, look: Look) -> None:
     )  # fmt: skip
 
 
-def _bars(axis: Axes, x: Any, low: Any, high: Any, look: Look, how: dict[str, Any], zorder: int = 2) -> None:
+def _bars(axis: Axes, x: Any, low: Any, high: Any, look: PolicyLook, how: dict[str, Any], zorder: int = 2) -> None:
     """Draw upright bars where both ends are known: a single episode has no deviation, a single pool no interval."""
     ends = np.stack([np.asarray(values, dtype=float) for values in (x, low, high)], axis=1)
     ends = ends[np.isfinite(ends).all(axis=1)]
@@ -372,7 +372,7 @@ def _what_bars_mean(cells: DataFrame) -> list[Artist]:
     return [shown for column, shown in what.items() if np.isfinite(cells[column].to_numpy(dtype=float)).any()]
 
 
-def _curve(axis: Axes, look: Look, own: DataFrame) -> list[Note]:
+def _curve(axis: Axes, look: PolicyLook, own: DataFrame) -> list[Note]:
     """Draw one policy's points, a line for each cost of moving; give some of the costs, to be written beside them."""
     x, y = own["interventions"].to_numpy(), own["actions"].to_numpy()
     indifferent = len({*zip(x, y, strict=True)}) == 1  # costs do not change what the policy does

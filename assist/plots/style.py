@@ -42,7 +42,7 @@ THIN: dict[str, Any] = {"linewidth": 0.9, "alpha": 0.6}
 
 
 @dataclass(frozen=True)
-class Look:
+class PolicyLook:
     """What a policy looks like in every picture: colour, marker and line differ at once."""
 
     color: str
@@ -51,17 +51,17 @@ class Look:
 
 
 LOOKS = {
-    "none": Look(GREY, "s", (0, (1, 1.2))),
-    "reactive": Look(ORANGE, "^", (0, (5, 1.5))),
-    "attention": Look(BLUE, "o"),
-    "attention-never": Look(SKY, "D", (0, (5, 1.5, 1, 1.5))),
-    "priority": Look(GREEN, "P"),
+    "none": PolicyLook(GREY, "s", (0, (1, 1.2))),
+    "reactive": PolicyLook(ORANGE, "^", (0, (5, 1.5))),
+    "attention": PolicyLook(BLUE, "o"),
+    "attention-never": PolicyLook(SKY, "D", (0, (5, 1.5, 1, 1.5))),
+    "priority": PolicyLook(GREEN, "P"),
 }
 OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
 OTHER_LINES = ((0, (3, 1)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 
 
-def looks(policies: Iterable[str]) -> dict[str, Look]:
+def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:
     """Give each policy its look, in the order in which they are drawn.
 
     A name that is not known has the look that follows from it, or the next one where another such name of
@@ -72,9 +72,11 @@ def looks(policies: Iterable[str]) -> dict[str, Look]:
     for name in sorted(names - set(LOOKS)):
         first = crc32(name.encode())
         taken = set(found.values())
-        wheel = (Look(*OTHERS[(first + i) % len(OTHERS)], line) for line in OTHER_LINES for i in range(len(OTHERS)))
+        wheel = (
+            PolicyLook(*OTHERS[(first + i) % len(OTHERS)], line) for line in OTHER_LINES for i in range(len(OTHERS))
+        )
         free = (look for look in wheel if look not in taken)
-        found[name] = next(free, Look(*OTHERS[first % len(OTHERS)]))
+        found[name] = next(free, PolicyLook(*OTHERS[first % len(OTHERS)]))
     return found
 
 
@@ -118,7 +120,7 @@ def entry(label: str, **how: Any) -> Artist:
     return Line2D([], [], **{"color": ink(), "linestyle": "none" if "marker" in how else "-", **how}, label=label)
 
 
-def sample(name: str, look: Look, *, line: bool = True) -> Artist:
+def sample(name: str, look: PolicyLook, *, line: bool = True) -> Artist:
     """Give a policy's entry in a legend."""
     return entry(
         name, color=look.color, marker=look.marker, linestyle=look.line if line else "none", markersize=6, linewidth=1.4

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import BLUE, GREY, Look, ink, legend_below, looks, sample, styled
+from .style import BLUE, GREY, PolicyLook, ink, legend_below, looks, sample, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -157,7 +157,7 @@ def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     return figure, axes[:count]
 
 
-def _interval(axis: Axes, place: float, row: Mapping[str, Any], look: Look, *, vertical: bool) -> None:
+def _interval(axis: Axes, place: float, row: Mapping[str, Any], look: PolicyLook, *, vertical: bool) -> None:
     if row["mean"] is None:
         return
     if row["low"] is not None:

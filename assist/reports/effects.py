@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
-from .statistics import Estimate, mean
+from .statistics import IntervalEstimate, mean
 
 POWER = 0.8
 
 
-def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Estimate:
+def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> IntervalEstimate:
     """Give how much larger the mean of one group is than another's, with Welch's interval, for unequal variances.
 
     Parameters
@@ -24,15 +24,15 @@ def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> Estimate:
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
     if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
-        return Estimate(value, math.nan, math.nan)
+        return IntervalEstimate(value, math.nan, math.nan)
     # By hand: scipy's test warns where everybody in one group is alike, which here is no fault.
     first, second = float(x.var(ddof=1)) / len(x), float(y.var(ddof=1)) / len(y)
     freedom = (first + second) ** 2 / (first**2 / (len(x) - 1) + second**2 / (len(y) - 1))
     half = float(stats.t.ppf((1 + level) / 2, freedom)) * math.sqrt(first + second)
-    return Estimate(value, value - half, value + half)
+    return IntervalEstimate(value, value - half, value + half)
 
 
-def difference_within(pairs: ArrayLike, level: float = 0.95) -> Estimate:
+def difference_within(pairs: ArrayLike, level: float = 0.95) -> IntervalEstimate:
     """Give how much larger a number is in one condition than in another for the same participants (Student's t).
 
     Parameters
@@ -42,7 +42,7 @@ def difference_within(pairs: ArrayLike, level: float = 0.95) -> Estimate:
     """
     x = np.asarray(pairs, dtype=float)
     found = mean(x, level=level)
-    return found if x.var() > 0 else Estimate(found.value, math.nan, math.nan)
+    return found if x.var() > 0 else IntervalEstimate(found.value, math.nan, math.nan)
 
 
 def hedges_g(a: ArrayLike, b: ArrayLike) -> float:

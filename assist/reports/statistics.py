@@ -28,7 +28,7 @@ FEW_POOLS = 10
 
 
 @dataclass(frozen=True)
-class Estimate:
+class IntervalEstimate:
     """A number with an interval.
 
     Attributes
@@ -51,7 +51,7 @@ class Estimate:
         }
 
 
-def mean(values: ArrayLike, level: float = 0.95) -> Estimate:
+def mean(values: ArrayLike, level: float = 0.95) -> IntervalEstimate:
     """Give the mean of pools with Student's t interval.
 
     Parameters
@@ -61,12 +61,12 @@ def mean(values: ArrayLike, level: float = 0.95) -> Estimate:
     """
     x = np.asarray(values, dtype=float)
     if len(x) < 2:
-        return Estimate(float(x.mean()), math.nan, math.nan)
+        return IntervalEstimate(float(x.mean()), math.nan, math.nan)
     half = float(stats.t.ppf((1 + level) / 2, len(x) - 1)) * float(x.std(ddof=1)) / math.sqrt(len(x))
-    return Estimate(float(x.mean()), float(x.mean()) - half, float(x.mean()) + half)
+    return IntervalEstimate(float(x.mean()), float(x.mean()) - half, float(x.mean()) + half)
 
 
-def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> Estimate:
+def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
     """Give how much less is needed with something than without it, in percent: 100 (1 - mean / mean).
 
     The interval is the bias-corrected and accelerated bootstrap over pools (Efron, "Better bootstrap confidence
@@ -89,7 +89,7 @@ def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, lev
 
 def change(
     first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike], rng: np.random.Generator, level: float = 0.95
-) -> Estimate:
+) -> IntervalEstimate:
     """Give how much larger the first of two savings is than the last, in percentage points; arrays as in `saving`."""
     columns = np.stack([np.asarray(values, dtype=float) for values in (*first, *last)], axis=1)
 
@@ -99,7 +99,7 @@ def change(
     return _bootstrap(columns, points, rng, level)
 
 
-def ratio(above: ArrayLike, below: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> Estimate:
+def ratio(above: ArrayLike, below: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
     """Give the ratio of two means, with an interval as in `saving`."""
     pairs = np.stack([np.asarray(above, dtype=float), np.asarray(below, dtype=float)], axis=1)
 
@@ -122,13 +122,13 @@ def effect(difference: ArrayLike) -> float:
     return float(x.mean()) / spread if spread > 0 else math.nan
 
 
-def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: float) -> Estimate:  # type: ignore[no-untyped-def]
+def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: float) -> IntervalEstimate:  # type: ignore[no-untyped-def]
     """Give a function of the columns' means, shape (..., m) to (...), with its bootstrap interval over rows."""
     n = len(columns)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(statistic(columns.mean(axis=0)))
         if n < 2 or not math.isfinite(value):
-            return Estimate(value, math.nan, math.nan)
+            return IntervalEstimate(value, math.nan, math.nan)
         left_out = np.asarray(statistic((columns.sum(axis=0) - columns) / (n - 1)))
         if n < FEW_POOLS:
             return _jackknife(value, left_out, level)
@@ -138,18 +138,22 @@ def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: floa
     off = left_out.mean() - left_out
     spread = float((off**2).sum())
     if not len(drawn) or spread < 1e-24 * max(1.0, value**2):  # all pools are alike
-        return Estimate(value, value, value)
+        return IntervalEstimate(value, value, value)
     acceleration = float((off**3).sum()) / (6 * spread**1.5)
     below = (np.sum(drawn < value) + np.sum(drawn == value) / 2) / len(drawn)
     bias = float(special.ndtri(np.clip(below, 1 / len(drawn), 1 - 1 / len(drawn))))
     tails = bias + special.ndtri(np.array([(1 - level) / 2, (1 + level) / 2]))
     low, high = np.quantile(drawn, special.ndtr(bias + tails / (1 - acceleration * tails)))
-    return Estimate(value, float(low), float(high))
+    return IntervalEstimate(value, float(low), float(high))
 
 
-def _jackknife(value: float, left_out: Floats, level: float) -> Estimate:
+def _jackknife(value: float, left_out: Floats, level: float) -> IntervalEstimate:
     """Give Student's t interval with the standard error of what is found when each of the n pools is left out."""
     n = len(left_out)
     error = math.sqrt((n - 1) / n * float(((left_out - left_out.mean()) ** 2).sum()))
     half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error
-    return Estimate(value, value - half, value + half) if math.isfinite(half) else Estimate(value, math.nan, math.nan)
+    return (
+        IntervalEstimate(value, value - half, value + half)
+        if math.isfinite(half)
+        else IntervalEstimate(value, math.nan, math.nan)
+    )

@@ -21,7 +21,7 @@ SHOWN_PEOPLE = 3  # in the picture of an episode
 
 
 @dataclass(frozen=True)
-class Picture:
+class ReportFigure:
     """A picture of the report: its file's name, what it shows, and what draws it."""
 
     name: str
@@ -29,7 +29,7 @@ class Picture:
     figure: Callable[[], Figure]
 
 
-def pictures(found: Found, summary: Record) -> Iterator[Picture]:
+def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
     """Give the pictures for which the study has data."""
     import pandas as pd
 
@@ -40,7 +40,7 @@ def pictures(found: Found, summary: Record) -> Iterator[Picture]:
 
     cells = pd.DataFrame(_measured(cell for cell in summary["cells"] if found.main.items() <= cell.items()))
     text = f"Human actions and interventions against the number of people{whose}"
-    yield Picture("team-size", text, partial(draw.team_size_figure, cells))
+    yield ReportFigure("team-size", text, partial(draw.team_size_figure, cells))
 
     benefit = pd.DataFrame(
         {**row, "comparison": f"{row['measure']} against {row['against']}"}
@@ -49,7 +49,7 @@ def pictures(found: Found, summary: Record) -> Iterator[Picture]:
     )
     if len(benefit) and len(set(benefit["humans"])) > 1:
         text = f"What {study.focus} saves, against the number of people{whose}"
-        yield Picture("benefit", text, partial(draw.benefit_figure, benefit, published, source))
+        yield ReportFigure("benefit", text, partial(draw.benefit_figure, benefit, published, source))
 
     condition = of_kinds(study)
     if condition is not None:
@@ -57,16 +57,16 @@ def pictures(found: Found, summary: Record) -> Iterator[Picture]:
         marks = reference.interventions if reference else ()
         marks = tuple(mark for mark in marks if {*mark[0]} <= {*condition.populations})
         figure = partial(draw.category_figure, kinds, condition.populations, marks, source)
-        yield Picture("categories", "Actions and interventions of kinds of people", figure)
+        yield ReportFigure("categories", "Actions and interventions of kinds of people", figure)
 
     points = pd.DataFrame(_points(found))
     if len(points) and len(points[["c_suggest", "c_move"]].drop_duplicates()) > 1:
         name = reference.name if reference else ""
         figure = partial(draw.trade_off_figure, points, published, name)
-        yield Picture("trade-off", f"Actions against interventions as costs vary{whose}", figure)
+        yield ReportFigure("trade-off", f"Actions against interventions as costs vary{whose}", figure)
 
     text = f"What the robot believes in the course of one episode{whose}"
-    yield Picture("belief", text, partial(draw.belief_figure, *_one_episode(found)))
+    yield ReportFigure("belief", text, partial(draw.belief_figure, *_one_episode(found)))
 
 
 def of_kinds(study: Study) -> Condition | None:

@@ -26,7 +26,7 @@ from ..study.study import OWN, Study
 from . import study_claims
 from . import study_claims as claims
 from .statistics import FEW_POOLS
-from .study_figures import Picture, of_kinds, of_whom, pictures
+from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
 from .wording import Record, beside, interval, named, sign, table, varying, with_deviation
 
@@ -75,13 +75,13 @@ class Report:
         All numbers.
     text : str
         In Markdown.
-    pictures : tuple of Picture
+    pictures : tuple of ReportFigure
         Not drawn yet.
     """
 
     summary: Record
     text: str
-    pictures: tuple[Picture, ...]
+    pictures: tuple[ReportFigure, ...]
 
     @classmethod
     def of(cls, study: Study, folder: str | Path) -> Report:
@@ -132,7 +132,7 @@ def _for_both_backgrounds(image: re.Match[str]) -> str:
     return f'<picture>{dark}<img alt="{text}" src="{name}.svg"></picture>'
 
 
-def _draw_all(pictures: Sequence[Picture], folder: Path, jobs: int) -> None:
+def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None:
     if jobs == 1:  # another process takes longer to start than a picture to draw
         for picture in pictures:
             _draw(picture, folder)
@@ -146,7 +146,7 @@ def _draw_all(pictures: Sequence[Picture], folder: Path, jobs: int) -> None:
         remove_unfinished([folder])  # by processes that were stopped
 
 
-def _draw(picture: Picture, folder: Path) -> None:
+def _draw(picture: ReportFigure, folder: Path) -> None:
     style.save_for_pages(picture.figure, folder, picture.name)
 
 

@@ -16,7 +16,7 @@ from planner.system.files import finite
 from ..study.study import SCHEMA, Study
 from ..team.settings import Setting
 from . import statistics
-from .statistics import Estimate
+from .statistics import IntervalEstimate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -300,7 +300,7 @@ def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tupl
     return mine.to_numpy(), other.to_numpy()
 
 
-def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Estimate:
+def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> IntervalEstimate:
     """Give what a policy saves against another, in percent, over all that the pools hold."""
     mine, other = paired(pools, measure, policy, against)
     return statistics.saving(mine, other, np.random.default_rng(SEED))
@@ -318,7 +318,7 @@ def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> I
         }
 
 
-def average(pools: pd.DataFrame, measure: str, policy: str) -> Estimate:
+def average(pools: pd.DataFrame, measure: str, policy: str) -> IntervalEstimate:
     """Give the mean of a measure over pools."""
     return statistics.mean(pools[pools["policy"] == policy].groupby("repeat")[measure].mean().to_numpy())
 

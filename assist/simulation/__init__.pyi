@@ -4,5 +4,5 @@ from .episodes import Episodes as Episodes
 from .episodes import Summary as Summary
 from .illustration import Illustration as Illustration
 from .pool import Pool as Pool
-from .schedule import Presence as Presence
+from .schedule import Schedule as Schedule
 from .simulate import simulate as simulate

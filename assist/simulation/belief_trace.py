@@ -15,7 +15,7 @@ from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 from .episodes import Episode, Trace
 from .pool import Pool
-from .schedule import Presence
+from .schedule import Schedule
 from .simulate import simulate
 from .task_view import World
 
@@ -52,7 +52,7 @@ def beliefs_of_episode(
     seed: Seed,
     name: str = "policy",
     travel: Travel | None = None,
-    presence: Presence | None = None,
+    presence: Schedule | None = None,
     world: World = "people",
 ) -> tuple[Episode, list[dict[str, Any]]]:
     """Simulate one episode, and give what the robot believed about each person before each of their actions.

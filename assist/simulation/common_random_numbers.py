@@ -14,7 +14,7 @@ BLOCK = 64
 """Episodes whose random numbers are drawn together."""
 
 
-class Luck:
+class CommonRandomNumbers:
     """The random numbers of some episodes, whatever others are simulated beside them."""
 
     def __init__(self, seed: int, numbers: NDArray[np.int64], places: int) -> None:

@@ -17,11 +17,11 @@ from planner.system.jit import njit
 from ..people.decision import NOTHING, Floats
 from ..people.influence_kernels import heed, moved
 from ..person.belief_filter import update
-from ..person.problem_arrays import Arrays
+from ..person.problem_arrays import ProblemArrays
 
 
 # Named tuples, however long: they are the only records of arrays that compiled code takes and that are kept compiled.
-class People(NamedTuple):
+class PeopleArrays(NamedTuple):
     """Many people in whatever state their task is; one entry for each in every array, changed in place.
 
     Attributes
@@ -58,7 +58,7 @@ class People(NamedTuple):
     def of_teams(
         cls, x: NDArray[np.int64], robot: NDArray[np.int64], who: NDArray[np.int64], theta: Floats, luck: Floats,
         belief: Floats | None, erred: NDArray[np.bool_],
-    ) -> People:  # fmt: skip
+    ) -> PeopleArrays:  # fmt: skip
         """Give teams' people one after the other; arrays of shape (N, K, ...) in C order, of which these are views.
 
         Who has done nothing yet has spent nothing.
@@ -98,7 +98,7 @@ class Minds(NamedTuple):
 
 
 @njit(nogil=True)
-def act(rows: NDArray[np.int64], people: People, minds: Minds, m: Arrays) -> None:
+def act(rows: NDArray[np.int64], people: PeopleArrays, minds: Minds, m: ProblemArrays) -> None:
     """Let the people of some rows, all of one model, act once."""
     p = np.empty(m.chosen.shape[1])
     after = np.empty((m.chosen.shape[2], len(m.theta)))

@@ -13,7 +13,7 @@ from planner.system.arrays import frozen, outline
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..large_tasks.person_problem import WHOLE, is_whole
-from ..large_tasks.truncated_policy import Ground, WidePolicy
+from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.arguments import Seed, entropy, positive, whole
 from ..people.choices import Choices, require_goal
 from ..people.human import Human, Mixture, Population
@@ -103,7 +103,7 @@ class Pool:
         """Draw people from a population, and set the POMDP of each up.
 
         It is solved when a team policy first needs it, so that whoever is in no team costs no time. Of a task with many
-        states, or one that is asked on demand, only those are looked at to which people come (`WidePolicy`).
+        states, or one that is asked on demand, only those are looked at to which people come (`TruncatedPolicy`).
 
         Parameters
         ----------
@@ -156,9 +156,9 @@ class Pool:
             require_goal(float(table.lookup([table.initial])[0]))
             _allow_people(size, 0, memory_limit_mb)
             everybody = population.sample(None, size, rng)
-            ground = Ground(table, prior, region)
-            anybody = WidePolicy(ground, setting)
-            wide = tuple(WidePolicy(ground, setting, human, anybody) for human in everybody)
+            ground = SharedTask(table, prior, region)
+            anybody = TruncatedPolicy(ground, setting)
+            wide = tuple(TruncatedPolicy(ground, setting, human, anybody) for human in everybody)
             if setting.knowledge == "exact":
                 wide = (anybody,)
             return cls(setting, tuple(everybody), wide, np.arange(size) if models > 1 else np.zeros(size, np.int64))
@@ -216,7 +216,7 @@ class Pool:
     @property
     def wide(self) -> bool:
         """Whether the task is not looked at whole."""
-        kinds = {isinstance(policy, WidePolicy) for policy in self.policies}
+        kinds = {isinstance(policy, TruncatedPolicy) for policy in self.policies}
         if len(kinds) > 1:
             raise ValueError("pools of tasks that are looked at whole and of others: expected one kind")
         return kinds.pop()

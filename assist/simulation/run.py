@@ -12,12 +12,12 @@ from planner.system.files import finite
 from ..people.decision import NOTHING, Floats
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
-from .common_random_numbers import Luck, from_the_prior
-from .dynamics import People, act
+from .common_random_numbers import CommonRandomNumbers, from_the_prior
+from .dynamics import PeopleArrays, act
 from .episodes import Episodes, Trace
 from .pool import Pool
-from .schedule import Presence
-from .task_view import Ground, Ints, View, World
+from .schedule import Schedule
+from .task_view import Ints, StepView, TaskView, World
 
 
 class Run:
@@ -33,16 +33,16 @@ class Run:
         seed: int,
         name: str,
         travel: Travel,
-        presence: Presence,
+        presence: Schedule,
         world: World,
         trace: Trace | None,
         progress: Callable[[int], None],
-        ground: Callable[[Ints, Ints, Ints], Ground],
+        ground: Callable[[Ints, Ints, Ints], TaskView],
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
         shape = (len(numbers), len(travel))
-        self.luck, self.on_grid = Luck(seed, numbers, len(travel)), world == "model"
+        self.luck, self.on_grid = CommonRandomNumbers(seed, numbers, len(travel)), world == "model"
         # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
         self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
@@ -106,7 +106,7 @@ class Run:
         luck = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
             luck[running, :, kind - 1] = self.luck.draw(kind, running)
-        people = People.of_teams(view.x, robot, view.who, self.theta, luck, self.belief, self.erred)
+        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, luck, self.belief, self.erred)
         for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
             group = view.groups[number]
             act(rows, people, group.minds, group.arrays)
@@ -123,7 +123,7 @@ class Run:
             self._record(self.trace, step, flat, view, before, robot, slot, theta_before, reward)
 
     def _robot(
-        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: View
+        self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
     ) -> tuple[NDArray[np.int64], Floats]:
         """Ask the policy, and give what the robot does to each person and what that costs, both of shape (N, K)."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
@@ -163,7 +163,7 @@ class Run:
         trace: Trace,
         step: int,
         flat: NDArray[np.int64],
-        view: View,
+        view: StepView,
         before: NDArray[np.int64],
         robot: NDArray[np.int64],
         slot: NDArray[np.int64],

@@ -11,7 +11,7 @@ from ..people.arguments import wholes
 
 
 @dataclass(frozen=True)
-class Presence:
+class Schedule:
     """When people are there.
 
     Attributes
@@ -26,7 +26,7 @@ class Presence:
     leaves: NDArray[np.int64]
 
     @classmethod
-    def of(cls, humans: int, joins: ArrayLike = 0, leaves: ArrayLike | None = None) -> Presence:
+    def of(cls, humans: int, joins: ArrayLike = 0, leaves: ArrayLike | None = None) -> Schedule:
         """Describe so many people: all from the beginning until they have finished, unless given."""
         never = np.iinfo(np.int64).max
         return cls(

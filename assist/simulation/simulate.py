@@ -27,13 +27,13 @@ from ..team.attention import NoAssistance
 from ..team.policies import prepare
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
-from .common_random_numbers import BLOCK, Luck
+from .common_random_numbers import BLOCK, CommonRandomNumbers
 from .episodes import Episodes, Trace
 from .pool import MEMORY_LIMIT_MB, Pool
 from .run import Run
-from .schedule import Presence
-from .task_view import Ground, Group, Whole, World
-from .truncated_view import Wide
+from .schedule import Schedule
+from .task_view import ModelGroup, TaskView, WholeTaskView, World
+from .truncated_view import TruncatedTaskView
 
 SOLVING = "solving people's POMDPs"
 
@@ -51,7 +51,7 @@ def simulate(
     seed: Seed,
     name: str | None = None,
     travel: Travel | None = None,
-    presence: Presence | None = None,
+    presence: Schedule | None = None,
     world: World = "people",
     trace: Trace | None = None,
     jobs: int = 1,
@@ -76,7 +76,7 @@ def simulate(
         What the policy is called in the records; its own name, or else "policy", unless given.
     travel : Travel, optional
         The way between the places; that of the setting unless given.
-    presence : Presence, optional
+    presence : Schedule, optional
         When people are there; all from the beginning unless given.
     world : "people" or "model"
         Whether the pool's people act, or others as the robot's models have them: beta and theta drawn from
@@ -120,7 +120,7 @@ def simulate(
     numbers = np.arange(count) if np.ndim(episodes) == 0 else wholes("episodes", episodes)
     teams = None if given is None else np.broadcast_to(given, (count, places))
     travel = travel or pool.setting.travel(places)
-    presence = presence or Presence.of(places)
+    presence = presence or Schedule.of(places)
     if len(travel) != places or len(presence.joins) != places:
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
@@ -130,9 +130,9 @@ def simulate(
     luck = entropy(seed)
     if pool.wide:
         jobs = 1  # what has been met grows under one hand
-        ground: Callable[..., Ground] = partial(Wide, pool, world, {})
+        ground: Callable[..., TaskView] = partial(TruncatedTaskView, pool, world, {})
     else:
-        ground = partial(Whole, pool, cache(lambda number: Group.of_model(pool, number, world)), world)
+        ground = partial(WholeTaskView, pool, cache(lambda number: ModelGroup.of_model(pool, number, world)), world)
 
     assert callable(progress)
     chunks = [slice(start, start + together) for start in range(0, count, together)]
@@ -204,7 +204,7 @@ def _drawn(pool: Pool, luck: int, numbers: Sequence[NDArray[np.int64]], places: 
     for chunk in numbers:
         if len(drawn) == size:
             break
-        drawn = np.union1d(drawn, Luck(luck, chunk, places).team(size))
+        drawn = np.union1d(drawn, CommonRandomNumbers(luck, chunk, places).team(size))
     return drawn
 
 

@@ -20,7 +20,7 @@ from ..people.choices import Choices
 from ..people.decision import Floats, perceived_cost
 from ..people.human import Human
 from ..person.pomdp import AssistPOMDP, Policy
-from ..person.problem_arrays import Arrays, read_only
+from ..person.problem_arrays import ProblemArrays, read_only
 from .dynamics import Minds
 from .pool import Pool
 
@@ -30,12 +30,12 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Group:
+class ModelGroup:
     """The people of one model, as compiled code reads them.
 
     Attributes
     ----------
-    arrays : Arrays
+    arrays : ProblemArrays
         Their problem.
     minds : Minds
         How they choose: of each of them, or in the model's world of each beta of the grid.
@@ -47,7 +47,7 @@ class Group:
         The task's states of the problem's rows; None if they are the rows.
     """
 
-    arrays: Arrays
+    arrays: ProblemArrays
     minds: Minds
     people: Ints
     row: Ints
@@ -59,12 +59,12 @@ class Group:
         return self.arrays.final if self.states is None else self.arrays.goal
 
     @classmethod
-    def of_model(cls, pool: Pool, number: int, world: World) -> Group:
+    def of_model(cls, pool: Pool, number: int, world: World) -> ModelGroup:
         """Work out how all people of a model choose in a task that is looked at whole."""
         return cls.of(pool, pool.policies[number].pomdp, np.flatnonzero(pool.model == number), world)
 
     @classmethod
-    def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> Group:
+    def of(cls, pool: Pool, pomdp: AssistPOMDP, own: Ints, world: World, states: Ints | None = None) -> ModelGroup:
         """Work out how some people of a model choose.
 
         Parameters
@@ -89,7 +89,7 @@ class Group:
         made = Minds(
             p, v, read_only(choices.optimal), eta=model.eta / model.utility_scale, lapse=lapse, on_grid=on_grid
         )
-        return cls(Arrays.of(pomdp), made, own, row, states)
+        return cls(ProblemArrays.of(pomdp), made, own, row, states)
 
 
 def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats]:
@@ -99,13 +99,13 @@ def _mind(human: Human, choices: Choices) -> tuple[Floats, Floats]:
 
 
 @dataclass(frozen=True)
-class View:
+class StepView:
     """Everybody in one step, as team policies and compiled code see them; arrays of shape (N, K).
 
     Attributes
     ----------
     policies : sequence of Policy
-    groups : mapping of int to Group
+    groups : mapping of int to ModelGroup
         By the numbers of policies.
     x : int array
         The row of each person in their policy's problem.
@@ -116,13 +116,13 @@ class View:
     """
 
     policies: Sequence[Policy]
-    groups: Mapping[int, Group]
+    groups: Mapping[int, ModelGroup]
     x: Ints
     model: Ints
     who: Ints
 
 
-class Ground(Protocol):
+class TaskView(Protocol):
     """Either of the two, for a number of episodes."""
 
     @property
@@ -130,7 +130,7 @@ class Ground(Protocol):
         """The state in which each person begins, shape (N, K)."""
         ...
 
-    def view(self, x: Ints, active: Ints, *, deep: bool) -> View:
+    def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:
         """Look at everybody.
 
         Parameters
@@ -144,12 +144,12 @@ class Ground(Protocol):
         """
         ...
 
-    def heard(self, view: View, robot: Ints) -> View:
+    def heard(self, view: StepView, robot: Ints) -> StepView:
         """Give the view in which it is known what suggestions do to trust, robot actions being of shape (N, K)."""
         ...
 
 
-class Whole:
+class WholeTaskView:
     """Tasks that are looked at whole.
 
     Parameters
@@ -163,18 +163,18 @@ class Whole:
     """
 
     def __init__(
-        self, pool: Pool, group_of: Callable[[int], Group], world: World, model: Ints, people: Ints, mind: Ints
+        self, pool: Pool, group_of: Callable[[int], ModelGroup], world: World, model: Ints, people: Ints, mind: Ints
     ) -> None:
         self.initial = np.array([pool.choices(number).initial for number in range(len(pool.people))])[people]
         groups = {number: group_of(number) for number in np.unique(model).tolist()}
         # Each person is of one group, and has row 0 in the others.
         who = mind if world == "model" else np.sum([group.row for group in groups.values()], axis=0)[people]
-        self._view = View(pool.policies, groups, self.initial, model, who)
+        self._view = StepView(pool.policies, groups, self.initial, model, who)
 
-    def view(self, x: Ints, active: Ints, *, deep: bool) -> View:  # noqa: ARG002
+    def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:  # noqa: ARG002
         """Give what there is; states are rows."""
         return replace(self._view, x=x)
 
-    def heard(self, view: View, robot: Ints) -> View:  # noqa: ARG002
+    def heard(self, view: StepView, robot: Ints) -> StepView:  # noqa: ARG002
         """Give the same: all is known."""
         return view

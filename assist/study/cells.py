@@ -16,16 +16,16 @@ from planner import CostToGo, Instance, Table
 from planner.system.errors import InputFileError
 
 from ..large_tasks.person_problem import is_whole
-from ..large_tasks.state_cache import Visited
+from ..large_tasks.state_cache import StateCache
 from ..people.choices import Choices
 from ..people.human import Mixture, Population
 from ..people.memory import choices_of
-from ..person.pomdp import Frontier
+from ..person.pomdp import LeafBounds
 from ..person.qmdp import qmdp
 from ..simulation.episodes import Episodes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
-from ..team.policies import OwnPolicy
+from ..team.policies import UserPolicy
 from ..team.state import PolicyError, TeamPolicy
 from .study import OWN, Cell, Study
 from .tasks import costs_of
@@ -166,19 +166,19 @@ def _task(instance: Instance, names: tuple[str, ...] = ()) -> CostToGo | Choices
     return choices_of(known, names) if isinstance(known, Table) and (names or is_whole(known)) else known
 
 
-def _part(task: CostToGo | Choices) -> tuple[Choices, Frontier | None]:
+def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
     """Give a part of a task to try a setting on."""
     if isinstance(task, Choices):
         return task, None
-    region = Visited(task).around(np.array([task.initial]))
+    region = StateCache(task).around(np.array([task.initial]))
     bound = np.zeros(len(region.frontier))
-    return region.choices, Frontier(region.frontier, np.zeros((len(bound), 2)), bound)
+    return region.choices, LeafBounds(region.frontier, np.zeros((len(bound), 2)), bound)
 
 
 @cache
-def _own(file: Path, name: str) -> OwnPolicy:
+def _own(file: Path, name: str) -> UserPolicy:
     """Load a policy of the study's own, once in each process."""
-    return OwnPolicy.load(file, name)
+    return UserPolicy.load(file, name)
 
 
 def check(study: Study) -> None:

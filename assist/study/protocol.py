@@ -38,7 +38,7 @@ from planner.system.typed_toml import (
 from ..learning import population as populations
 from ..people.human import Mixture, Population
 from ..people.terms import TERMS
-from ..people.user_code import OwnError, OwnModel, parse
+from ..people.user_code import UserChoiceModel, UserCodeError, parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .study import OWN, Condition, Contrast, Reference, Study
@@ -257,7 +257,9 @@ class Reader:
                 own = None if table.people is None else parse(table.people, self.file.parent)
                 if table.people is not None and own is None:
                     raise fault(self.file, f"{place}.people", f"'{table.people}'; expected FILE.py:FUNCTION")
-                return self._known(place, Population(**ranges, chooses=None if own is None else OwnModel.load(*own)))
+                return self._known(
+                    place, Population(**ranges, chooses=None if own is None else UserChoiceModel.load(*own))
+                )
             ranges |= {} if table.people is None else {"people": table.people}
             if ranges:
                 raise fault(self.file, place, f"file says what {' and '.join(ranges)} would; expected one of them")
@@ -265,7 +267,7 @@ class Reader:
             return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
         except InputFileError:
             raise
-        except OwnError as error:
+        except UserCodeError as error:
             raise fault(self.file, f"{place}.people", str(error)) from None
         except OSError as error:
             raise fault(self.file, f"{place}.file", f"{error.filename}: {error.strerror}") from None

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planner import Instance
 
 from ..people.human import Mixture, Population
-from ..people.user_code import OwnModel
+from ..people.user_code import UserChoiceModel
 from ..team.settings import Setting
 
 SCHEMA = 1
@@ -216,7 +216,10 @@ class Study:
         digest.update(json.dumps(plain, sort_keys=True).encode())
         named = [path for _, files in self.instances for path in (files.domain, files.problem)]
         models = (people.chooses for _, people in self.populations)
-        own = [*(path for _, (path, _) in self.own_policies), *(m.file for m in models if isinstance(m, OwnModel))]
+        own = [
+            *(path for _, (path, _) in self.own_policies),
+            *(m.file for m in models if isinstance(m, UserChoiceModel)),
+        ]
         for path in (*named, *own):
             digest.update(hashlib.sha256(path.read_bytes()).digest())
         for _, (_, function) in self.own_policies:

@@ -1,9 +1,9 @@
 from .attention import AttentionSwitching as AttentionSwitching
 from .attention import NoAssistance as NoAssistance
 from .attention import Reactive as Reactive
-from .attention_subproblem import Visits as Visits
+from .attention_subproblem import AttentionSubproblem as AttentionSubproblem
 from .policies import POLICIES as POLICIES
-from .policies import OwnPolicy as OwnPolicy
+from .policies import UserPolicy as UserPolicy
 from .policies import named as named
 from .priority import Priority as Priority
 from .settings import Setting as Setting

@@ -6,8 +6,8 @@ coupled problem: Hawkins, "A Lagrangian decomposition approach to weakly coupled
 Coming costs what coming from the nearest other place does, and takes as long; leaving is free. From the end of
 the prices on attention is free.
 
-`Visits.of` writes that as an `AssistPOMDP` again, whose observed state is the task's, the step as long as the
-price depends on it, and the robot's position (`Layout`). What the robot can do depends on its position alone
+`AttentionSubproblem.of` writes that as an `AssistPOMDP` again, whose observed state is the task's, the step as long as
+the price depends on it, and the robot's position (`TimeExpansion`). What the robot can do depends on its position alone
 (`RobotMoves`). So every solver and bound there is serves here too.
 """
 
@@ -24,7 +24,7 @@ from planner.system.machine import available_memory
 
 from ..people.choices import Choices
 from ..people.decision import NOTHING, Floats
-from ..person.pomdp import AssistPOMDP, Frontier
+from ..person.pomdp import AssistPOMDP, LeafBounds
 from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1
@@ -35,7 +35,7 @@ SMALL = 100e6
 
 
 @dataclass(frozen=True)
-class Layout:
+class TimeExpansion:
     """The states of a problem of visits: by step, then by the robot's position, then by the task's state.
 
     Attributes
@@ -57,7 +57,7 @@ class Layout:
     kept: NDArray[np.bool_] | None = None
 
     @classmethod
-    def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> Layout:
+    def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> TimeExpansion:
         """Keep what can be reached at each of so many steps; with none, every state of the task.
 
         Nothing follows a state in which the problem ends.
@@ -173,7 +173,7 @@ class RobotMoves:
 
 
 @dataclass(frozen=True)
-class Visits:
+class AttentionSubproblem:
     """One person's problem with a robot that comes and goes; its robot actions are `RobotMoves`.
 
     Attributes
@@ -188,7 +188,7 @@ class Visits:
         What coming costs, in cost units.
     entry_steps : int
         How many steps it takes.
-    layout : Layout
+    layout : TimeExpansion
         What each state stands for.
     """
 
@@ -197,7 +197,7 @@ class Visits:
     price: Floats
     entry: float
     entry_steps: int
-    layout: Layout
+    layout: TimeExpansion
 
     @classmethod
     def of(
@@ -209,7 +209,7 @@ class Visits:
         *,
         longest: int | None = None,
         kept: NDArray[np.bool_] | None = None,
-    ) -> Visits:
+    ) -> AttentionSubproblem:
         """Set the problem up; it begins with the robot away, at step 0.
 
         Where there is a price, only states that can be reached at each step are there.
@@ -229,7 +229,7 @@ class Visits:
         """
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
-        layout = Layout.of(alone, positions, len(price), kept)
+        layout = TimeExpansion.of(alone, positions, len(price), kept)
         _require_room(alone, layout)
         moves = RobotMoves.of(positions, alone.suggested.shape[1], entry_steps)
 
@@ -257,7 +257,7 @@ class Visits:
         free = cls(pomdp, alone, np.zeros(len(price)), entry, entry_steps, layout)
         return free.priced(price) if len(price) else free
 
-    def priced(self, price: Floats) -> Visits:
+    def priced(self, price: Floats) -> AttentionSubproblem:
         """Give the same problem with other prices, of the same steps."""
         more = np.append(price - self.price, 0.0)[self.layout.step]
         costs = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
@@ -294,7 +294,7 @@ def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6
     return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
 
 
-def _require_room(alone: AssistPOMDP, layout: Layout) -> None:
+def _require_room(alone: AssistPOMDP, layout: TimeExpansion) -> None:
     """Refuse a problem for which the machine has no memory left."""
     betas, thetas = alone.grid.shape
     slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
@@ -307,7 +307,7 @@ def _require_room(alone: AssistPOMDP, layout: Layout) -> None:
         )
 
 
-def backwards(visits: Visits, tail: Floats) -> QMDP:
+def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
     """Solve a problem with beta and theta seen, from the steps on at which attention is free back to the first.
 
     Parameters
@@ -322,7 +322,7 @@ def backwards(visits: Visits, tail: Floats) -> QMDP:
     return qmdp(visits.pomdp, above=above, tolerance=1e-5)
 
 
-def _choices(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> Choices:
+def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> Choices:
     """Return the person's choices: the same, while the step passes and the robot that is on its way comes nearer."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
@@ -345,13 +345,13 @@ def _choices(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> Choi
     )
 
 
-def _order(choices: Choices, layout: Layout, final: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _order(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Order the states that are not final: what comes later is worked out first, then what is nearer to the goal."""
     order = np.lexsort((choices.h, -layout.step))
     return order[~final[order]]
 
 
-def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -> Frontier | None:
+def _frontier(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry: float) -> LeafBounds | None:
     """Give the frontier of a problem of visits where that of the person alone has one: at every step and position.
 
     Above: no policy gets more than with a robot that is always there, whose presence costs nothing. Where it is known
@@ -371,7 +371,7 @@ def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -
         known = np.stack([alone.frontier.away, alone.frontier.upper])
         upper = np.zeros((len(states), *known.shape[2:]))  # no more than that, as costs are positive
         upper[ends[states]] = known[np.minimum(layout.position[states], HERE), place[layout.x[states]]][ends[states]]
-        return Frontier(states, upper, upper)
+        return LeafBounds(states, upper, upper)
     assert layout.kept is None
     states = np.flatnonzero(place[layout.x] >= 0)
     at = place[layout.x[states]]
@@ -383,4 +383,4 @@ def _frontier(alone: AssistPOMDP, layout: Layout, price: Floats, entry: float) -
     if layout.positions > 2:
         floor = -np.inf if alone.frontier.floor is None else alone.frontier.floor
         lower[position != HERE] = floor - paid[position != HERE, None]
-    return Frontier(states, np.minimum(lower, 0.0), upper)
+    return LeafBounds(states, np.minimum(lower, 0.0), upper)

@@ -1,6 +1,6 @@
 """Team policies by name: those that come with the package, and one's own in a file.
 
-`named` makes the paper's and ours. `OwnPolicy` is a function in a Python file, written `FILE.py:FUNCTION`; what goes
+`named` makes the paper's and ours. `UserPolicy` is a function in a Python file, written `FILE.py:FUNCTION`; what goes
 wrong in it is reported as a `PolicyError` with its file and line, since it is not the caller's to mend.
 """
 
@@ -88,7 +88,7 @@ def prepare(
 
 
 @dataclass(frozen=True)
-class OwnPolicy:
+class UserPolicy:
     """A team policy of the user's own.
 
     Attributes
@@ -104,7 +104,7 @@ class OwnPolicy:
     function: TeamPolicy
 
     @classmethod
-    def load(cls, file: str | Path, name: str) -> OwnPolicy:
+    def load(cls, file: str | Path, name: str) -> UserPolicy:
         """Load a function from a Python file.
 
         Raises
@@ -115,7 +115,7 @@ class OwnPolicy:
         file = Path(file)
         try:
             return cls(file, name, user_code.load(file, name))
-        except user_code.OwnError as error:
+        except user_code.UserCodeError as error:
             raise PolicyError(str(error)) from error.__cause__
 
     @property

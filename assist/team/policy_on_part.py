@@ -13,7 +13,7 @@ from planner import CostToGo
 
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP
-from .attention_subproblem import Visits
+from .attention_subproblem import AttentionSubproblem
 
 
 class PolicyOnPart(Policy, Protocol):
@@ -39,7 +39,7 @@ class PolicyOnPart(Policy, Protocol):
         ...
 
     def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> Any:
-        """Solve the person's problem with a robot that comes and goes; once. Arguments as in `Visits.of`."""
+        """Solve the problem with a robot that comes and goes, once; arguments as in `AttentionSubproblem.of`."""
         ...
 
 
@@ -54,8 +54,8 @@ class LocalPolicy(Policy, Protocol):
 
     for_one_step: ClassVar[bool]
 
-    def visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> tuple[Visits, QMDP]:
-        """Return the problem with a robot that comes and goes, and the policy there; arguments as in `Visits.of`."""
+    def visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> tuple[AttentionSubproblem, QMDP]:
+        """Return the problem with a robot that comes and goes, and its policy (see `AttentionSubproblem.of`)."""
         ...
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..people.decision import Floats
 from ..person.pomdp import Policy
 from ..person.qmdp import QMDP, qmdp
-from .attention_subproblem import HERE, Visits, backwards
+from .attention_subproblem import HERE, AttentionSubproblem, backwards
 from .policy_on_part import is_for_one_step, is_on_part, on_parts
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
 from .travel import Travel
@@ -36,12 +36,12 @@ def coming(travel: Travel) -> tuple[float, int, int]:
 
 
 @dataclass(frozen=True, eq=False)
-class Presence:
+class SolvedSubproblem:
     """One person's problem with a robot that comes and goes, solved.
 
     Attributes
     ----------
-    visits : Visits
+    visits : AttentionSubproblem
     policy : QMDP
         Its policy.
     states : int array, shape (W + 1, P, n)
@@ -49,12 +49,12 @@ class Presence:
         reached at that step.
     """
 
-    visits: Visits
+    visits: AttentionSubproblem
     policy: QMDP
     states: NDArray[np.int64]
 
     @classmethod
-    def of(cls, visits: Visits, policy: QMDP) -> Presence:
+    def of(cls, visits: AttentionSubproblem, policy: QMDP) -> SolvedSubproblem:
         """Number the states."""
         steps, positions = range(len(visits.layout.layers)), range(visits.layout.positions)
         return cls(visits, policy, np.array([[visits.states(t, position) for position in positions] for t in steps]))
@@ -78,7 +78,7 @@ class Priority:
     price : float array, shape (W + 1,)
         What each step of the robot's attention is worth to others, the last also at any later one. It counts from the
         next step on, since what others need in this one is seen.
-    known : ByPolicy of Presence
+    known : ByPolicy of SolvedSubproblem
         For people on tasks that are looked at whole.
     """
 
@@ -86,7 +86,7 @@ class Priority:
     entry_steps: int
     longest: int
     price: Floats
-    known: ByPolicy[Presence]
+    known: ByPolicy[SolvedSubproblem]
     uses_belief = True
 
     @classmethod
@@ -127,12 +127,12 @@ class Priority:
         if each.ndim and on_part:
             raise ValueError(f"prices of {each.size} steps: expected one price where tasks are not looked at whole")
 
-        def presence(policy: Policy) -> Presence:
-            free = Visits.of(policy.pomdp, entry, steps, longest=longest)
+        def presence(policy: Policy) -> SolvedSubproblem:
+            free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)
             if not each.ndim:
-                return Presence.of(free, qmdp(free.at_price(float(each))))
-            visits = Visits.of(policy.pomdp, entry, steps, each, longest=longest)
-            return Presence.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
+                return SolvedSubproblem.of(free, qmdp(free.at_price(float(each))))
+            visits = AttentionSubproblem.of(policy.pomdp, entry, steps, each, longest=longest)
+            return SolvedSubproblem.of(visits, backwards(visits, qmdp(free.pomdp).value_mdp))
 
         prices = np.append(each, 0.0) if each.ndim else each.reshape(1)
         return cls(entry, steps, longest, prices, ByPolicy(whole, presence))
@@ -187,10 +187,10 @@ class Priority:
         """What is asked about people, by the step: one object each, as a live team keeps answers by what was asked."""
         return tuple(partial(self._values, step) for step in range(len(self.price)))
 
-    def presence(self, policy: Policy) -> Presence:
+    def presence(self, policy: Policy) -> SolvedSubproblem:
         """Give the problem of the people of a policy with a robot that comes and goes."""
         if is_for_one_step(policy):
-            return Presence.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
+            return SolvedSubproblem.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
         return self.known[policy]
 
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:

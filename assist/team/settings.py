@@ -13,7 +13,7 @@ from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Mixture, Population
-from ..person.pomdp import AssistPOMDP, Frontier, Suggestions
+from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
@@ -97,7 +97,7 @@ class Setting:
         human: Human | None,
         population: Population | Mixture,
         *,
-        frontier: Frontier | None = None,
+        frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
         """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task.
 

@@ -24,7 +24,7 @@ from ..live.course import NOTHING, AbsentError, Course, Event
 from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
 from .assignment import assign
-from .participant_team import Group
+from .participant_team import ParticipantTeam
 from .plan import Stage, UserStudy
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
@@ -83,7 +83,7 @@ class Participant:
         Which was drawn; where each participant has all, the name of their order (`UserStudy.orders`).
     completion : str or None
         What they are given at the end.
-    groups : dict of Group
+    groups : dict of ParticipantTeam
         By kind of stage and period: in practice, and in the tasks of each condition.
     """
 
@@ -97,9 +97,9 @@ class Participant:
     expired: bool = False
     condition: str | None = None
     completion: str | None = None
-    groups: dict[tuple[str, int], Group] = field(default_factory=dict)
+    groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 
-    def at_tasks(self) -> list[Group]:
+    def at_tasks(self) -> list[ParticipantTeam]:
         """Give their teams at the tasks that they have begun, in the order of their conditions."""
         return [group for (kind, _), group in self.groups.items() if kind == "task"]
 
@@ -268,7 +268,7 @@ class Cohort:
         if "completion" in record:
             person.completion, person.status = record["completion"], DONE
 
-    def _group(self, person: Participant, stage: Stage, condition: str | None) -> Group:
+    def _group(self, person: Participant, stage: Stage, condition: str | None) -> ParticipantTeam:
         key = stage.kind, stage.period
         if key not in person.groups:
             number = list(self.participants).index(person.code)
@@ -286,7 +286,7 @@ class Cohort:
                     for seed in seeds
                 ]
 
-            person.groups[key] = Group(
+            person.groups[key] = ParticipantTeam(
                 person.code, self._tasks, lambda: self._course(own), mates, again=self.study.again
             )
         return person.groups[key]
@@ -328,7 +328,7 @@ class Cohort:
         most = self.study.participants
         return most is None or (person is not None and self._counts(person)) or self.taken < most
 
-    def _at_task(self, person: Participant) -> Group:
+    def _at_task(self, person: Participant) -> ParticipantTeam:
         stage = self.stages[person.at]
         if stage.kind not in ("practice", "task"):
             raise InapplicableError(f"{person.code} is at {stage.name}; nothing can be done there")

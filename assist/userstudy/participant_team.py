@@ -19,7 +19,7 @@ Sub = dict[str, Any]
 """An event within the team, as a record."""
 
 
-class Group:
+class ParticipantTeam:
     """A participant and the simulated people of their team.
 
     Parameters

@@ -15,11 +15,11 @@ from planner.system.errors import ResultsExistError
 from planner.system.files import atomic
 
 from ..live.course import Course
-from ..live.live_task import Problem, digest
+from ..live.live_task import LiveTask, digest
 from ..live.session import Session
 from ..people.user_code import parse
 from ..person.pomdp import Policy
-from ..team.policies import OwnPolicy
+from ..team.policies import UserPolicy
 from ..team.state import TeamPolicy
 from .cohort import Cohort
 from .plan import UserStudy
@@ -62,7 +62,7 @@ class StudySession(Session):
                 shutil.copyfile(study.file, path)
 
     def _once(self, task: CostToGo) -> Policy:
-        return Problem(task, self.study.setting, self.study.population).policy
+        return LiveTask(task, self.study.setting, self.study.population).policy
 
     def _header(self) -> dict[str, Any]:
         return {
@@ -99,4 +99,4 @@ class StudySession(Session):
 
 def _policy(study: UserStudy, policy: str) -> str | TeamPolicy:
     place = parse(policy, study.file.parent)
-    return policy if place is None else OwnPolicy.load(*place)
+    return policy if place is None else UserPolicy.load(*place)

@@ -10,7 +10,7 @@ from fastapi.responses import FileResponse, HTMLResponse
 
 from ..drawing import svg
 from . import openapi_page
-from .tokens import Access
+from .tokens import AccessTokens
 
 PAGES = Path(__file__).parent / "pages"
 
@@ -45,7 +45,7 @@ def piece(folder: Path, name: str) -> Response:
 
 def page_of(request: Request, token: str, person: str | None, file: Path) -> Response:
     """Return the page of whoever has this token, or the one that says that a link is not right."""
-    access: Access = request.app.state.service.access
+    access: AccessTokens = request.app.state.service.access
     caller = access.whose(token)
     if caller is None or caller.person != person:
         return page(request, PAGES / "nowhere.html", 403)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .tokens import Access
+from .tokens import AccessTokens
 
 LARGEST = 64 * 1024
 """Bytes of a request's body."""
@@ -65,7 +65,7 @@ class Guard:
     the service is well. Who calls is in the scope's state as `caller`; the path is that within the service.
     """
 
-    def __init__(self, app: ASGIApp, access: Access, allowance: Allowance | None = None) -> None:
+    def __init__(self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None) -> None:
         self.app, self._access, self._allowance = app, access, allowance or Allowance()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -32,7 +32,7 @@ from ..team.state import TeamPolicy
 from .app import make_app
 from .request_limits import LARGEST
 from .service import BusyError, Service
-from .tokens import Access
+from .tokens import AccessTokens
 
 PATIENCE = 2
 """Seconds for connections to end by themselves."""
@@ -73,7 +73,7 @@ def address(listening: socket.socket) -> str:
 
 
 @dataclass
-class Seats:
+class SimulatedSeats:
     """Simulated people, and how fast they are.
 
     Attributes
@@ -159,7 +159,7 @@ def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
 
 
 @dataclass(frozen=True)
-class Plan:
+class ServedTeam:
     """What is served.
 
     Attributes
@@ -179,7 +179,7 @@ class Plan:
     simulated : sequence of str
         Whose seats simulated people take.
     pace, seed
-        As in `Seats` and `SimulatedPerson`.
+        As in `SimulatedSeats` and `SimulatedPerson`.
     tick : float
         Seconds without an event after which time is taken to have elapsed.
     public_url : str or None
@@ -220,25 +220,25 @@ class Plan:
                     raise outcome
         return session
 
-    def seats(self) -> Seats:
+    def seats(self) -> SimulatedSeats:
         """Draw simulated people."""
         eta, scale = self.setting.eta, self.setting.utility_scale
         people = {
             name: SimulatedPerson(self.population, eta=eta, utility_scale=scale, seed=self.seed + number)
             for number, name in enumerate(self.simulated)
         }
-        return Seats(people, self.pace)
+        return SimulatedSeats(people, self.pace)
 
 
-Ready = Callable[[Access, tuple[str, ...]], None]
+Ready = Callable[[AccessTokens, tuple[str, ...]], None]
 
 
-def serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) -> None:
+def serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready) -> None:
     """Serve a session until a signal ends it.
 
     Parameters
     ----------
-    plan : Plan
+    plan : ServedTeam
     session : Session
         That of the plan.
     listening : socket
@@ -249,8 +249,8 @@ def serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) 
     asyncio.run(_serve(plan, session, listening, ready))
 
 
-async def _serve(plan: Plan, session: Session, listening: socket.socket, ready: Ready) -> None:
-    access = Access.kept(plan.folder / "secret", plan.public_url or address(listening))
+async def _serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: Ready) -> None:
+    access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
     app = make_app(service)

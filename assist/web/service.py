@@ -23,7 +23,7 @@ from ..live.course import AbsentError, Event
 from ..live.journal import JournalError
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Outlook, Session
-from .tokens import Access
+from .tokens import AccessTokens
 
 ROOM = 64
 """Messages on their way to one watcher."""
@@ -66,12 +66,12 @@ class Service:
     Parameters
     ----------
     session : Session
-    access : Access
+    access : AccessTokens
     tick : float
         Seconds without an event after which time is taken to have elapsed.
     """
 
-    def __init__(self, session: Session, access: Access, *, tick: float = TICK) -> None:
+    def __init__(self, session: Session, access: AccessTokens, *, tick: float = TICK) -> None:
         self.session, self.access, self.tick = session, access, tick
         session.changed = self._seen
         self.views = {person: _json(self.session.person(person)) for person in self.session.people}

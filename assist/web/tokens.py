@@ -56,7 +56,7 @@ class Caller(NamedTuple):
     person: str | None
 
 
-class Access:
+class AccessTokens:
     """The tokens of a session.
 
     Parameters
@@ -73,7 +73,7 @@ class Access:
         self._callers = {_digest(self.operator): Caller(None)}
 
     @classmethod
-    def kept(cls, file: Path, base: str) -> Access:
+    def kept(cls, file: Path, base: str) -> AccessTokens:
         """Take the secret from a file, which is made if there is none, for its owner alone to read."""
         if not file.exists():
             with atomic(file) as path:

@@ -7,8 +7,8 @@ no policy gets less: what comes of that is a problem of finitely many nodes, a s
 grid). Nodes are worked out when they are first met.
 
 With a person's luck given, one number in [0, 1) for each step, every robot action leads from a node to one other: what
-can be reached is a `Graph`, layer by layer, since many ways meet again. Choices that lead to cheap places come first,
-so that the same number means much the same whatever the robot does.
+can be reached is a `SampleGraph`, layer by layer, since many ways meet again. Choices that lead to cheap places come
+first, so that the same number means much the same whatever the robot does.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from planner.system.jit import njit
 
-from ...large_tasks.truncated_bound import Outer
+from ...large_tasks.truncated_bound import OuterRelaxation
 from ...people.decision import Floats
 from ...people.influence_kernels import answer
-from ...person.problem_arrays import Arrays
+from ...person.problem_arrays import ProblemArrays
 from ...person.solver import Solution
 from ...person.upper_hull import PIVOTS, weigh
-from ...team.attention_subproblem import Visits
+from ...team.attention_subproblem import AttentionSubproblem
 
 Ints = NDArray[np.int64]
 
@@ -56,7 +56,7 @@ class Known(NamedTuple):
     state: Ints
 
 
-class Nodes(NamedTuple):
+class NodeTable(NamedTuple):
     """What has been worked out: each robot action of a node is an edge.
 
     Attributes
@@ -81,7 +81,7 @@ class Nodes(NamedTuple):
     used: Ints
 
 
-class Graph(NamedTuple):
+class SampleGraph(NamedTuple):
     """What can come about with one luck, n nodes in layers, one for each step.
 
     Attributes
@@ -108,26 +108,26 @@ class Graph(NamedTuple):
     attends: NDArray[np.bool_]
 
 
-class Lattice:
+class BeliefNodes:
     """The nodes of one person's problem, as far as they have been met.
 
     Attributes
     ----------
-    visits : Visits
+    visits : AttentionSubproblem
     known : Known
-    nodes : Nodes
+    nodes : NodeTable
     root : int array, shape (r,); chance : float array, shape (r,)
         The nodes among which the prior is divided.
     value : float
         Their mean bound.
     """
 
-    def __init__(self, visits: Visits, solution: Solution, outer: Outer | None = None) -> None:
+    def __init__(self, visits: AttentionSubproblem, solution: Solution, outer: OuterRelaxation | None = None) -> None:
         if outer is not None:
             visits, solution = outer.visits, _embedded(visits, solution, outer)
         pomdp, choices = visits.pomdp, visits.pomdp.model.choices
         size, states = pomdp.prior.size, len(pomdp.robot_actions)
-        self.visits, self.arrays, self.attended = visits, Arrays.of(pomdp), visits.attended()
+        self.visits, self.arrays, self.attended = visits, ProblemArrays.of(pomdp), visits.attended()
         self.known = Known(
             np.ascontiguousarray(solution.corner).reshape(states, size),
             np.ascontiguousarray(solution.point).reshape(-1, size), solution.drop, solution.first,
@@ -136,7 +136,7 @@ class Lattice:
         promise = np.where(choices.applicable, choices.costs + pomdp.gamma * choices.h[choices.targets], np.inf)
         self.order = np.argsort(promise, axis=1, kind="stable")
         count = len(solution.drop) + states * size
-        self.nodes = Nodes(
+        self.nodes = NodeTable(
             np.full(count, -1), np.empty(1 << 12), np.zeros((1 << 12) + 1, dtype=np.int64), np.empty(1 << 16),
             np.empty(1 << 16, dtype=np.int64), np.zeros(2, dtype=np.int64),
         )  # fmt: skip
@@ -147,12 +147,12 @@ class Lattice:
         bounds = [worth(n, self.known) for n in self.root.tolist()]
         self.value = float(self.chance @ bounds)
 
-    def graph(self, luck: Floats) -> Graph:
+    def graph(self, luck: Floats) -> SampleGraph:
         """Give what can come about with a person's luck: who they are, then one number for each step but the last."""
         start = int(np.searchsorted(self.chance.cumsum(), luck[0], side="right"))
         room = 1 << 12
         while True:
-            graph = Graph(
+            graph = SampleGraph(
                 np.zeros(len(luck) + 1, dtype=np.int64), np.empty(room, dtype=np.int64),
                 np.zeros(room + 1, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room),
                 np.empty(room, dtype=np.bool_),
@@ -165,7 +165,7 @@ class Lattice:
             if found > 0:
                 n = graph.layer[found]
                 e = graph.edge[n]
-                return Graph(
+                return SampleGraph(
                     graph.layer[: found + 1], graph.node[:n], graph.edge[: n + 1], graph.to[:e], graph.cost[:e],
                     graph.attends[:e],
                 )  # fmt: skip
@@ -183,7 +183,7 @@ class Lattice:
         self.nodes = self.nodes._replace(**longer)
 
 
-def _embedded(visits: Visits, solution: Solution, outer: Outer) -> Solution:
+def _embedded(visits: AttentionSubproblem, solution: Solution, outer: OuterRelaxation) -> Solution:
     """Give a part's solution as one of the region around it, where corners are all that is known."""
     inner = visits.layout
     here = outer.visits.layout.number(0, inner.position, outer.place[inner.x])
@@ -242,7 +242,7 @@ def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> in
 
 
 @njit()
-def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: Arrays) -> None:
+def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: ProblemArrays) -> None:
     """Fill in the belief after a choice, times its chance."""
     betas, thetas = m.chosen.shape[2], len(m.theta)
     place, suggestion = m.afterstate[x, r], m.suggested[x, r]
@@ -265,7 +265,7 @@ def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: Arrays) -
 
 
 @njit()
-def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> bool:
+def work_out(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order: Ints) -> bool:
     """Work the edges of a node out, unless they are known; tell whether there was room."""
     if nodes.first[node] >= 0:
         return True
@@ -321,7 +321,7 @@ def work_out(node: int, nodes: Nodes, known: Known, m: Arrays, order: Ints) -> b
 
 
 @njit()
-def outcome(edge: int, luck: float, nodes: Nodes) -> int:
+def outcome(edge: int, luck: float, nodes: NodeTable) -> int:
     """Give the node to which an edge leads with some luck."""
     low, high = nodes.begin[edge], nodes.begin[edge + 1] - 1
     while low < high:
@@ -335,7 +335,8 @@ def outcome(edge: int, luck: float, nodes: Nodes) -> int:
 
 @njit(nogil=True)
 def _unfold(
-    root: int, luck: Floats, graph: Graph, stamp: Ints, mark: int, nodes: Nodes, known: Known, m: Arrays, order: Ints,
+    root: int, luck: Floats, graph: SampleGraph, stamp: Ints, mark: int, nodes: NodeTable, known: Known,
+    m: ProblemArrays, order: Ints,
     attended: NDArray[np.bool_],
 ) -> int:  # fmt: skip
     """Fill a graph; return how many layers it has, `FULL` if the lattice has no room, or 0 if the graph has none."""

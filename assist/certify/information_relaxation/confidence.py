@@ -35,7 +35,7 @@ FEWEST = 30
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledBound:
     """The mean of a bound over sample paths.
 
     Attributes
@@ -57,7 +57,7 @@ class Sampled:
     skewness: float = 0.0
 
     @classmethod
-    def of(cls, found: Sequence[float], paths: int, alpha: float) -> Sampled:
+    def of(cls, found: Sequence[float], paths: int, alpha: float) -> SampledBound:
         """Return the mean of two or more values, with the standard error that it has over so many paths like these."""
         values = np.asarray(found)
         spread = float(values.std(ddof=1))

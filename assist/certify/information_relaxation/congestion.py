@@ -14,7 +14,7 @@ with lambda and G of step t + s and all w_s = 1, since people's lucks are indepe
 that: who is left alone wants something else later. So what is further ahead counts less, w_s = `FADING`^s, and counts
 in full once it is there. What is late in an episode never does (`Scale.counts`).
 
-For each node of a person `Conflicts` needs the distribution of their G at each later step, on a few levels g; and as U
+For each node of a person `Congestion` needs the distribution of their G at each later step, on a few levels g; and as U
 is linear in each person's distribution, its mean over what may follow is U of the mean distributions. That makes it a
 penalty whose mean can be worked out for any number of people.
 """
@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ...people.decision import Floats
-from ...person.problem_arrays import Arrays
-from .belief_nodes import LEFT, Graph, Ints, Known, Lattice, Nodes, at, work_out
+from ...person.problem_arrays import ProblemArrays
+from .belief_nodes import LEFT, BeliefNodes, Ints, Known, NodeTable, SampleGraph, at, work_out
 
 LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
 """Between these G less the price is told apart, and between 0 and the price, in units of the cheapest action's cost;
@@ -138,7 +138,7 @@ class Rows(NamedTuple):
     used: Ints
 
 
-class Wishes(NamedTuple):
+class AttentionDemand(NamedTuple):
     """The rows of a graph's nodes, shape (n,), and edges, shape (e, A * (L + 2)).
 
     Attributes
@@ -157,7 +157,7 @@ class Wishes(NamedTuple):
     fall: Floats
 
 
-class Conflicts:
+class Congestion:
     """The wishes of one person, as far as they have been worked out.
 
     Parameters
@@ -166,7 +166,7 @@ class Conflicts:
         Called from time to time, where that takes long; what it raises leaves what has been worked out as it is.
     """
 
-    def __init__(self, lattice: Lattice, scale: Scale, go_on: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, lattice: BeliefNodes, scale: Scale, go_on: Callable[[], None] = lambda: None) -> None:
         self.lattice, self.scale, self.go_on = lattice, scale, go_on
         count = len(lattice.nodes.first)
         self.rows = Rows(
@@ -179,9 +179,9 @@ class Conflicts:
         layout, price = lattice.visits.layout, lattice.visits.price
         self.price = np.append(price, 0.0)[np.minimum(layout.step, len(price))]
 
-    def of(self, graph: Graph) -> Wishes:
+    def of(self, graph: SampleGraph) -> AttentionDemand:
         """Give the rows of a graph."""
-        wishes = Wishes(
+        wishes = AttentionDemand(
             np.zeros(len(graph.node), dtype=np.int64), np.empty((len(graph.to), self.rows.row.shape[1])),
             np.zeros(len(graph.to)),
         )  # fmt: skip
@@ -214,7 +214,7 @@ class Conflicts:
 
 @njit()
 def _wanted(
-    node: int, x: int, price: float, top: float, nodes: Nodes, attended: NDArray[np.bool_], robots: int
+    node: int, x: int, price: float, top: float, nodes: NodeTable, attended: NDArray[np.bool_], robots: int
 ) -> float:
     """Give what attention is worth at a node, at most `top` more than its price."""
     with_it, without = np.inf, np.inf
@@ -228,7 +228,7 @@ def _wanted(
 
 
 @njit()
-def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
+def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: NodeTable) -> None:
     """Fill in the mean of the rows after an edge, up to a column."""
     out[:end] = 0.0
     before = 0.0
@@ -243,8 +243,9 @@ def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: Nodes) -> None:
 
 @njit(nogil=True)
 def _row(
-    node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
-    known: Known, m: Arrays, order: Ints,
+    node: int, depth: int, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
+    nodes: NodeTable,
+    known: Known, m: ProblemArrays, order: Ints,
 ) -> bool:  # fmt: skip
     """Work out so many blocks of the row of a node, and what of later nodes that takes; tell whether that is done."""
     levels = len(scale.width)
@@ -296,8 +297,9 @@ def _row(
 
 @njit(nogil=True)
 def _wishes(
-    graph: Graph, wishes: Wishes, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_], nodes: Nodes,
-    known: Known, m: Arrays, order: Ints,
+    graph: SampleGraph, wishes: AttentionDemand, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
+    nodes: NodeTable,
+    known: Known, m: ProblemArrays, order: Ints,
 ) -> bool:  # fmt: skip
     """Fill in the rows of a graph; tell whether that is done."""
     levels, steps, ahead = len(scale.width), len(scale.price), len(scale.weight)

@@ -46,10 +46,10 @@ The prices of the steps after all have ended come back on the same condition. To
 value has paid them would charge these prices twice, and what comes out is not a bound.
 
 The least sum is found by A* over all people's graphs at a time. That the mean of U, with the weights that it had,
-falls by no more than `Wishes.fall`, and that what comes nearer counts no less and is nowhere below 0, makes D at least
-a sum over people, which prices for this luck take apart: the least of that is the estimate that guides the search.
-Where it is given up, after `POPPED` states, the least estimate of what is open stands for the least sum, and is not
-above it.
+falls by no more than `AttentionDemand.fall`, and that what comes nearer counts no less and is nowhere below 0, makes D
+at least a sum over people, which prices for this luck take apart: the least of that is the estimate that guides the
+search. Where it is given up, after `POPPED` states, the least estimate of what is open stands for the least sum, and is
+not above it.
 
 The mean over lucks has a standard error, so that the bound holds with a confidence. People are worked out side by side,
 and so are lucks, which changes nothing in what comes out.
@@ -72,9 +72,9 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ...people.decision import Floats
-from .belief_nodes import END, LEFT, Graph, Ints, Lattice
-from .confidence import Sampled
-from .congestion import Conflicts, OutOfTimeError, Scale, Wishes, lost
+from .belief_nodes import END, LEFT, BeliefNodes, Ints, SampleGraph
+from .confidence import SampledBound
+from .congestion import AttentionDemand, Congestion, OutOfTimeError, Scale, lost
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -107,25 +107,25 @@ POPPED = 1_600_000
 """States that are looked at for one luck, at most, times people: with fewer, large alphas come to nothing."""
 
 
-class Path(NamedTuple):
+class SamplePath(NamedTuple):
     """What can come about with one luck of all people.
 
     Attributes
     ----------
-    graphs : list of Graph
+    graphs : list of SampleGraph
         Each person's.
-    wishes : list of Wishes
+    wishes : list of AttentionDemand
         What they want in these; their means are parts of the next.
     mean : float array, shape (e, A * (L + 2))
         One person's after the other's.
     """
 
-    graphs: list[Graph]
-    wishes: list[Wishes]
+    graphs: list[SampleGraph]
+    wishes: list[AttentionDemand]
     mean: Floats
 
     @classmethod
-    def of(cls, people: Sequence[tuple[Graph, Wishes]]) -> Path:
+    def of(cls, people: Sequence[tuple[SampleGraph, AttentionDemand]]) -> SamplePath:
         """Join what there is of each person; no mean is kept twice, as they are by far the largest part."""
         mean = np.concatenate([wish.mean for _, wish in people])
         ends = np.cumsum([len(graph.to) for graph, _ in people])
@@ -142,7 +142,7 @@ class _Team(NamedTuple):
     first : int array, shape (K + 1,)
         The nodes of person k are those from `first[k]` to `first[k + 1]`.
     edge, to, cost, attends : arrays
-        As of a `Graph`.
+        As of a `SampleGraph`.
     row : float array, shape (n + 1, A * (L + 2))
         What is wanted at each node; the last two rows are those of `LEFT` and `END`, so that these are their indices.
     mean : float array, shape (e, A * (L + 2))
@@ -161,7 +161,7 @@ class _Team(NamedTuple):
     guide: Floats
 
     @classmethod
-    def of(cls, path: Path, rows: Sequence[Floats], guide: Sequence[Floats]) -> _Team:
+    def of(cls, path: SamplePath, rows: Sequence[Floats], guide: Sequence[Floats]) -> _Team:
         """Join these; `rows` are each person's, of which nodes have some."""
         graphs = path.graphs
         *nodes, node = np.cumsum([0, *(len(graph.node) for graph in graphs)])
@@ -178,12 +178,12 @@ class _Team(NamedTuple):
         )  # fmt: skip
 
 
-class Clairvoyant:
+class InformationRelaxation:
     """The bound for a team whose people have these lattices, at these prices.
 
     Parameters
     ----------
-    lattices : sequence of Lattice
+    lattices : sequence of BeliefNodes
         One for each person; people with one problem share one.
     price : float array, shape (W,)
         Of the steps that the lattices' problems tell apart.
@@ -201,8 +201,8 @@ class Clairvoyant:
     """
 
     def __init__(
-        self, lattices: Sequence[Lattice], price: Floats, steps: int = 0, left: Callable[[int], float] = lambda _: 1.0,
-        workers: int = 1,
+        self, lattices: Sequence[BeliefNodes], price: Floats, steps: int = 0,
+        left: Callable[[int], float] = lambda _: 1.0, workers: int = 1,
     ) -> None:  # fmt: skip
         self.left, self.done, self.workers = left, 0, workers
         gamma = lattices[0].arrays.gamma
@@ -211,12 +211,12 @@ class Clairvoyant:
         self.steps = max(steps, len(price) + AFTER)
         self.price = np.append(price, np.zeros(self.steps + 1 - len(price)))
         self.scale = Scale.of(self.price[: min(self.steps, WISHES)], gamma, unit)
-        kinds = {id(lattice): Conflicts(lattice, self.scale, self._go_on) for lattice in lattices}
+        kinds = {id(lattice): Congestion(lattice, self.scale, self._go_on) for lattice in lattices}
         self.kinds, self.people = list(kinds.values()), [kinds[id(lattice)] for lattice in lattices]
         self.discount: Floats = np.power(gamma, np.arange(self.steps + 1))
         # All prices are paid, those of the steps as well whose conflicts U does not count.
         self.value = float(self.price @ self.discount) + sum(lattice.value for lattice in lattices)
-        roots = dict(zip(kinds, self._each(Conflicts.at_root, self.kinds), strict=True))
+        roots = dict(zip(kinds, self._each(Congestion.at_root, self.kinds), strict=True))
         self.lost = lost(0, np.array([roots[id(lattice)] for lattice in lattices]), self.scale)
 
     def _each(self, do: Callable[[S], T], those: Iterable[S]) -> list[T]:
@@ -227,19 +227,21 @@ class Clairvoyant:
         if self.left(self.done) <= 0:
             raise OutOfTimeError
 
-    def paths(self, generators: Sequence[np.random.Generator]) -> list[Path]:
+    def paths(self, generators: Sequence[np.random.Generator]) -> list[SamplePath]:
         """Draw everybody's luck, with each of these."""
         lucks = [rng.random((len(self.people), self.steps + 1)) for rng in generators]
 
-        def of(kind: Conflicts) -> list[list[tuple[Graph, Wishes]]]:
+        def of(kind: Congestion) -> list[list[tuple[SampleGraph, AttentionDemand]]]:
             own = [luck[[person is kind for person in self.people]] for luck in lucks]
             graphs = [[kind.lattice.graph(one) for one in luck] for luck in own]
             return [[(graph, kind.of(graph)) for graph in of_luck] for of_luck in graphs]
 
         found = dict(zip(map(id, self.kinds), self._each(of, self.kinds), strict=True))
-        return [Path.of([found[id(person)][number].pop(0) for person in self.people]) for number in range(len(lucks))]
+        return [
+            SamplePath.of([found[id(person)][number].pop(0) for person in self.people]) for number in range(len(lucks))
+        ]
 
-    def bound(self, path: Path, alpha: float) -> float:
+    def bound(self, path: SamplePath, alpha: float) -> float:
         """Give what the robot gets at most that knows this luck, less its penalty."""
         told = np.zeros(len(self.price))  # what U counts of each step's conflict; of the rest D is what people lose
         told[: len(self.scale.price)] = alpha * self.scale.counts[:-1]
@@ -256,7 +258,7 @@ class Clairvoyant:
         )  # fmt: skip
         return self.value - alpha * self.lost - found
 
-    def sampled(self, paths: int, seed: int) -> Sampled:
+    def sampled(self, paths: int, seed: int) -> SampledBound:
         """Average over so many lucks, or fewer where time is short, but no fewer than 2.
 
         Raises
@@ -265,7 +267,7 @@ class Clairvoyant:
             It was over before these were looked at: where what people will want takes long to work out.
         """
         few, paths = max(2, math.ceil(PILOT * paths)), max(2, paths)
-        pilot: list[Path] = []
+        pilot: list[SamplePath] = []
         # The share of the time that the last of these took, each: the first set up rows that all others share.
         drawing = 0.0
         while len(pilot) < few and (len(pilot) < 2 or self.left(self.done) > FOR_LUCKS):
@@ -282,16 +284,16 @@ class Clairvoyant:
                 self.done = len(pilot) + len(found)
         if len(found) < 2:
             raise OutOfTimeError
-        return Sampled.of(found, len(found), alpha)
+        return SampledBound.of(found, len(found), alpha)
 
-    def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[Path]:
+    def _draw(self, seed: int, kind: int, numbers: Sequence[int]) -> list[SamplePath]:
         seeds = [np.random.SeedSequence(seed, spawn_key=(4, kind, number)) for number in numbers]
         return self.paths([np.random.default_rng(one) for one in seeds])
 
-    def _bounds(self, paths: Sequence[Path], alpha: float) -> list[float]:
+    def _bounds(self, paths: Sequence[SamplePath], alpha: float) -> list[float]:
         return self._each(lambda path: self.bound(path, alpha), paths)
 
-    def _best_alpha(self, pilot: Sequence[Path], paths: int, drawing: float) -> float:
+    def _best_alpha(self, pilot: Sequence[SamplePath], paths: int, drawing: float) -> float:
         """Go on from `FIRST` while it makes the bound lower that is to be expected of the lucks that there is time for.
 
         The mean over lucks is convex in alpha where no search is given up. But a large alpha takes the search longer:
@@ -306,7 +308,7 @@ class Clairvoyant:
                 found = self._bounds(pilot, ALPHAS[number])
                 each = drawing + (before - self.left(self.done)) / len(pilot)
                 lucks = max(2, min(paths, int(rest / each))) if each > 0 else paths
-                uppers[number] = Sampled.of(found, lucks, ALPHAS[number]).upper
+                uppers[number] = SampledBound.of(found, lucks, ALPHAS[number]).upper
             return uppers[number]
 
         best = FIRST
@@ -319,7 +321,7 @@ class Clairvoyant:
         return ALPHAS[best]
 
 
-def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats, list[Floats]]:
+def _guide(graphs: list[SampleGraph], price: Floats, discount: Floats) -> tuple[Floats, list[Floats]]:
     """Find prices for this luck at which people's least costs, each by themselves, come to most (subgradients).
 
     Returns
@@ -348,7 +350,7 @@ def _guide(graphs: list[Graph], price: Floats, discount: Floats) -> tuple[Floats
 
 
 @njit(nogil=True)
-def _least(graph: Graph, surcharge: Floats, value: Floats, busy: Floats) -> None:
+def _least(graph: SampleGraph, surcharge: Floats, value: Floats, busy: Floats) -> None:
     """Fill in the least costs from each node on, and count the steps of attention on the best way."""
     layers = len(graph.layer) - 1
     best = np.full(len(value), -1)

@@ -19,7 +19,7 @@ from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
-    from ...web.server import Plan
+    from ...web.server import ServedTeam
 
 MOST = 10_000
 """People in a team."""
@@ -50,11 +50,11 @@ def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
     tick: float, domain: str | None, distances: Path | None, beta: Range, theta: Range, sigma: Range,
     population_file: Path | None, people: str | None, **options: Any,
-) -> Plan:  # fmt: skip
+) -> ServedTeam:  # fmt: skip
     """Read the tasks and set up the session; errors are those of a command."""
     from ...drawing import Artist
     from ...team.settings import Setting
-    from ...web.server import Plan
+    from ...web.server import ServedTeam
 
     if simulate > humans:
         raise click.UsageError(f"--simulate {simulate} is more than --humans {humans}")
@@ -78,7 +78,7 @@ def plan_of(
     simulated = [f"simulated-{number}" for number in range(1, simulate + 1)]
     names = [*(f"person-{number}" for number in range(1, humans - simulate + 1)), *simulated]
     in_turn = {name: list(tasks)[number % len(tasks)] for number, name in enumerate(names)}
-    return Plan(
+    return ServedTeam(
         tasks, data or Path(tempfile.mkdtemp(prefix="kitassist-")), in_turn, policy=chosen, setting=setting,
         population=population, distance=distance, simulated=simulated, pace=pace, seed=seed, tick=tick,
     )  # fmt: skip

@@ -32,7 +32,7 @@ from .task import tell_note, tell_of_compiling
 
 if TYPE_CHECKING:
     from ...learning.comparison import Comparison
-    from ...learning.fit import People
+    from ...learning.fit import FittedPeople
     from ...learning.likelihood import Method
     from ...learning.log import Fault, Log
     from ...learning.observations import Evaluated
@@ -170,16 +170,16 @@ def replayed(
 
 def people_of(
     known: Replayed, *, misconceptions: bool, terms: bool, people: str | None, max_states: int, seed: int
-) -> People:
+) -> FittedPeople:
     """Learn about the people of a log; errors are those of a command."""
     from ...large_tasks.person_problem import WHOLE, is_whole
     from ...learning.fit import LogError, learn
     from ...people.choice_model import ChoiceModelError
-    from ...people.user_code import OwnError
+    from ...people.user_code import UserCodeError
 
     try:
         chooses = None if people is None else choice_model(people)
-    except OwnError as error:
+    except UserCodeError as error:
         fail(str(error), EXIT_FAILED)
     except ValueError as error:
         raise click.UsageError(str(error)) from None

@@ -11,7 +11,7 @@ import click
 from planner.system.errors import expected
 
 from ...people.user_code import parse
-from ...team.policies import POLICIES, OwnPolicy
+from ...team.policies import POLICIES, UserPolicy
 from ...team.state import PolicyError
 from ..terminal.console import EXIT_FAILED, fail
 from .common import Option
@@ -45,15 +45,15 @@ def policy_option(help_text: str) -> Option[Any]:
     )  # fmt: skip
 
 
-def policies_of(names: tuple[str, ...]) -> dict[str, str | OwnPolicy]:
+def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
     """Give each policy by the name that it has in results."""
-    found: dict[str, str | OwnPolicy] = {}
+    found: dict[str, str | UserPolicy] = {}
     for name in dict.fromkeys(names):
         place = parse(name)
         called = name if place is None else place[1]
         if called in found or (place is not None and called in POLICIES):
             raise click.UsageError(f"--policy {name}: there is another policy '{called}'; expected another name")
-        found[called] = name if place is None else OwnPolicy.load(*place)
+        found[called] = name if place is None else UserPolicy.load(*place)
     return found
 
 

@@ -94,7 +94,7 @@ def choice_model(people: str) -> ChoiceModel:
     place = user_code.parse(people)
     if place is None:
         raise ValueError(f"--people '{people}'; expected FILE.py:FUNCTION")
-    return user_code.OwnModel.load(*place)
+    return user_code.UserChoiceModel.load(*place)
 
 
 def choosing(population: Population, people: str) -> Population:

@@ -63,7 +63,7 @@ def team_options(command: Command) -> Command:
     return with_options(command, options)
 
 
-class Team(NamedTuple):
+class TeamSetup(NamedTuple):
     """People from whom a team is drawn, and the way between its places."""
 
     instance: Instance
@@ -85,7 +85,7 @@ def team_of(
     instance: str, *, humans: int, size: int, seed: int, domain: str | None, distances: Path | None, beta: Range,
     theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
     memory_limit: float, max_states: int, region_states: int, **setting: Any,
-) -> Team:  # fmt: skip
+) -> TeamSetup:  # fmt: skip
     """Draw so many people; errors are those of a command."""
     from ...simulation.pool import Pool
     from ...team.settings import Setting
@@ -110,4 +110,4 @@ def team_of(
         fail(f"{found}: {error} (--memory-limit)", EXIT_FAILED)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
-    return Team(found, population, pool, travel)
+    return TeamSetup(found, population, pool, travel)

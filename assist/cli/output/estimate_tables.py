@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from rich.table import Table
 
 from ...learning.comparison import Comparison
-from ...learning.fit import People
+from ...learning.fit import FittedPeople
 from ...learning.log import in_order
 from ...learning.population import PopulationFit
 
 
-def table_of(people: People) -> Table:
+def table_of(people: FittedPeople) -> Table:
     """Give the estimates of everybody who is named in the log, with their intervals."""
     table = Table(box=None, pad_edge=False)
     table.add_column("person")
@@ -42,7 +42,7 @@ def table_of(people: People) -> Table:
     return table
 
 
-def lines_of(people: People, found: PopulationFit | None) -> Iterable[str]:
+def lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]:
     """Give what a reader of the table has to know of each person, and the distribution over people if it is known."""
     for name in _everybody(people):
         notes = people[name].notes if name in people else [people.unknown[name]["error"]]
@@ -79,7 +79,7 @@ def comparison_table(comparison: Comparison) -> Table:
     return table
 
 
-def _everybody(people: People) -> list[str]:
+def _everybody(people: FittedPeople) -> list[str]:
     return sorted([*people, *people.unknown], key=in_order)
 
 

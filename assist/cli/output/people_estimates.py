@@ -15,13 +15,13 @@ from ..options.log import Replayed, comparison_of
 from ..terminal.console import print_json, print_table
 
 if TYPE_CHECKING:
-    from ...learning.fit import People
+    from ...learning.fit import FittedPeople
 
 FEWEST = 3  # people whose distribution is printed unasked
 
 
 def show_people(
-    people: People, out: Path | None, population: Path | None, family: str | None, figures: Path | None, *,
+    people: FittedPeople, out: Path | None, population: Path | None, family: str | None, figures: Path | None, *,
     as_json: bool,
 ) -> bool:  # fmt: skip
     """Write and print estimates and, where asked for, their distribution; tell whether all of the log was used."""

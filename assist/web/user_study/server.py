@@ -15,7 +15,7 @@ from ...userstudy.session import StudySession
 from ..app import make_app
 from ..request_limits import Allowance
 from ..server import address, run
-from ..tokens import Access
+from ..tokens import AccessTokens
 from .rehearsal import rehearse
 from .routes import router
 from .service import StudyService
@@ -51,7 +51,7 @@ async def _serve(
     ready: Callable[[StudyService], None], participants: int, public_url: str | None,
 ) -> None:  # fmt: skip
     session = StudySession(study, tasks, folder)
-    access = Access.kept(folder / "secret", public_url or address(listening))
+    access = AccessTokens.kept(folder / "secret", public_url or address(listening))
     service = StudyService(session, access, ticks=not participants)
     begun = asyncio.Event()
 

@@ -11,7 +11,7 @@ from ...live.course import Event
 from ...userstudy.cohort import HERE, LETTERS, Cohort, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
-from ..tokens import Access
+from ..tokens import AccessTokens
 
 VISITOR = "?"
 """Whose token the join link has: nobody's name, since names have letters."""
@@ -29,12 +29,12 @@ class StudyService(Service):
     Parameters
     ----------
     session : StudySession
-    access : Access
+    access : AccessTokens
     ticks : bool
         Whether robots decide once more while participants are idle.
     """
 
-    def __init__(self, session: StudySession, access: Access, *, ticks: bool = True) -> None:
+    def __init__(self, session: StudySession, access: AccessTokens, *, ticks: bool = True) -> None:
         super().__init__(session, access, tick=NEVER)
         self.study, self.folder, self.ticks = session.study, session.folder, ticks
         self._held: StudySession = session
