@@ -142,7 +142,8 @@ def test_a_copy_of_numbered_states_is_one_moment_of_them() -> None:
 
 
 INTERRUPTED = """
-import _thread, sys
+import _thread, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # also where the tests run in the background
 sys.path[:0] = {paths!r}
 import numpy as np
 from importlib import import_module
@@ -164,8 +165,8 @@ except KeyboardInterrupt:
     print(_thread._count() - before, "threads at work")
 """
 WORK = {
-    "by index": "sweep(task, threads=3, progress=lambda *_: begun())",
-    "listed": "module.split_operators = lambda *_: None; sweep(task, threads=3, progress=lambda *_: begun())",
+    "by index": "sweep(task, threads=3, memory_limit_mb=4000, progress=lambda *_: begun())",
+    "listed": "module.split_operators = lambda *_: None; sweep(task, threads=3, memory_limit_mb=4000, progress=lambda *_: begun())",
     "on demand": """
     module = import_module("planner.costtogo.on_demand")
     search, asked = module.astar, OnDemand(load(instance(shipped)), jobs=3)

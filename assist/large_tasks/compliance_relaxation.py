@@ -86,7 +86,7 @@ def at_most(
 ) -> ComplianceBounds:
     """Bound from above what the robot gets with somebody from some states on.
 
-    They choose by cost-to-go alone (eq. 4).
+    They choose by cost-to-go alone (eq. 5).
 
     Parameters
     ----------

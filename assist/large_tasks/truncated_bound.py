@@ -18,7 +18,7 @@ value of the first region's problem, which ends at its frontier with these value
 Assumptions.
 
 1. Costs, of people's actions, suggestions, coming and presence, are 0 or more.
-2. A choice model is local: the chances in a state, and V(x) of eq. 6, follow from the state's own choices, which are
+2. A choice model is local: the chances in a state, and V(x) of eq. 7, follow from the state's own choices, which are
    their costs, their perceived costs, and the h*, goals and keys of the states they lead to. A function that looks
    further gives other numbers on a part than on all of a task, and no bound holds for it.
 3. The robot executes nothing (`AssistPOMDP.of` refuses that where a problem ends at a frontier).
@@ -376,7 +376,7 @@ def _seen(region: TruncatedTask, setting: Setting, human: Human | None, prior: P
 def _expected(
     known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human | None, prior: Population | Mixture
 ) -> Floats:
-    """Return V(x) of eq. 6 in some states, shape (N,), from their choices in the whole task."""
+    """Return V(x) of eq. 7 in some states, shape (N,), from their choices in the whole task."""
     if not len(states):
         return np.empty(0)
     around = StateCache(known).around(states)

@@ -1,13 +1,13 @@
 """How likely the choices of many people are where terms speak for them besides cost, with gradients; compiled.
 
-A suggestion adds logit(theta) to the exponent of the suggested choice (eq. 5), so that a choice is a multinomial logit
+A suggestion adds logit(theta) to the exponent of the suggested choice (eq. 6), so that a choice is a multinomial logit
 all in all:
 
     P(a) proportional to exp(-beta excess(a) + sum_j w_j f_j(a) + logit(theta) [a is suggested]),
 
 mixed with a lapse. People's parameters are rows of coordinates (b, l, w_1 ... w_J): beta = small expm1(b), a scale
 that is linear below `small` and logarithmic above; l = logit(theta) at the beginning of an episode. Theta moves by
-eq. 6 with h* for the person's cost-to-go; where it has met 0 or 1, what came before no longer matters.
+eq. 7 with h* for the person's cost-to-go; where it has met 0 or 1, what came before no longer matters.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ class SimulatedPerson:
     population : Population or Mixture
         Of whom they are drawn.
     eta, utility_scale : float
-        Of the trust update (eq. 6).
+        Of the trust update (eq. 7).
     seed : int
         From which they and all that they do are drawn.
     """
@@ -57,7 +57,7 @@ class SimulatedPerson:
         self._own: dict[int, tuple[CostToGo, Choices, Floats, Floats]] = {}
 
     def act(self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None) -> str:
-        """Choose what to do (eqs. 4 and 5), and come to trust the robot more or less by what it suggested (eq. 6).
+        """Choose what to do (eqs. 5 and 6), and come to trust the robot more or less by what it suggested (eq. 7).
 
         Parameters
         ----------

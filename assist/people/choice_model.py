@@ -27,7 +27,7 @@ class ChoiceModelError(ValueError):
 class ChoiceModel(Protocol):
     """Any callable of this form.
 
-    Trust (eq. 6) looks at V(x) = -min_a Q(x, a), unless the callable has an attribute `value`: a function of
+    Trust (eq. 7) looks at V(x) = -min_a Q(x, a), unless the callable has an attribute `value`: a function of
     (choices, q) that gives V, shape (n,).
     """
 
@@ -47,7 +47,7 @@ class ChoiceModel(Protocol):
 
 
 def boltzmann(choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-    """Choose by cost-to-go alone, as in the paper (eq. 4); a `ChoiceModel`.
+    """Choose by cost-to-go alone, as in the paper (eq. 5); a `ChoiceModel`.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
 
 
 def value(chooses: ChoiceModel, choices: Choices, q: Floats) -> Floats:
-    """Give V(x), shape (n,), at which the trust of a choice model's people looks (eq. 6)."""
+    """Give V(x), shape (n,), at which the trust of a choice model's people looks (eq. 7)."""
     own = getattr(chooses, "value", perceived_value)
     v = np.asarray(own(choices, q), dtype=float)
     if v.shape != choices.h.shape or np.isnan(v).any():

@@ -1,6 +1,6 @@
 """How a person decides, takes advice and comes to trust it: the equations of the model, on arrays.
 
-Perceived cost, Boltzmann choice (eq. 4), influence (eq. 5) and trust (eq. 6), numbered as in Dahiya and Smith,
+Perceived cost, Boltzmann choice (eq. 5), influence (eq. 6) and trust (eq. 7), numbered as in Dahiya and Smith,
 "Adaptive Robot Assistance: Expertise and Influence in Multi-User Task Planning"; see `docs/model.md`.
 The same equations stand compiled in `compiled`.
 """
@@ -64,7 +64,7 @@ def perceived_value(choices: Choices, q: Floats) -> Floats:
 
 
 def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floats | None = None) -> Floats:
-    """Give the Boltzmann policy of eq. 4: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
+    """Give the Boltzmann policy of eq. 5: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floa
 
 
 def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
-    """Weigh a choice by a suggestion (eq. 5): theta for the suggested action, 1 - theta for the others.
+    """Weigh a choice by a suggestion (eq. 6): theta for the suggested action, 1 - theta for the others.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
 
 
 def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, utility_scale: float = 1.0) -> Floats:
-    """Update theta after a suggestion (eq. 6).
+    """Update theta after a suggestion (eq. 7).
 
     theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)
 

@@ -1,6 +1,6 @@
-"""Influence and trust (eq. 5 and 6), compiled: for code that takes one person, one choice, one theta at a time.
+"""Influence and trust (eq. 6 and 7), compiled: for code that takes one person, one choice, one theta at a time.
 
-What simulates, fits and searches calls these; the choice without a suggestion (eq. 4) comes to it as an array, from a
+What simulates, fits and searches calls these; the choice without a suggestion (eq. 5) comes to it as an array, from a
 `choice_model`. Where a loop was made faster by arranging an equation in another way (`person.qmdp`,
 `person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
 """
@@ -18,7 +18,7 @@ LARGEST = sys.float_info.max
 
 @njit()
 def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
-    """Weigh the chances of `count` choices by a suggestion (eq. 5), not normalised.
+    """Weigh the chances of `count` choices by a suggestion (eq. 6), not normalised.
 
     A suggestion that leaves no action possible is ignored.
     """
@@ -33,7 +33,7 @@ def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
 
 @njit()
 def answer(theta: float, p: float, others: float) -> tuple[float, float]:
-    """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 5).
+    """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 6).
 
     `p` and `others` are the chances of the suggested choice and of all others; they are given both, since 1 - p would
     lose its digits where p is almost 1. No factor is infinite, not even where theta is the least number there is and
@@ -47,7 +47,7 @@ def answer(theta: float, p: float, others: float) -> tuple[float, float]:
 
 @njit()
 def moved(theta: float, eta: float, gain: float) -> float:
-    """Give theta after a suggestion that changes the person's value by `gain` (eq. 6), in units of `eta`."""
+    """Give theta after a suggestion that changes the person's value by `gain` (eq. 7), in units of `eta`."""
     if eta == 0.0 or gain == 0.0:
         return theta
     return min(max(theta + eta * gain, 0.0), 1.0)

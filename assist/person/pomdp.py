@@ -60,7 +60,7 @@ class LeafBounds:
     away : float array, shape (m, B, T), optional
         What no policy exceeds whose robot has to come first. Where it is given, a team's problem is taken to end here.
     value : float array, shape (m,), optional
-        V(x) of eq. 6, what the person expects there; minus the cost-to-go unless given, as of somebody who knows it.
+        V(x) of eq. 7, what the person expects there; minus the cost-to-go unless given, as of somebody who knows it.
     """
 
     states: NDArray[np.int64]

@@ -1,6 +1,6 @@
 """A rehearsal of a user study: simulated participants take all places, over the same interface as real ones.
 
-They come by the join link, follow their page's connection, act as the model says (eqs. 4 to 6), and answer the
+They come by the join link, follow their page's connection, act as the model says (eqs. 5 to 7), and answer the
 questionnaires. Their answers are made up, so that there is something to be analysed: a task weighs on them by how many
 steps they lost, and they trust by how willing they are to follow. Others come and leave before their task begins, so
 that places become free again.
