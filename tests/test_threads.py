@@ -166,7 +166,10 @@ except KeyboardInterrupt:
 """
 WORK = {
     "by index": "sweep(task, threads=3, memory_limit_mb=4000, progress=lambda *_: begun())",
-    "listed": "module.split_operators = lambda *_: None; sweep(task, threads=3, memory_limit_mb=4000, progress=lambda *_: begun())",
+    "listed": """
+    module.split_operators = lambda *_: None
+    sweep(task, threads=3, memory_limit_mb=4000, progress=lambda *_: begun())
+""",
     "on demand": """
     module = import_module("planner.costtogo.on_demand")
     search, asked = module.astar, OnDemand(load(instance(shipped)), jobs=3)
