@@ -393,6 +393,10 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
         (lambda desk: Assistant(desk._task, ["ann"], setting=Setting(execute=True)), "expected a robot that suggests"),
         (lambda desk: Assistant.from_json("{}", desk._task), "no saved team"),
         (lambda desk: Assistant.from_json(desk.to_json()[:-9], desk._task), "no saved team"),
+        (
+            lambda desk: Assistant.from_json(json.dumps({**json.loads(desk.to_json()), "population": []}), desk._task),
+            "no saved team",
+        ),
         (lambda desk: Assistant(desk._task, ["a", "b"], distance=np.zeros((2, 2))), "b: there is a place for 1 people"),
     ],
 )  # fmt: skip

@@ -245,7 +245,7 @@ class Assistant:
     def undo(self, person: str) -> str:
         """Take somebody's last action back, as if it had not been observed.
 
-        What was suggested to them before it stands again. The robot stays where it is.
+        What had been suggested to them before it, and been heard, stands again. The robot stays where it is.
 
         Returns
         -------
@@ -468,7 +468,7 @@ class Assistant:
                 population=population_of(saved["population"]), distance=saved["distance"],
             )  # fmt: skip
             team._restore(saved, {digest(task): task for task in tasks})
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise ValueError(f"this is no saved team that can be restored: {error}") from error
         return team
 
