@@ -15,6 +15,13 @@ from planner.states.state_space import StateSpace
 from planner.states.successors import Successors, Transitions, distinct
 
 
+def sort_keys(states: Words) -> NDArray[np.generic]:
+    """Return packed states, shape (n, words), as one sortable key each, shape (n,)."""
+    if states.shape[1] == 1:
+        return states[:, 0]
+    return np.ascontiguousarray(states.astype(">u8")).view(f"S{8 * states.shape[1]}")[:, 0]
+
+
 @dataclass(frozen=True)
 class Listed:
     """States numbered breadth first, layers in the order of their keys.
@@ -32,7 +39,7 @@ class Listed:
 
     @cached_property
     def _sorted(self) -> tuple[NDArray[np.generic], Ints]:
-        keys = self.packing.keys(self.states)
+        keys = sort_keys(self.states)
         order = np.argsort(keys, kind="stable")
         return keys[order], order
 
@@ -40,7 +47,7 @@ class Listed:
         """Give the states with values of shape (n, variables), -1 where there is none."""
         sizes = np.left_shift(1, self.packing.bits)
         legal = np.all((values >= 0) & (values < sizes), axis=1)
-        wanted = self.packing.keys(self.packing.pack(np.where(legal[:, None], values, 0)))
+        wanted = sort_keys(self.packing.pack(np.where(legal[:, None], values, 0)))
         keys, order = self._sorted
         at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         return np.where(legal & (keys[at] == wanted), order[at], -1)
@@ -65,14 +72,14 @@ def explore(task: Task) -> StateSpace:
     successors = Successors(task, packing)
     layer = successors.derive(packing.pack([task.initial]))
     layers = [layer]
-    seen = packing.keys(layer)  # sorted
+    seen = sort_keys(layer)  # sorted
     edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
     first = 0  # the number of a layer's first state
     while len(layer):
         rows, actions, after = successors.edges(layer)
         edges.append((rows + first, actions, after))
         first += len(layer)
-        keys, places = np.unique(packing.keys(after), return_index=True)
+        keys, places = np.unique(sort_keys(after), return_index=True)
         at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
         new = seen[at] != keys
         layer = after[places[new]]
@@ -80,11 +87,11 @@ def explore(task: Task) -> StateSpace:
         layers.append(layer)
 
     states = np.concatenate(layers)
-    keys = packing.keys(states)
+    keys = sort_keys(states)
     order = np.argsort(keys, kind="stable")
     sources, actions, after = (np.concatenate([edge[part] for edge in edges]) for part in range(3))
     kept = distinct(sources, actions)
-    targets = order[np.searchsorted(keys[order], packing.keys(after[kept]))]
+    targets = order[np.searchsorted(keys[order], sort_keys(after[kept]))]
     offsets = np.concatenate([[0], np.cumsum(np.bincount(sources[kept], minlength=len(states)))]).astype(np.int64)
     numbering = Listed(packing, states, Transitions(offsets, actions[kept], targets))
     return StateSpace(task, len(states), 0, len(kept), numbering)

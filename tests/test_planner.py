@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
 from pathlib import Path
@@ -20,8 +19,6 @@ from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.grounding.fast_downward import with_initial_state
 from planner.grounding.task import Task, Variable
 from planner.pddl.validation import read
-from planner.search.forward_search import counted
-from planner.system.limits import Budget
 
 WITH_STATES = solvable(SMALL)
 
@@ -265,7 +262,7 @@ def test_states_of_more_than_64_bits(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=40))
-def test_packing_is_invertible_and_its_keys_distinguish_states(domains: list[int]) -> None:
+def test_packing_is_invertible_and_distinguishes_states(domains: list[int]) -> None:
     variables = tuple(Variable(f"v{i}", tuple(map(str, range(size))), -1) for i, size in enumerate(domains))
     task = Task(Instance(Path("p"), Path("d")), variables, (), (), (), (), (0,) * len(domains), ())
     packing = Packing.of(task)
@@ -273,7 +270,7 @@ def test_packing_is_invertible_and_its_keys_distinguish_states(domains: list[int
     values = np.stack([rng.integers(0, size, 50) for size in domains], axis=-1)
     packed = packing.pack(values)
     np.testing.assert_array_equal(packing.unpack(packed), values)
-    assert len(np.unique(packing.keys(packed))) == len(np.unique(values, axis=0))
+    assert len(np.unique(packed, axis=0)) == len(np.unique(values, axis=0))
 
 
 def test_where_neither_way_is_done_both_reasons_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,13 +295,3 @@ def test_who_solves_an_instance_can_use_its_table() -> None:
     record = solve_instance(instance(KITTING / "tiny.pddl"), SolveOptions(verify=0), use=tables.append)
     assert [len(table) for table in tables] == [record["states"]]
     assert (record["verified"], record["consistent"], record["cost"]) == (0, 0, 6)
-
-
-def test_states_are_counted() -> None:
-    table = table_of(instance(KITTING / "paper.pddl"))
-    told: list[tuple[object, ...]] = []
-    states = len(table)
-    assert counted(table.task, Budget(states, math.inf, None), 2, lambda *said: told.append(said)) == states
-    assert told[-1] == ("states", states, None)
-    with pytest.raises(LimitError, match=f"^more than {states - 1} states$"):
-        counted(table.task, Budget(states - 1, math.inf, None), 2, lambda *_: None)

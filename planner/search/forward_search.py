@@ -331,16 +331,6 @@ class _RegistrySearch:
         self.budget.check_memory(self.met.slots.nbytes + (8 * self.packing.words + per_state) * len(self.met) + others)
 
 
-def counted(task: Task, budget: Budget, threads: int, progress: Progress) -> int:
-    """Count the states that a task can reach; what they lead to is not kept."""
-    search = _RegistrySearch(task, budget)
-    with closing(search.parts(threads)) as parts:
-        for _ in parts:
-            progress("states", len(search.met), None)
-            search.check(0, 0)
-    return len(search.met)
-
-
 def enumerated(
     task: Task,
     budget: Budget,

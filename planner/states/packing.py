@@ -78,12 +78,6 @@ class Packing:
             value[word] |= np.uint64(wanted) << shift
         return mask, value
 
-    def keys(self, states: Words) -> NDArray[np.generic]:
-        """Give packed states, shape (n, words), as one sortable key each, shape (n,)."""
-        if self.words == 1:
-            return states[:, 0]
-        return np.ascontiguousarray(states.astype(">u8")).view(f"S{8 * self.words}")[:, 0]
-
 
 def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
     """Tell for each packed state, shape (n, words), whether a condition holds."""
