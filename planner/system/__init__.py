@@ -1,1 +1,4 @@
-"""What the machine gives: files, processes, threads, limits, progress and compiled code. Nothing of planning."""
+"""Services of the operating system and Python: files, processes, threads, limits, progress and compiled code.
+
+Nothing in this folder is about planning.
+"""

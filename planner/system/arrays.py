@@ -1,4 +1,4 @@
-"""Arrays in frozen dataclasses: they are read-only, and an object is shown in a line."""
+"""Read-only arrays in frozen dataclasses, and their representation in one line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 T = TypeVar("T", bound=np.generic)
 
 SHOWN = 80
-"""Characters of a value that are shown."""
+"""Number of characters from which a value is abbreviated in a representation, to keep it on one line."""
 
 
 def read_only(record: Any) -> None:
@@ -24,7 +24,7 @@ def read_only(record: Any) -> None:
 
 
 def frozen(array: NDArray[T]) -> NDArray[T]:
-    """Return the array if it is read-only, else a read-only copy: a caller's own array stays as it was."""
+    """Return the array itself if it is read-only, else a read-only copy. The caller's array is not changed."""
     if not array.flags.writeable:
         return array
     copy = array.copy()
@@ -33,12 +33,16 @@ def frozen(array: NDArray[T]) -> NDArray[T]:
 
 
 def outline(record: Any) -> str:
-    """Return a dataclass or named tuple in a line: arrays by type and shape, long values by what they are."""
+    """Return the one-line representation of a dataclass or named tuple.
+
+    Arrays are shown by type and shape. Long strings and containers are shown by their length.
+    """
     names = getattr(record, "_fields", None) or [field.name for field in fields(record) if field.repr]
     return f"{type(record).__name__}({', '.join(f'{name}={_short(getattr(record, name))}' for name in names)})"
 
 
 def _short(value: Any) -> str:
+    """Return one value as `outline` shows it."""
     if isinstance(value, np.ndarray):
         return f"<{value.dtype} {value.shape}>"
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""The errors that more than one module raises."""
+"""Error classes that several modules raise."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 
 def expected(name: str, known: Iterable[str], more: str = "") -> str:
-    """Return what a name should have been: the nearest known one, or all of them where none is near.
+    """Return the hint of a message about an unknown name: the most similar known name, or else all of them.
 
     Parameters
     ----------
     name : str
     known : iterable of str
     more : str
-        What else is possible, to be said after the known ones.
+        Further possibilities, appended to the list of known names.
     """
     words = list(known)
     lower = {word.lower(): word for word in words}
@@ -27,14 +27,14 @@ def expected(name: str, known: Iterable[str], more: str = "") -> str:
 
 
 class MissingExtraError(ImportError):
-    """A package that only an extra of this project installs; the message says how.
+    """An optional dependency is not installed; the message contains the pip command that installs it.
 
     Parameters
     ----------
     what : str
-        What cannot be done without it.
+        Beginning of the message: the feature that needs the package.
     package, extra : str
-        What is missing, and the extra that has it.
+        The missing package, and the extra of this project that installs it.
     """
 
     def __init__(self, what: str, package: str, extra: str) -> None:
@@ -47,21 +47,21 @@ class MissingExtraError(ImportError):
 
 
 class ResultsExistError(ValueError):
-    """An output folder that holds results already."""
+    """An output folder already contains results."""
 
 
 class MismatchError(AssertionError):
-    """A cost-to-go that differs from Fast Downward's."""
+    """A cost-to-go differs from that of Fast Downward."""
 
 
 class DamagedFileError(ValueError):
-    """A file of results that was cut off, changed, or made by something else.
+    """A results file was truncated or changed, or another program wrote it.
 
     Attributes
     ----------
     file : Path
     line : int or None
-        Counted from 1.
+        Line number, counted from 1.
     message : str
     """
 
@@ -74,4 +74,4 @@ class DamagedFileError(ValueError):
 
 
 class InputFileError(ValueError):
-    """An input file that cannot be used: what is wrong, in which line, and what would be right."""
+    """An input file is invalid; the message states the fault, its place and what is expected."""

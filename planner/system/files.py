@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, and records as JSON Lines.
+"""Atomic writing of files, and records as JSON Lines.
 
-What a user points an output at stays what it is: a link goes on leading to its file, which is what is replaced; into
-a pipe or a device it is written; a file without write permission is refused, to the superuser as well.
+An output path keeps its kind. A symbolic link is kept, and its target is replaced. Pipes and devices are written to
+directly. A file without write permission is refused, also for the superuser.
 """
 
 from __future__ import annotations
@@ -21,18 +21,21 @@ from typing import Any, BinaryIO
 
 from .errors import DamagedFileError
 
-UNFINISHED = ".unfinished-"  # what the names of files begin with that `atomic` has not put into their place
-LONGEST_NAME = 200  # bytes of a name that are kept in them
+UNFINISHED = ".unfinished-"
+"""Prefix of the temporary files of `atomic`."""
+
+LONGEST_NAME = 200
+"""Bytes of the file's name that the temporary name keeps: together 245, below the usual limit of 255."""
 
 
 @contextmanager
 def atomic(file: Path) -> Iterator[Path]:
-    """Write to the path that is given, and put it in the place of `file` when it is complete and on the disk.
+    """Yield a temporary path, and move it to `file` when it is complete and flushed to disk.
 
     Raises
     ------
     OSError
-        With `file` as its `filename`, also where the system names none (a full disk).
+        Its `filename` is `file`, also where the system reports none (a full disk).
     """
     try:
         status = writable(file)
@@ -43,10 +46,10 @@ def atomic(file: Path) -> Iterator[Path]:
                 with path.open("rb") as source, _opened(file, status) as target:
                     shutil.copyfileobj(source, target)
             return
-        place = Path(os.path.realpath(file))  # not `resolve`, which refuses links in a circle only later
+        place = Path(os.path.realpath(file))  # `resolve` would report circular links only later
         place.parent.mkdir(parents=True, exist_ok=True)
-        # In the same folder, where it can be renamed; the ending is kept, since libraries choose a format by it. The
-        # name is used once: other threads, and machines with the same disk, may write the same file.
+        # The temporary file is in the same folder, so that it can be renamed. It keeps the file's ending, from which
+        # libraries derive the format. Its name is unique, since other threads and machines may write the same file.
         ending = place.name.encode(errors="surrogateescape")[-LONGEST_NAME:].decode(errors="ignore")
         path = place.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{ending}")
         try:
@@ -55,29 +58,29 @@ def atomic(file: Path) -> Iterator[Path]:
                 path.chmod(stat.S_IMODE(status.st_mode))
             _flush(path)
             path.replace(place)
-            with suppress(OSError):  # some file systems cannot do it for folders
+            with suppress(OSError):  # some file systems cannot flush folders
                 _flush(place.parent)
         finally:
-            with suppress(OSError):  # what went wrong before says more
+            with suppress(OSError):  # the first error is more informative
                 path.unlink(missing_ok=True)
     except OSError as error:
-        # One without a number has words of its own, which a name would hide.
+        # An error without a number has its own message, which a file name would hide.
         if error.errno and (error.filename is None or Path(str(error.filename)).name.startswith(UNFINISHED)):
             error.filename = str(file)
         raise
 
 
 def writable(file: Path) -> os.stat_result | None:
-    """Give the status of an output, None if there is no such file yet, links followed.
+    """Return the status of an output file, following links; None if the file does not exist yet.
 
     Raises
     ------
     OSError
-        It is a folder, or must not be written.
+        It is a folder, or it is write-protected.
     """
     try:
         status = file.stat()
-    except (FileNotFoundError, NotADirectoryError):  # the latter is said when it is made
+    except (FileNotFoundError, NotADirectoryError):  # creating the file reports the latter
         return None
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(file))
@@ -87,11 +90,12 @@ def writable(file: Path) -> os.stat_result | None:
 
 
 def _is_stream(status: os.stat_result) -> bool:
-    """Whether a file has to be written to as it stands: a pipe, a device, or what this process prints to."""
+    """Whether a file is written to directly: a pipe, a device, or this process's own standard output or error."""
     return not stat.S_ISREG(status.st_mode) or _printed_to(status) is not None
 
 
 def _printed_to(status: os.stat_result) -> int | None:
+    """Return the descriptor, 1 or 2, with which this process prints to the file; None if it does not."""
     for descriptor in (1, 2):
         with suppress(OSError):
             if os.path.samestat(os.fstat(descriptor), status):
@@ -100,13 +104,13 @@ def _printed_to(status: os.stat_result) -> int | None:
 
 
 def _opened(file: Path, status: os.stat_result) -> BinaryIO:
-    """Open a stream; what this process prints to goes on where its output stands."""
+    """Open a stream for writing. This process's own output continues at its current position."""
     printed = _printed_to(status)
     return os.fdopen(os.open(file, os.O_WRONLY) if printed is None else os.dup(printed), "wb")
 
 
 def _flush(path: Path) -> None:
-    """Wait until a file, or what a folder lists, is on the disk, so that a fall of the system does not lose it."""
+    """Wait until a file, or the entries of a folder, are on disk, so that they survive a system crash."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -115,14 +119,14 @@ def _flush(path: Path) -> None:
 
 
 def remove_unfinished(folders: Iterable[Path]) -> None:
-    """Remove what killed processes have left in folders of results; no other process may be writing there."""
+    """Remove the temporary files of killed processes. No other process may be writing to the folders."""
     for folder in set(folders):
         for path in folder.glob(f"{UNFINISHED}*"):
             path.unlink(missing_ok=True)
 
 
 def finite(number: float) -> float | None:
-    """Give a number as JSON can hold it: infinite ones, and what is none, are null."""
+    """Return the number if it is finite, else None, since JSON has neither infinity nor NaN."""
     return float(number) if math.isfinite(number) else None
 
 
@@ -133,17 +137,17 @@ def write_records(file: Path, records: Iterable[Mapping[str, Any]]) -> None:
 
 
 def append_record(file: Path, record: Mapping[str, Any]) -> None:
-    """Add a record to a file of JSON Lines, and wait until it is on the disk."""
+    """Append a record to a JSON Lines file, and wait until it is on disk."""
     append(file, json.dumps(record) + "\n")
 
 
 def append(file: Path, text: str) -> None:
-    """Add whole lines to a file, all or none, and wait until they are on the disk.
+    """Append whole lines to a file, all or none, and wait until they are on disk.
 
     Raises
     ------
     OSError
-        With `file` as its `filename`.
+        Its `filename` is `file`.
     """
     try:
         with file.open("ab") as stream:
@@ -152,7 +156,7 @@ def append(file: Path, text: str) -> None:
                 stream.write(text.encode())
                 stream.flush()
                 os.fsync(stream.fileno())
-            except OSError:  # not what was written whole when Ctrl-C came
+            except OSError:  # Ctrl-C keeps what was written completely
                 os.truncate(file, before)
                 raise
     except OSError as error:
@@ -161,12 +165,12 @@ def append(file: Path, text: str) -> None:
 
 
 def read_records(file: Path) -> list[dict[str, Any]]:
-    """Read records from JSON Lines; none if there is no file. A last line that was cut off is left out.
+    """Return the records of a JSON Lines file; an empty list if there is no file. An incomplete last line is ignored.
 
     Raises
     ------
     DamagedFileError
-        A line that is no record.
+        A line is not a record.
     """
     found = []
     for record in each_record(file):
@@ -177,7 +181,10 @@ def read_records(file: Path) -> list[dict[str, Any]]:
 
 
 def each_record(file: Path) -> Iterator[dict[str, Any] | DamagedFileError]:
-    """Give each line of JSON Lines as `read_records` does, and what is wrong with it in the place of what is none."""
+    """Yield each line of a JSON Lines file as a record, or else the `DamagedFileError` that says why it is none.
+
+    An incomplete last line is ignored.
+    """
     if not file.is_file():
         return
     for number, line in enumerate(file.read_bytes().split(b"\n")[:-1], start=1):

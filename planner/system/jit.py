@@ -1,4 +1,7 @@
-"""numba, and its cache: a function is compiled when it is first called, and the code is kept for later processes."""
+"""Just-in-time compilation with numba, and its cache on disk.
+
+A function is compiled when it is first called. Later processes load its code from the cache.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +23,17 @@ from numba.core import event
 BLAS = "scipy.linalg.cython_blas"
 
 CONSTANTS = (bool, int, float, str, tuple, np.generic)
-"""Types of values that are written into compiled code."""
+"""Types of the values that numba compiles into the code as constants."""
 
 
 def _load_without_scipy() -> None:
-    """Load the part of numba that looks whether scipy is there, without loading scipy, which takes longer than numba.
+    """Import the part of numba that checks for scipy, without importing scipy, which takes longer than numba.
 
-    It asks on behalf of `np.cov` only, which is not compiled here and has another way; what does need scipy loads it.
+    numba needs scipy there for `np.cov` only, which is not compiled here. Code that does need scipy imports it itself.
     """
     if BLAS in sys.modules:
         return
-    sys.modules[BLAS] = None  # type: ignore[assignment]  # "not there"
+    sys.modules[BLAS] = None  # type: ignore[assignment]  # Python treats it as not installed
     try:
         with suppress(ImportError):
             import_module("numba.np.arraymath")
@@ -42,10 +45,10 @@ _load_without_scipy()
 
 
 def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator as `numba.njit` does; its cache also knows the other files that the code depends on.
+    """Return a decorator like `numba.njit` whose cache also depends on the other files that the code uses.
 
-    numba alone compares the file of the function itself. It would use old code after an edit of a function, or of a
-    constant, that is compiled into this one from another file.
+    numba itself compares only the file of the function. It would load outdated code after an edit of a function or a
+    constant that is compiled into this one from another file.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
@@ -60,10 +63,10 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]]:
-    """Return a function that loads an index of cached code, and takes one that cannot be read for an empty one.
+    """Return a function that loads an index of cached code, and returns an empty index if it cannot be read.
 
-    numba reads the whole index before it compares stamps. The index names the types of arguments, and a class among
-    them may have been renamed or moved since.
+    numba reads the whole index before it compares stamps. The index refers to the classes of argument types, and such a
+    class may have been renamed or moved since.
     """
 
     def loaded() -> dict[Any, str]:
@@ -77,10 +80,11 @@ def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]
 
 @cache
 def stamp(module: str) -> str:
-    """Return a hash of all that compiled functions of a module can take from files.
+    """Return a hash of everything that the compiled functions of a module may take from files.
 
-    These are the module's own file, the values of constants that it imports, and the same of each module that it
-    imports compiled functions, intrinsics or named tuples from, or that it imports as a whole.
+    It covers the module's own file and the values of the constants that the module imports. It covers the same of each
+    module from which the module imports compiled functions, intrinsics or named tuples, and of each module that is
+    imported whole.
     """
     names = vars(sys.modules[module])
     found = hashlib.sha256("".join(linecache.getlines(names["__file__"], names)).encode())
@@ -98,13 +102,13 @@ def stamp(module: str) -> str:
 
 
 def _is_plain_class(value: object) -> bool:
-    """Whether a value is a class that compiled code cannot use: any but a named tuple."""
+    """Whether a value is a class that compiled code cannot use, that is, any class but a named tuple."""
     return isinstance(value, type) and not issubclass(value, tuple)
 
 
 @contextmanager
 def compiling(tell: Callable[[], None]) -> Iterator[None]:
-    """Call `tell` before each function that is compiled meanwhile because it is not in the cache."""
+    """Call `tell` before each function that is compiled within the context because it is not in the cache."""
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:  # noqa: ARG002

@@ -1,7 +1,7 @@
-"""Packages that hand on names, and load the modules that these are from when they are first asked for.
+"""Packages that export names lazily: a module is imported when one of its names is first used.
 
-What a package exports stands in its `__init__.pyi`, which type checkers and editors read as well. A command that only
-shows its help, or a script that only plans, so does not load what compiles, draws or makes tables.
+The exports of a package are listed in its `__init__.pyi`, which type checkers and editors read as well. Commands that
+only show their help, and scripts that only plan, thus do not import compilers, plotting or tables.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ import lazy_loader
 
 
 class _Package(ModuleType):
-    """A package in which a module may be called like what it holds: the name is that of what it holds."""
+    """A package in which an exported name takes precedence over a submodule of the same name."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        # Importing `planner.costtogo.sweep` would otherwise put the module where the function is to be found.
+        # Importing `planner.costtogo.sweep` would otherwise replace the exported function by the module.
         if not (isinstance(value, ModuleType) and name in self.__dict__.get("__all__", ())):
             super().__setattr__(name, value)
 
 
 def lazy_exports(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Give a package the `__getattr__`, `__dir__` and `__all__` that its list asks for.
+    """Return the `__getattr__`, `__dir__` and `__all__` of a package with lazy exports.
 
     Parameters
     ----------
     package, file : str
-        Its `__name__` and `__file__`.
+        The `__name__` and `__file__` of the package.
     """
     sys.modules[package].__class__ = _Package
     found, listed, names = lazy_loader.attach_stub(package, file)

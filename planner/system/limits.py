@@ -1,4 +1,4 @@
-"""What a search may use: states, memory and time, checked before it is too late."""
+"""Limits on the states, memory and time of a search, and the errors that report them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Protocol
 from .machine import available_memory
 
 MAX_STATES = 50_000_000
-"""States that are enumerated, unless another number is given."""
+"""Default for the largest number of states that are enumerated. It bounds both time and memory."""
 
 Check = Callable[[float], None]
-"""Called again and again by what may take long, with the bytes that it has in use; it may raise `LimitError`."""
+"""A check that long computations call repeatedly with the number of bytes in use. It may raise `LimitError`."""
 
 
 def unchecked(_needed: float) -> None:
@@ -22,30 +22,33 @@ def unchecked(_needed: float) -> None:
 
 
 class StopSignal(Protocol):
-    """Whatever ends a call from another thread, such as a `threading.Event`."""
+    """A flag that another thread sets to end a call, such as a `threading.Event`."""
 
     def is_set(self) -> bool:
-        """Whether the call is to end."""
+        """Whether the call should end."""
         ...
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What a sweep may use; each method raises `LimitError` when that is not enough.
+    """The states, memory and time that a search may use.
+
+    The `check` methods raise `LimitError` when a limit is exceeded.
 
     Attributes
     ----------
     max_states : int or None
+        Largest number of states; None for no limit.
     memory : float
-        Bytes.
+        Bytes that may be in use.
     deadline : float or None
-        A time on `time.monotonic()`'s clock.
+        Time on the clock of `time.monotonic()`.
     stop : StopSignal or None
-        Once it is set there is no time left.
+        Flag that ends the search: once it is set, the time is up.
     lent : callable
-        How many of the bytes something else may take for now.
+        Returns the bytes of `memory` that are currently reserved for something else.
     held : float
-        Bytes that are in use all the time, beside those that are checked.
+        Bytes that are permanently in use, in addition to those that are checked.
     """
 
     max_states: int | None
@@ -64,28 +67,28 @@ class Budget:
         stop: StopSignal | None,
         lent: Callable[[], float] = float,
     ) -> Budget:
-        """Allow so many megabytes of memory, but no more than the machine has left."""
+        """Return a budget of `memory_mb` megabytes, or of the memory available on the machine if that is less."""
         memory = available_memory()
         return cls(max_states, memory if memory_mb is None else min(memory, memory_mb * 1e6), deadline, stop, lent)
 
     @property
     def room(self) -> float:
-        """Return how many bytes may be in use now, beside those that are held."""
+        """Bytes that may be in use now, in addition to those that are held."""
         return self.memory - self.lent() - self.held
 
     def part(self, share: float) -> Budget:
-        """Give a share of the time that is left."""
+        """Return the budget with a share of the remaining time."""
         if self.deadline is None:
             return self
         now = time.monotonic()
         return replace(self, deadline=now + share * (self.deadline - now))
 
     def beside(self, held: float) -> Budget:
-        """Return the same budget where so many bytes more are in use all the time."""
+        """Return the budget with `held` more bytes permanently in use."""
         return replace(self, held=self.held + held)
 
     def during(self, phase: str) -> Check:
-        """Return a check for a phase in which no state is found yet, such as "an index was looked for"."""
+        """Return a check of time and memory for a phase before the first state, such as "an index was looked for"."""
 
         def check(needed: float) -> None:
             self._check_time(f"while {phase}")
@@ -94,7 +97,7 @@ class Budget:
         return check
 
     def check_time(self, states: int) -> None:
-        """Check the deadline; `states` is for the message."""
+        """Check the deadline and the stop signal; `states` appears in the message."""
         self._check_time(f"after {_counted(states)}")
 
     def _check_time(self, when: str) -> None:
@@ -109,7 +112,7 @@ class Budget:
             raise LimitError(f"more than {_counted(self.max_states)}")
 
     def check_memory(self, needed: float) -> None:
-        """Check a number of bytes that is about to be in use."""
+        """Check a number of bytes before they are allocated."""
         if needed > self.room:
             needed, allowed = needed + self.held, self.room + self.held
             raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {allowed / 1e6:.0f} MB allowed")
@@ -120,31 +123,31 @@ def _counted(states: int) -> str:
 
 
 class LimitError(RuntimeError):
-    """A limit of time, memory or states was reached before the answer was known."""
+    """A limit of time, memory or states was reached before the result was known."""
 
 
 class CostLimitError(LimitError):
-    """Costs are so large that Fast Downward's sums, of 32 bits, may overflow."""
+    """Costs are so large that Fast Downward's 32-bit sums may overflow."""
 
 
 class MemoryLimitError(LimitError):
-    """More memory would be needed than is allowed."""
+    """The computation needs more memory than is allowed."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one call may use; `None` for no limit.
+    """Limits of one call; None means no limit.
 
     Attributes
     ----------
     seconds : float or None
-        Of wall-clock time.
+        Wall-clock time.
     memory_mb : float or None
-        Megabytes.
+        Memory in megabytes.
     stop : StopSignal or None
-        The call ends as well once this is set; a `threading.Event` is one.
+        Flag that ends the call when it is set, such as a `threading.Event`.
     first : float or None
-        Seconds after which it lets all other work on the machine go first.
+        Seconds after which the process gets the lowest scheduling priority.
     """
 
     seconds: float | None = None
@@ -153,18 +156,18 @@ class Limits:
     first: float | None = None
 
     def ended_by(self, over: StopSignal) -> Limits:
-        """Return the same limits for a call that ends once `over` is set, too."""
+        """Return the limits of a call that also ends when `over` is set."""
         return replace(self, stop=over if self.stop is None else _AnyOf((self.stop, over)))
 
 
 @dataclass(frozen=True)
 class _AnyOf:
-    """Set once one of several is."""
+    """A stop signal that is set when one of several signals is set."""
 
     signals: tuple[StopSignal, ...]
 
     def is_set(self) -> bool:
-        """Whether one of them is set."""
+        """Whether one of the signals is set."""
         return any(signal.is_set() for signal in self.signals)
 
 
@@ -182,4 +185,4 @@ def _limit(pid: int, what: int, value: int) -> None:
         _, hard = resource.prlimit(pid, what)
         resource.prlimit(pid, what, (value if hard == resource.RLIM_INFINITY else min(value, hard), hard))
     except ProcessLookupError:
-        pass  # it has ended already
+        pass  # the process has ended already

@@ -1,7 +1,7 @@
-"""Memory and processors: what this machine, and the control groups of this process, let it have.
+"""Memory and processors that the machine and the control groups leave to this process.
 
-A container is a control group (cgroup), often within others; each of these may have limits, of which the smallest
-holds. Linux has two versions of them, which are used side by side on some machines. Elsewhere there are none.
+A container is a control group (cgroup), often nested in others. Each group may have limits, and the smallest one
+applies. Linux has two versions of control groups, and some machines use both. Other systems have none.
 
 A megabyte (MB) is a million bytes, here and in all options and records.
 """
@@ -18,24 +18,25 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 ROOT = Path("/")
-"""The folder from which the system's files are read."""
+"""Folder below which the system's files are read."""
 
 KEPT = 0.1
-"""Share of the memory that is left to others."""
+"""Share of the available memory that is left to other processes. A larger share is safer and admits fewer states."""
 
 CACHES = ("active_file", "inactive_file", "slab_reclaimable", "total_active_file", "total_inactive_file")
-"""What `memory.stat` calls memory that the system takes back when it is wanted: of a group, or of all groups in it."""
+"""Entries of `memory.stat` that count reclaimable memory: of a group, or, with `total_`, of a group and its subgroups.
+"""
 
 
 def available_memory(root: Path = ROOT) -> float:
-    """Return how many bytes this process can still take without being killed.
+    """Return how many bytes this process can still allocate without being killed.
 
-    Files that the system keeps in memory do not count as used. A tenth is left to others.
+    Reclaimable file caches do not count as used. A tenth is left to other processes.
 
     Parameters
     ----------
     root : Path, optional
-        A folder with the system's `proc` and `sys`.
+        Folder that contains the system's `proc` and `sys`.
     """
     free = math.inf
     with suppress(OSError):
@@ -49,7 +50,7 @@ def available_memory(root: Path = ROOT) -> float:
         used = _read(group / "memory.current") or _read(group / "memory.usage_in_bytes")
         if limits and used:
             counts = dict(line.split()[:2] for line in _read(group / "memory.stat").splitlines() if " " in line)
-            # The first version has the counts of the group alone, too, which are part of the totals.
+            # Version 1 also lists the counts of the group alone, which the totals include.
             known = [name for name in CACHES if name in counts]
             totals = [name for name in known if name.startswith("total_")] or known
             free = min(free, min(limits) - max(0, int(used) - sum(int(counts[name]) for name in totals)))
@@ -57,12 +58,12 @@ def available_memory(root: Path = ROOT) -> float:
 
 
 def processors(root: Path = ROOT) -> int:
-    """Count the processors that this process may use: those that it may run on, or the time that it may take on them.
+    """Return how many processors this process may use, by its CPU affinity and the CPU quotas of its control groups.
 
     Parameters
     ----------
     root : Path, optional
-        As of `available_memory`.
+        Folder that contains the system's `proc` and `sys`.
     """
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for group in _groups("cpu", root):
@@ -75,8 +76,8 @@ def processors(root: Path = ROOT) -> int:
 
 
 def _groups(controller: str, root: Path) -> Iterator[Path]:
-    """List the folders of the control groups that this process is in, for memory or processors, from inside out."""
-    paths: dict[str, str] = {}  # of the group in each hierarchy; "" is the second version, which has only one
+    """Yield the folders of the control groups of this process for a controller ("memory" or "cpu"), innermost first."""
+    paths: dict[str, str] = {}  # path of the group in each hierarchy; "" is the single hierarchy of version 2
     for line in _read(root / "proc/self/cgroup").splitlines():
         _, controllers, path = line.split(":", 2)
         paths |= dict.fromkeys(controllers.split(","), path)
@@ -89,14 +90,14 @@ def _groups(controller: str, root: Path) -> Iterator[Path]:
         inside, at = (re.sub(r"\\(\d{3})", lambda code: chr(int(code[1], 8)), path) for path in mount.split()[3:5])
         top = root / at.lstrip("/")
         own = PurePosixPath(paths[name])
-        # In a container without a namespace of its own, only its own part of the hierarchy is to be seen.
+        # A container without its own cgroup namespace sees only its own part of the hierarchy.
         below = own.relative_to(inside) if own.is_relative_to(inside) else PurePosixPath()
         for steps in range(len(below.parts), -1, -1):
             yield top.joinpath(*below.parts[:steps])
 
 
 def _read(file: Path) -> str:
-    """Return what is in a file of the system; nothing if there is none."""
+    """Return the text of a system file; empty if it cannot be read."""
     try:
         return file.read_text(encoding="utf-8").strip()
     except OSError:
@@ -104,19 +105,19 @@ def _read(file: Path) -> str:
 
 
 def used_mb(field: str = "VmRSS") -> float | None:
-    """Return a field of this process's memory status, in MB; None where the system does not tell."""
+    """Return a field of this process's memory status in MB; None where the system does not report it."""
     found = re.search(rf"^{field}:\s+(\d+) kB", _read(Path("/proc/self/status")), re.M)
     return None if found is None else int(found[1]) * 1024 / 1e6
 
 
 def reset_peak_memory() -> None:
-    """Start the process's peak memory anew, for a worker that solves one instance after the other."""
-    with suppress(OSError):  # then the peak is that of the process's whole life
+    """Reset the peak memory of the process, so that a worker can report the peak of each instance."""
+    with suppress(OSError):  # otherwise the peak covers the whole process
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def peak_memory_mb() -> float:
-    """Return the most memory that this process has had, in MB."""
+    """Return the peak memory of this process in MB."""
     peak = used_mb("VmHWM")
     if peak is not None:
         return peak
@@ -126,13 +127,13 @@ def peak_memory_mb() -> float:
 
 @contextmanager
 def memory_limit(limit_mb: float | None) -> Iterator[None]:
-    """Let the process grow to `limit_mb` of memory at most; beyond, allocations fail."""
+    """Limit the memory of this process to `limit_mb` within the context. Allocations beyond it fail."""
     used, mapped = used_mb(), used_mb("VmSize")
     if limit_mb is None or used is None or mapped is None:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    # The limit can only be set on what is mapped, of which libraries take much that they never use.
+    # The system limits mapped memory only, and libraries map much that they never use.
     resource.setrlimit(resource.RLIMIT_AS, (int((mapped + max(0.0, limit_mb - used)) * 1e6), hard))
     try:
         yield

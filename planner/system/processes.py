@@ -1,10 +1,10 @@
-"""Processes that do not outlive the one that started them, however it went: ended, interrupted, killed or crashed.
+"""Child processes that never outlive the process that started them, even if it is killed or crashes.
 
-Each process that starts others has a guard: a shell that reads from a pipe, whose other end is open in that process
-only. When it is gone, the system closes the pipe, and the guard kills its own process group. What is to go with the
-process is in that group from before its program begins, so that there is no moment at which it could be missed: if
-the guard has gone by then, so has the group, and nothing can be started in it. A parent-death signal would do the same
-on Linux only, has that moment, and is sent already when the *thread* ends that started the process.
+Each process that starts children has a guard: a shell that reads from a pipe. The other end of the pipe is open in that
+process only. When the process ends, the system closes the pipe, and the guard kills its own process group. A child
+joins this group before its program begins. There is thus no moment at which it could be missed: if the guard has
+already ended, its group is gone, and nothing can be started in it. A parent-death signal works on Linux only, and it
+leaves such a moment. It is also sent when the *thread* that started the child ends.
 """
 
 from __future__ import annotations
@@ -18,16 +18,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 GUARD = ("/bin/sh", "-c", "read _; kill -KILL 0")
+"""Command of the guard: wait for the end of the pipe, then kill the process group."""
 
 _lock = threading.Lock()
 _guard: tuple[int, int] | None = None
-"""The group of this process, and the end of the pipe that its guard reads from."""
+"""Process group of the guard, and the end of the pipe that this process holds open."""
 
 
 def guarded_group() -> int:
-    """Return the process group that is killed when this process is gone; its guard is started if there is none yet.
+    """Return the process group that is killed when this process ends; the first call starts its guard.
 
-    Processes are put into it by `process_group` of `subprocess.Popen`, or join it by `join`.
+    Children are put into it by `process_group` of `subprocess.Popen`, or they call `join`.
     """
     global _guard
     with _lock:
@@ -37,9 +38,12 @@ def guarded_group() -> int:
 
 
 def _forget_guard() -> None:
-    """Close the pipe in a fork, which would keep it open after its parent's end; a fork has a guard of its own."""
+    """Close the inherited pipe in a fork, which would keep it open after the parent's end.
+
+    A fork starts its own guard.
+    """
     global _guard, _lock
-    _lock = threading.Lock()  # another thread of the parent may have held it
+    _lock = threading.Lock()  # another thread of the parent may hold the inherited lock
     if _guard is not None:
         os.close(_guard[1])
     _guard = None
@@ -49,23 +53,23 @@ os.register_at_fork(after_in_child=_forget_guard)
 
 
 def join(group: int) -> None:
-    """Put this process into a group that another one guards, or end at once if the group is gone already."""
+    """Move this process into a group that another process guards, or exit at once if the group no longer exists."""
     try:
         os.setpgid(0, group)
-    except OSError:  # without its guard there is no such group
+    except OSError:  # the guard has ended, and its group with it
         os._exit(1)
 
 
 def python(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module as a program, from where this process would import it.
+    """Return the command that runs a module as a program, found on the import path of this process.
 
-    Files and folders of the working directory do not stand in for modules of the same names, and settings in the
-    environment (`PYTHONPATH`, `PYTHONWARNINGS`, ...) have no effect of their own.
+    Files in the working directory do not shadow modules, and environment settings (`PYTHONPATH`, `PYTHONWARNINGS`, ...)
+    are ignored.
     """
     path, own = [entry for entry in sys.path if entry], str(Path(__file__).parents[2])
     if own not in path:
         path.insert(0, own)
-    if "" in sys.path:  # of an interactive session; last, so that it adds modules and replaces none
+    if "" in sys.path:  # an interactive session; at the end, where it shadows no module
         path.append(str(Path.cwd()))
     code = (
         f"import runpy, sys; sys.path[:] = {path!a}; runpy.run_module({module!a}, run_name='__main__', alter_sys=True)"
@@ -76,9 +80,9 @@ def python(module: str, *arguments: str) -> list[str]:
 
 @contextmanager
 def safe_path() -> Iterator[None]:
-    """Let Python programs that are started meanwhile import nothing from the working directory.
+    """Keep Python programs that are started within the context from importing from the working directory.
 
-    This is for `multiprocessing`, whose programs are started by name and import modules before they know the path.
+    This is for `multiprocessing`, whose programs import modules before they receive the import path.
     """
     before = os.environ.get("PYTHONSAFEPATH")
     os.environ["PYTHONSAFEPATH"] = "1"
@@ -92,7 +96,7 @@ def safe_path() -> Iterator[None]:
 
 
 def _start_guard() -> tuple[int, int]:
-    reading, writing = os.pipe()  # which no other program inherits
+    reading, writing = os.pipe()  # other programs do not inherit it
     silent = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
     try:
         guard = os.posix_spawn(

@@ -1,11 +1,12 @@
-"""How far long work is: a bar on a terminal, a line in a notebook, elsewhere a plain line now and then on stderr.
+"""Progress of long computations: a bar on a terminal, a line in a notebook, or plain lines on stderr.
 
-Commands show it at once. Functions that may work for minutes have an argument `progress`:
+Commands show progress at once. Functions that may run for minutes have an argument `progress`:
 
-- None, unless given: on a terminal and in a notebook a bar is shown as soon as the work has taken two seconds. Nothing
-  is shown elsewhere, or where the environment variable `KITASSIST_PROGRESS` is 0.
-- True: it is shown elsewhere, too. False: it never is.
-- A function: it is called with what is under way, how much of it is done, and of how much. Nothing else is shown.
+- None (default): on a terminal and in a notebook, progress is shown once the work has taken two seconds. Nothing is
+  shown elsewhere, or if the environment variable `KITASSIST_PROGRESS` is 0.
+- True: progress is also shown elsewhere. False: it is never shown.
+- A function: it is called with the description of the current stage, the number of items done, and their total.
+  Nothing else is shown.
 """
 
 from __future__ import annotations
@@ -22,22 +23,27 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 from .progress_reports import Progress as Progress
 
 Wanted = Progress | bool | None
-"""Who is told how far work is: a function, or somebody who looks on."""
+"""Values of the argument `progress`, as this module describes them."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 UNSHOWN = "KITASSIST_PROGRESS"
-"""The environment variable that is 0 where nothing is to be shown unasked."""
+"""Environment variable that is set to 0 to show progress only where the caller asks for it."""
 
-AFTER = 2.0  # seconds that work takes before anybody who did not ask is told
-BETWEEN_LINES = 30.0  # seconds
-IN_A_NOTEBOOK = 0.5  # seconds between two changes of its line
+AFTER = 2.0
+"""Seconds of work before progress is shown. A call that is already done by then shows nothing."""
+
+BETWEEN_LINES = 30.0
+"""Seconds between two plain lines. Shorter is more current, and makes logs longer."""
+
+IN_A_NOTEBOOK = 0.5
+"""Seconds between two updates of the line in a notebook."""
 
 COMPILING_LINE = "compiling, once after an installation: it takes up to a minute, and is kept"
 
 
 class Stage(NamedTuple):
-    """What is under way, since a time on `time.monotonic()`'s clock; `total` is None where nobody knows."""
+    """A stage of the work, its progress, and when it began (`time.monotonic()`); `total` is None if it is unknown."""
 
     what: str
     done: int
@@ -55,14 +61,14 @@ class Stage(NamedTuple):
 
 @contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show how many of `total` are done, with rate and time left; call what is given with how many more are."""
+    """Show how many of `total` items are done, with the time left. Yield a function that adds to the count."""
     with stages() as show:
         yield adding(show, what, total)
 
 
 @contextmanager
 def status_line(first: str) -> Iterator[Callable[[str], None]]:
-    """Show one line that changes; call what is given with the next."""
+    """Show one line that changes. Yield a function that replaces its text."""
     with _display() as show:
         begun = time.monotonic()
         show(Stage(first, 0, None, begun))
@@ -71,12 +77,9 @@ def status_line(first: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def stages(after: float = 0.0) -> Iterator[Progress]:
-    """Show one thing after the other; call what is given with its name, how many are done, and of how many.
+    """Show the stages of some work one after another, and yield the function that reports them.
 
-    Parameters
-    ----------
-    after : float
-        Nothing is shown that takes no more seconds in all.
+    The function is called with the stage, the number of items done, and their total.
     """
     begun: dict[str, float] = {}
     latest = ""
@@ -84,7 +87,7 @@ def stages(after: float = 0.0) -> Iterator[Progress]:
 
         def report(what: str, done: int, total: int | None) -> None:
             nonlocal latest
-            if what not in begun or (done == 0 and what != latest):  # for the first time, or anew
+            if what not in begun or (done == 0 and what != latest):  # first, or started once more
                 begun[what] = time.monotonic()
             latest = what
             show(Stage(what, done, total, begun[what]))
@@ -93,7 +96,7 @@ def stages(after: float = 0.0) -> Iterator[Progress]:
 
 
 def shows_progress(function: F) -> F:
-    """Let a function have an argument `progress` as this module says; the function itself is given one to call."""
+    """Add the argument `progress` to a function, as this module describes; the function receives a callable."""
 
     @functools.wraps(function)
     def shown(*args: Any, progress: Wanted = None, **others: Any) -> Any:
@@ -105,9 +108,9 @@ def shows_progress(function: F) -> F:
 
 @contextmanager
 def told(progress: Wanted) -> Iterator[Progress]:
-    """Show long work to those who want it shown; call what is given as `stages` says.
+    """Yield the function that receives progress reports; it shows them where `progress` asks for it.
 
-    Work that is part of other work is not shown by itself: the caller of the whole has said what is wanted.
+    Work that is part of other work is not shown by itself. The caller of the outer work has decided.
     """
     part = bool(_displays or _work)
     _work.append(token := object())
@@ -124,7 +127,10 @@ def told(progress: Wanted) -> Iterator[Progress]:
 
 
 def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
-    """Say that none of so many is done; give what is called with how many more are, by any thread."""
+    """Report that none of `total` items is done.
+
+    Return a thread-safe function that adds to the count and reports it.
+    """
     done, lock = 0, threading.Lock()
 
     def advance(count: int) -> None:
@@ -138,19 +144,19 @@ def adding(show: Progress, what: str, total: int) -> Callable[[int], None]:
 
 
 def _looked_at() -> bool:
-    """Whether somebody looks on who did not ask for it."""
+    """Whether progress is shown by default: on a terminal and in a notebook, unless the environment forbids it."""
     return os.environ.get(UNSHOWN) != "0" and (sys.stderr.isatty() or _notebook() is not None)
 
 
 def _notebook() -> Callable[..., Any] | None:
-    """Give the function that shows something in the notebook in which this runs, if it runs in one."""
+    """Return the display function of the notebook in which this runs; None outside of notebooks."""
     ipython = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     return ipython.display.display if ipython is not None and hasattr(shell, "kernel") else None
 
 
 def compiling_line() -> Callable[[], None]:
-    """Give a function that says on stderr, when it is first called, that something is compiled, and for how long."""
+    """Return a function that prints, on its first call only, a line on stderr about the compilation."""
     said = False
 
     def say() -> None:
@@ -163,7 +169,7 @@ def compiling_line() -> Callable[[], None]:
 
 
 class _Display(Protocol):
-    """Shows a stage: so many of so many, and a line in words, as `str` gives it at the time."""
+    """Shows a stage: a count, its total, and a line of text, which is `str(line)` at the time of drawing."""
 
     def show(self, line: object, done: int, total: int | None) -> None: ...
 
@@ -171,15 +177,15 @@ class _Display(Protocol):
 
 
 _displays: list[_Display] = []
-"""What is shown now."""
+"""Displays that are shown now."""
 
 _work: list[object] = []
-"""What is under way now of which `told` knows, shown or not."""
+"""Tokens of the calls of `told` that are active, whether shown or not."""
 
 
 @contextmanager
 def _display(after: float = 0.0) -> Iterator[Callable[[Stage], None]]:
-    """Show stages, from the first on."""
+    """Yield a function that shows stages; the display is created with the first one."""
     shown: list[_Display] = []
 
     def show(stage: Stage) -> None:
@@ -206,7 +212,7 @@ def _made() -> _Display:
 
 
 class _Delayed:
-    """Shows what takes longer than some seconds."""
+    """A display that appears only after some seconds."""
 
     def __init__(self, seconds: float) -> None:
         self._lock, self._display = threading.Lock(), list[_Display]()
@@ -236,7 +242,7 @@ class _Delayed:
 
 
 class _Lines:
-    """Prints a line now and then."""
+    """Prints a line at regular intervals."""
 
     def __init__(self, between: float | None = None) -> None:
         self._line: object = ""
@@ -244,14 +250,14 @@ class _Lines:
         self._ended = threading.Event()
         threading.Thread(target=self._print, daemon=True).start()
 
-    def show(self, line: object, done: int, total: int | None) -> None:  # noqa: ARG002  the line has them
+    def show(self, line: object, done: int, total: int | None) -> None:  # noqa: ARG002  the line contains them
         self._line = line
 
     def close(self) -> None:
         self._ended.set()
 
     def _print(self) -> None:
-        with suppress(OSError, ValueError):  # nobody reads stderr any more
+        with suppress(OSError, ValueError):  # stderr has been closed
             while not self._ended.wait(self._between):
                 self._write(str(self._line))
 
@@ -260,7 +266,7 @@ class _Lines:
 
 
 class _Line(_Lines):
-    """Shows one line in a notebook, which changes and goes away."""
+    """Updates one line in a notebook, and clears it at the end."""
 
     def __init__(self, display: Callable[..., Any]) -> None:
         self._shown = display({"text/plain": ""}, raw=True, display_id=True)

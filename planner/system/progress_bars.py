@@ -1,4 +1,4 @@
-"""How far something is, on a terminal: a bar, and a line in words."""
+"""A progress bar with a line of text, on a terminal."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from rich.text import Text
 
 
 class Line(ProgressColumn):
-    """How far it is in words, seconds included."""
+    """Column that shows the line of text, which includes the elapsed seconds."""
 
     def render(self, task: Task) -> Text:
-        """Give it as it is by now."""
+        """Return the current text."""
         return Text(str(task.fields.get("line", "")))
 
 
 class Bar:
-    """Shows how far something is, until it is closed."""
+    """Shows progress until it is closed."""
 
     def __init__(self) -> None:
         self._progress = Progress(SpinnerColumn(), BarColumn(), Line(), console=Console(stderr=True), transient=True)
@@ -24,11 +24,11 @@ class Bar:
         self._progress.start()
 
     def show(self, line: object, done: int, total: int | None) -> None:
-        """Show so many of so many, and a line in words, as `str` gives it at the time."""
+        """Show a count, its total, and a line of text, which is `str(line)` at the time of drawing."""
         if self._progress.tasks[0].total != total:
             self._progress.reset(self._task, total=total)
         self._progress.update(self._task, completed=done, line=line)
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """Remove the bar."""
         self._progress.stop()

@@ -1,7 +1,7 @@
-"""How far work is that other processes of this machine do.
+"""Progress reports from other processes of this machine.
 
-A `Reporter` writes lines into a pipe, from whatever process the work is in; a `Listener` hears them in the process that
-asked. Nothing waits for a report: where nobody listens any more, or too much has been said already, it is lost.
+A `Reporter` writes lines into a pipe, from the process that does the work. A `Listener` reads them in the process that
+started the work. Writing never blocks: a report is lost if the pipe is full or closed.
 """
 
 from __future__ import annotations
@@ -15,59 +15,64 @@ from dataclasses import dataclass
 from typing import Any
 
 Progress = Callable[[str, int, int | None], None]
-"""Called with what is under way, how much of it is done, and of how much; None where nobody knows."""
+"""Receives the description of a stage, the number of items done, and their total (None if it is unknown)."""
 
 LONGEST = 512
-"""Bytes of a report: so many are written at once, on every system, or not at all."""
+"""Largest report in bytes. POSIX guarantees that writes of up to 512 bytes to a pipe are atomic; longer reports are
+lost.
+"""
 
 PATIENCE = 1.0
-"""Seconds that the last reports may take to be heard."""
+"""Seconds that `Listener.close` waits for the last reports. Longer loses fewer reports, and may delay the caller."""
 
 
 @dataclass(frozen=True)
 class Reporter:
-    """Says how far one piece of work is.
+    """Reports the progress of one item of work.
 
     Attributes
     ----------
     pipe : int or None
-        Where to write; None where nobody listens.
+        File descriptor to write to; None if there is no listener.
     number : int
-        Whose reports these are.
+        Number of the item of work.
     """
 
     pipe: int | None
     number: int
 
     def __call__(self, *report: Any) -> None:
-        """Say something that JSON can hold."""
+        """Report values that JSON can represent."""
         line = json.dumps([self.number, *report]).encode() + b"\n"
         if self.pipe is not None and len(line) <= LONGEST:
-            with suppress(OSError):  # nobody reads it, or it is full
+            with suppress(OSError):  # the pipe is closed or full
                 os.write(self.pipe, line)
 
 
 class Listener:
-    """Hears reports, in a thread, from `start` to `close`.
+    """Receives reports in a thread, from `start` to `close`.
 
     Attributes
     ----------
     pipe : int
-        Where reporters write, without waiting; the processes that work get a copy.
+        Descriptor that reporters write to without blocking. Worker processes get a copy of it.
     """
 
     def __init__(self, hear: Callable[..., None]) -> None:
-        """Make the pipe; `hear` will be called with the number of the one who reports, and with what it says."""
+        """Create the pipe. `hear` will be called with the number of the item and the reported values."""
         self._reading, self.pipe = os.pipe()
         os.set_blocking(self.pipe, False)
         self._thread = threading.Thread(target=self._listen, args=(hear,), daemon=True)
 
     def start(self) -> None:
-        """Begin to listen."""
+        """Start the thread that receives reports."""
         self._thread.start()
 
     def close(self) -> None:
-        """Hear what has been said, and end; nobody may go on reporting."""
+        """Receive the reports that were sent, and stop.
+
+        It waits at most `PATIENCE` seconds if another process still holds a copy of the pipe.
+        """
         os.close(self.pipe)
         if self._thread.ident is not None:
             self._thread.join(PATIENCE)

@@ -1,8 +1,7 @@
-"""Work on several threads, also where there may be no memory for one to begin.
+"""Parallel work on threads that is robust against a lack of memory for new threads.
 
-`ThreadPoolExecutor` waits for ever for a thread that finds no memory to begin, and for what one was doing that found
-none to tell of its end. Here no thread is waited for that has not begun: the caller works, too, and does what others
-leave.
+`ThreadPoolExecutor` may wait forever for a thread that could not start for lack of memory, or that could not report its
+end. Here, no thread is awaited that has not started. The caller's thread works too, and does all that the others leave.
 """
 
 from __future__ import annotations
@@ -14,23 +13,23 @@ from contextlib import suppress
 from typing import TypeVar
 
 NO_MORE_THREADS = "can't start new thread"
-"""What Python's `RuntimeError` says where there is too little memory, or whatever else a thread needs."""
+"""Message of Python's `RuntimeError` where there is too little memory, or another resource, for a thread."""
 
 S = TypeVar("S")
 T = TypeVar("T")
 
 
 def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list[T]:
-    """Do a piece of work for each part on so many threads, of which the caller's is one; return all results in order.
+    """Apply a function to each part on at most `threads` threads, the caller's included. Return the results in order.
 
-    No thread works any more when this returns or raises, also where Ctrl-C has interrupted it.
+    No thread is still working when this returns or raises, even after Ctrl-C.
 
     Raises
     ------
     MemoryError
-        A thread ended in the middle of its work without a word.
+        A thread ended during its work without an exception.
     Exception
-        What the first piece that failed has raised; no other is begun after that.
+        The first exception of `work`. No further part is started after it.
     """
     waiting = deque(enumerate(parts))
     parts_to_do = len(waiting)
@@ -45,11 +44,11 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
                 except IndexError:  # another thread has taken the last one
                     return
                 found[number] = work(part)
-        except BaseException as error:  # noqa: BLE001  the caller raises it
+        except BaseException as error:  # noqa: BLE001  raised in the caller's thread
             failures.append(error)
 
     def help_out(at_work: _thread.LockType) -> None:
-        if at_work.acquire(blocking=False):  # all is done otherwise
+        if at_work.acquire(blocking=False):  # otherwise the caller holds it: all parts are done
             try:
                 do_what_waits()
             finally:
@@ -69,7 +68,7 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
                 with at_work:
                     pass
             break
-        except BaseException as error:  # noqa: BLE001  raised below, once no helper works any more; Ctrl-C as well
+        except BaseException as error:  # noqa: BLE001  raised below, once all helpers have stopped; Ctrl-C included
             failures.append(error)
     if failures:
         raise failures[0]

@@ -1,6 +1,6 @@
-"""Typed tables of TOML: what is missing, unknown or of the wrong kind is named with its place, and what would be right.
+"""Typed TOML tables: errors state the place of a missing, unknown or ill-typed field, and what is expected.
 
-The types are msgspec's `Struct`, the descriptions those of their fields.
+The types are `Struct`s of msgspec. Messages use the descriptions of their fields.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NAMED = re.compile(r"Object (?P<fault>contains unknown|missing required) field `
 
 
 def load(file: Path) -> dict[str, Any]:
-    """Read a TOML file; a byte order mark, as some editors write it, is left out.
+    """Read a TOML file. A byte order mark, as some editors write it, is ignored.
 
     Raises
     ------
@@ -60,13 +60,13 @@ def load(file: Path) -> dict[str, Any]:
 
 
 def fault(file: Path, place: str, message: str) -> InputFileError:
-    """Say what is wrong where."""
+    """Return an error with the file and the place of the fault."""
     return InputFileError(f"{file}: {place}: {message}")
 
 
 @contextmanager
 def located(file: Path) -> Iterator[None]:
-    """Add the line to what is said of a place in a file."""
+    """Add the line number to errors about a place in a file."""
     try:
         yield
     except InputFileError as error:
@@ -77,7 +77,7 @@ def located(file: Path) -> Iterator[None]:
 
 
 def line_of(file: Path, fault: str) -> int:
-    """Find the line, from 1, in which what a fault is about begins, or else the table in which it should be."""
+    """Return the line, counted from 1, where the value at fault begins, or the table that should contain it."""
     said = re.search(r"\(at line (\d+), column \d+\)", fault)
     text = file.read_bytes().decode("utf-8-sig", errors="replace")
     if said or "end of document" in fault:
@@ -88,7 +88,7 @@ def line_of(file: Path, fault: str) -> int:
     ]
     lines = text.splitlines()
     parsed: list[tuple[int, dict[str, Any]]] = [(0, {})]
-    for number in range(1, len(lines) + 1):  # what begins within a value of several lines is no document
+    for number in range(1, len(lines) + 1):  # a prefix that ends within a multi-line value does not parse
         try:
             parsed.append((number, tomllib.loads("\n".join(lines[:number]))))
         except tomllib.TOMLDecodeError:
@@ -111,17 +111,17 @@ def _has(content: Any, path: list[Any]) -> bool:
 
 
 def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
-    """Give a table as a type.
+    """Convert a table to a type.
 
     Parameters
     ----------
     content : dict
-        What the file says.
+        Content of the table.
     kind : type
-        A `Struct` whose fields are described.
+        A `Struct` whose fields have descriptions.
     file : Path
     place : str
-        Where in it the table stands.
+        Place of the table in the file; empty for the whole file.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
 
 
 def partial_of(data: type) -> type[Struct]:
-    """Give the type of tables that have some fields of a data class; others are `UNSET`."""
+    """Return the type of tables that have some of the fields of a data class; the other fields are `UNSET`."""
     hints = get_type_hints(data)
     fields: list[tuple[str, Any, Any]] = [
         (name, _described(kind) | UnsetType, UNSET) for name, kind in hints.items()
@@ -143,12 +143,12 @@ def partial_of(data: type) -> type[Struct]:
 
 
 def given(table: Struct) -> dict[str, Any]:
-    """Give the fields of a partial table that the file says something about."""
+    """Return the fields of a partial table that the file sets."""
     return {name: value for name, value in msgspec.structs.asdict(table).items() if value is not UNSET}
 
 
 def shown(value: Any) -> str:
-    """Write a value as in the file."""
+    """Return a value as JSON text, for messages."""
     return json.dumps(value, default=str, ensure_ascii=False)
 
 
@@ -159,7 +159,7 @@ def _described(kind: Any) -> Any:
 
 
 def _said(message: str, content: Any, kind: Any, place: str) -> str:
-    """Say what msgspec found in the words of the file: the place, what stands there, and what is expected."""
+    """Return msgspec's error message with the place, the value found and the description of what is expected."""
     found = FAULT.fullmatch(message)
     assert found is not None
     expected = "a table"
@@ -172,7 +172,7 @@ def _said(message: str, content: Any, kind: Any, place: str) -> str:
             kind, content, expected = inner, content[int(number)], "a table"
             place = f"{place}[{int(number) + 1}]"
         else:
-            break  # within a list of numbers or texts: it is described as a whole
+            break  # a list of numbers or texts has one description for all its elements
     named = NAMED.fullmatch(found["what"])
     if named is None:
         return f"{place or 'the file'}: {shown(content)}; expected {expected}"
@@ -184,17 +184,17 @@ def _said(message: str, content: Any, kind: Any, place: str) -> str:
 
 
 def _field(struct: type[Struct], name: str) -> tuple[Any, str]:
-    """Give the type and the description of a field."""
+    """Return the type and the description of a field."""
     field = next(field for field in msgspec.structs.fields(struct) if field.encode_name == name)
     parts = [field.type, *get_args(field.type)]
     marked = [meta for part in parts for meta in getattr(part, "__metadata__", ()) if isinstance(meta, Meta)]
-    known = () if get_origin(field.type) is list else parts  # of a list it is `_element`
+    known = () if get_origin(field.type) is list else parts  # for a list, `_element` returns the inner type
     inner = next((part for part in known if isinstance(part, type) and issubclass(part, Struct)), field.type)
     return inner, next((meta.description for meta in marked if meta.description), "a table")
 
 
 def _element(kind: Any) -> type[Struct] | None:
-    """Give the type of a list's tables, None for lists of anything else."""
+    """Return the `Struct` type of a list's elements; None for lists of anything else."""
     for part in (kind, *get_args(kind)):
         for inner in get_args(part):
             if isinstance(inner, type) and issubclass(inner, Struct):
@@ -203,7 +203,7 @@ def _element(kind: Any) -> type[Struct] | None:
 
 
 def label(mapping: Mapping[str, Any]) -> str:
-    """Name what a table says, in its order: the label of a setting."""
+    """Return the label of a setting: its keys and values in their order."""
     return ", ".join(
         f"{key} {value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else f"{key} {value}"
         for key, value in mapping.items()

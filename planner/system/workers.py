@@ -1,7 +1,7 @@
-"""The same work on many things: in processes of this machine, or on a cluster.
+"""The same work on many items, in processes of this machine or on a cluster.
 
-`outcomes` hands out the work and gives back what has ended, as it ends. Processes of this machine do not outlive the
-one that asked.
+`outcomes` distributes the work and yields results in the order of completion. Worker processes do not outlive the
+process that started them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 
 class WorkerDiedError(RuntimeError):
-    """A process that ended in the middle of its work."""
+    """A worker process ended during its work."""
 
 
 def outcomes(
@@ -41,29 +41,29 @@ def outcomes(
     timeout: float | None = None,
     hear: Callable[..., None] | None = None,
 ) -> Generator[tuple[Item, Result | Exception]]:
-    """Give each item with `work(item, *arguments)`, or with the exception that it ended in.
+    """Yield each item with `work(item, *arguments)`, or with the exception that was raised.
 
     Parameters
     ----------
     work : callable
-        A function of a module, so that other processes find it.
+        A module-level function, so that other processes can import it.
     items, arguments : sequence
-        What can be pickled.
+        They must be picklable.
     jobs : int
-        Processes of this machine, each a new interpreter.
+        Number of processes on this machine, each a new interpreter.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers do it instead. They have to see the same files at the same paths,
+        Address of a Dask scheduler whose workers do the work instead. They must see the same files at the same paths,
         and run one thread each.
     timeout : float, optional
-        Seconds after which a process of this machine is stopped; the item then comes with a `TimeoutError`.
+        Seconds after which a process of this machine is stopped; its item is yielded with a `TimeoutError`.
     hear : callable, optional
-        Called, in a thread, with an item and with what the work on it reports meanwhile; for that the work takes one
-        more argument, a `Reporter`. Nothing is heard of a cluster.
+        Called in a thread with an item and the values that its work reports. `work` then receives a `Reporter` as an
+        additional last argument. Workers of a cluster do not report.
 
     Raises
     ------
     MissingExtraError
-        A cluster is asked for, and the extra `cluster` is not installed.
+        A scheduler is given, and the extra `cluster` is not installed.
     """
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
@@ -96,7 +96,7 @@ def _in_a_pool(
 
     from pebble import ProcessExpired, ProcessPool
 
-    # Started by the first worker otherwise, in the thread that starts all of them, where it lets Ctrl-C through again.
+    # Otherwise the first worker starts it, in the thread that starts all of them, and unblocks Ctrl-C there.
     resource_tracker.ensure_running()
     others = set(active_children())
     pipe = None if listener is None else Connection(os.dup(listener.pipe), readable=False)
@@ -120,13 +120,13 @@ def _in_a_pool(
                 outcome = future.result()
             except ProcessExpired as error:
                 outcome = _died(error.exitcode)
-            except Exception as error:  # noqa: BLE001  what went wrong with one item is not to stop the others
+            except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
                 outcome = error
             yield futures[future], outcome
         pool.close()  # type: ignore[no-untyped-call]
     except BaseException:
         for worker in set(active_children()) - others:
-            worker.kill()  # at once: `stop` gives each one three seconds, and their work is not wanted
+            worker.kill()  # at once: `stop` waits three seconds for each, and their results are not needed
         pool.stop()  # type: ignore[no-untyped-call]
         raise
     finally:
@@ -135,11 +135,11 @@ def _in_a_pool(
             pipe.close()
 
 
-_pipe: Connection | None = None  # of a worker, which is handed it as it begins
+_pipe: Connection | None = None  # in a worker: the pipe for its reports
 
 
 def _begin(group: int, pipe: Connection | None) -> None:
-    """Begin a worker process, which shows nothing by itself on the terminal that it shares."""
+    """Initialise a worker process. It shares the terminal, and shows no progress of its own."""
     global _pipe
     os.environ[UNSHOWN] = "0"
     processes.join(group)
@@ -147,28 +147,28 @@ def _begin(group: int, pipe: Connection | None) -> None:
 
 
 def _carry_out(work: Callable[..., Result], number: int, item: Item, *arguments: Any) -> Result:
-    """Do one thing in a worker process."""
+    """Do the work on one item in a worker process."""
     if _pipe is not None:
         arguments = (*arguments, Reporter(_pipe.fileno(), number))
     try:
         return _sendable(work(item, *arguments))
     except Exception as error:  # noqa: BLE001  raised in the other process
         raise _sendable(error) from None
-    except BaseException as error:  # noqa: BLE001  SystemExit, for instance; the pool would wait for a result for ever
+    except BaseException as error:  # noqa: BLE001  SystemExit, for instance; otherwise the pool would wait forever for a result
         raise WorkerDiedError(f"the worker process was ended by {error!r}") from None
 
 
 def _sendable(outcome: Result) -> Result:
-    """Return the result of some work, or its exception, if another process can read it.
+    """Return a result or an exception if it can be sent to another process.
 
     Raises
     ------
     WorkerDiedError
-        It cannot be pickled, or not be read again.
+        It cannot be pickled or unpickled.
     """
     try:
         pickle.loads(pickle.dumps(outcome))
-    except Exception as error:  # noqa: BLE001  whatever the classes of the outcome do when they are pickled
+    except Exception as error:  # noqa: BLE001  pickling may run any code of the outcome's classes
         raise WorkerDiedError(f"{outcome!r} cannot be sent to another process: {error}") from None
     return outcome
 
@@ -204,7 +204,7 @@ def _on_cluster(
 
 @contextmanager
 def _interrupts_left_to_this_process() -> Iterator[None]:
-    """Block Ctrl-C for threads and processes that are started meanwhile, from their very beginning."""
+    """Block Ctrl-C for threads and processes that start within the context, from their start on."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
