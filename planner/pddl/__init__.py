@@ -1,1 +1,1 @@
-"""PDDL files: found, read, checked against the supported fragment, and validated."""
+"""PDDL files: finding, reading, checking against the supported fragment, and validation."""

@@ -1,8 +1,8 @@
-"""Tasks that were built in Python: from a unified-planning `Problem` to the files that everything else reads.
+"""Problems that were built in Python: a unified-planning `Problem` is written as the files that all other code reads.
 
 unified-planning allows names that PDDL does not (capitals, dots), and writes others in their place. `write` returns
-which, so that `restore_names` can give the grounded task the names of the problem again. Costs that are sums or
-products, which Fast Downward does not read, are worked out for all objects before.
+these renamings, and `restore_names` undoes them in the grounded task. Fast Downward does not read costs that are sums
+or products. Their values are therefore computed beforehand for all objects.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from unified_planning.model import Action, FNode, Problem
 
 MOST_COSTS = 100_000
-"""Values of one action's cost that are worked out."""
+"""Largest number of values in the cost table of one action. It bounds the time of writing and the size of the files."""
 
 
 def named(problem: Problem) -> Instance:
-    """Name an instance that has no files: after its problem."""
+    """Return an instance without files, named after its problem."""
     name = problem.name or "problem"
     return Instance(Path(name), Path(f"{name} (domain)"))
 
@@ -39,13 +39,13 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
     instance : Instance
         The two files, in `folder`.
     names : dict of str to str
-        For each PDDL name that differs from the problem's own, the latter. A name that a ground action could not be
-        written with, one with spaces, commas or parentheses, is left out: it stays as it is in PDDL.
+        The problem's own name for each PDDL name that differs from it. Names with spaces, commas or parentheses are
+        left out, since they cannot stand in a ground action. These keep their PDDL name.
 
     Raises
     ------
     PDDLError
-        The problem is more than classical planning with action costs.
+        The problem is not classical planning with action costs.
     """
     from unified_planning.exceptions import UPException
     from unified_planning.io import PDDLWriter
@@ -59,7 +59,7 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
             writer.write_problem(str(instance.problem))
     except PDDLError:
         raise
-    except Exception as error:  # noqa: BLE001  it raises whatever comes, its own internal errors included
+    except Exception as error:  # noqa: BLE001  it raises any exception, internal errors included
         clear_walkers()
         reason = " ".join(str(error).split()) if isinstance(error, UPException) else "unified-planning fails at it"
         raise PDDLError(named(problem).problem, None, f"not to be written as classical PDDL: {reason}") from None
@@ -68,12 +68,15 @@ def write(problem: Problem, folder: Path) -> tuple[Instance, dict[str, str]]:
 
 
 def with_plain_costs(problem: Problem) -> Problem:
-    """Return a problem with costs as Fast Downward reads them: numbers, or functions of arguments, and 0 for none.
+    """Return the problem with costs that Fast Downward can read: numbers, or functions of arguments.
+
+    An action without a cost gets the cost 0. A problem whose metric is not the sum of action costs is returned
+    unchanged.
 
     Raises
     ------
     PDDLError
-        A cost is negative, no whole number, unknown for some objects, or has very many values.
+        A cost is negative, not a whole number or unknown for some objects, or it has more than `MOST_COSTS` values.
     """
     metric = problem.quality_metrics[0] if len(problem.quality_metrics) == 1 else None
     if metric is None or not metric.is_minimize_action_costs():
@@ -91,7 +94,7 @@ def with_plain_costs(problem: Problem) -> Problem:
 
 
 def _tabulated(problem: Problem, action: Action, cost: FNode) -> FNode:
-    """Return an action's cost as a function of its arguments, whose values are added to the problem."""
+    """Return an action's cost as a function of its arguments; its values are added to the problem's initial state."""
     from unified_planning.model import Fluent
     from unified_planning.model.walkers import Simplifier
 
@@ -118,7 +121,7 @@ def _tabulated(problem: Problem, action: Action, cost: FNode) -> FNode:
 
 
 def _parts(expression: FNode) -> set[FNode]:
-    """Return all that an expression consists of."""
+    """Return all subexpressions of an expression, itself included."""
     found, waiting = set(), [expression]
     while waiting:
         found.add(one := waiting.pop())
@@ -127,7 +130,7 @@ def _parts(expression: FNode) -> set[FNode]:
 
 
 def restore_names(sas: str, names: Mapping[str, str]) -> str:
-    """Give the facts and operators of a SAS text the problem's own names."""
+    """Return the SAS text with the problem's own names in its facts and operators."""
     if not names:
         return sas
 

@@ -1,6 +1,6 @@
-"""The tasks that come with the package: found by folder and name, such as `kitting/paper`, wherever it is installed.
+"""The tasks that come with the package, found by folder and name, such as `kitting/paper`.
 
-A folder's name alone, such as `blocks`, stands for all of its tasks.
+The name of a folder alone, such as `blocks`, stands for all of its tasks.
 """
 
 from __future__ import annotations
@@ -23,13 +23,12 @@ class BundledTask:
     Attributes
     ----------
     name : str
-        Its folder and its own name, as every command takes it.
+        Folder and file name without its ending, as commands accept it.
     problem : Path
     about : str
-        What it is, in a sentence: the first of its file, or else of its domain.
+        One-sentence description: the first sentence of its file's comment, or else of its domain's.
     states, cost : int or None
-        How many states it has and what its cheapest plan costs, as its folder's README has them; None where that does
-        not say.
+        Number of reachable states and cost of an optimal plan, from the README of its folder; None if it is not there.
     """
 
     name: str
@@ -40,43 +39,43 @@ class BundledTask:
 
 
 def folder() -> Path:
-    """Give the folder of domains: within the package, or beside it in a checkout."""
+    """Return the folder of domains: inside the package, or next to it in a checkout."""
     package = Path(__file__).parents[1]
     return package / "domains" if (package / "domains").is_dir() else package.parent / "domains"
 
 
 @cache
 def problems() -> dict[str, Path]:
-    """Give the problem file of each task by its name, in the order of the names."""
+    """Return the problem file of each bundled task, keyed and sorted by name."""
     files = (file for file in folder().rglob("*.pddl") if file.name != DOMAIN_FILE)
     return dict(sorted((file.relative_to(folder()).with_suffix("").as_posix(), file) for file in files))
 
 
 def find(name: str | Path) -> Path | None:
-    """Give the problem file of a task by its name; None if there is none of that name."""
+    """Return the problem file of the bundled task of that name; None if there is none."""
     return problems().get(Path(name).as_posix())
 
 
 def files(name: str | Path) -> list[Path]:
-    """Return the problem files that a name stands for: one of a task, all of a folder; none of an unknown name."""
+    """Return the problem files for a task name or a folder name; an empty list for an unknown name."""
     own = Path(name).as_posix()
     return [file for task, file in problems().items() if task == own or task.startswith(f"{own}/")]
 
 
 def near(name: str | Path) -> str:
-    """Return a remark on a name that stands for nothing: similar names of tasks and folders; empty without such."""
+    """Return the part of a message that suggests bundled tasks with a similar name; empty if there are none."""
     wanted = "/".join(Path(name).with_suffix("").parts[-2:])
     folders = {task.rpartition("/")[0] for task in problems()}
     alike = difflib.get_close_matches(wanted, [*problems(), *folders], n=3, cutoff=0.75)
-    if not alike:  # perhaps without its folder
+    if not alike:  # the name may lack its folder
         alike = [one for one in problems() if one.endswith(f"/{Path(wanted).stem}")]
-    if wanted in folders:  # a task was expected
+    if wanted in folders:  # the name is a folder, where a task was expected
         alike = [one for one in problems() if one.startswith(f"{wanted}/")][:3]
     return f"; with the package come {', '.join(alike)}" if alike else ""
 
 
 def listed() -> list[BundledTask]:
-    """Give the tasks that come with the package, in the order of their names."""
+    """Return the bundled tasks, sorted by name."""
     return [
         BundledTask(name, file, _sentence(file) or _sentence(file.parent / DOMAIN_FILE), *_known(file))
         for name, file in problems().items()
@@ -84,7 +83,7 @@ def listed() -> list[BundledTask]:
 
 
 def _sentence(file: Path) -> str:
-    """Give the first sentence of the comment with which a file begins."""
+    """Return the first sentence of the comment at the beginning of a file."""
     lines = takewhile(lambda line: line.startswith(";"), file.read_text(encoding="utf-8").splitlines())
     words = " ".join(" ".join(line.lstrip(";") for line in lines).split())
     sentence = re.match(r".*?\.(?=\s|$)", words)
@@ -92,7 +91,7 @@ def _sentence(file: Path) -> str:
 
 
 def _known(file: Path) -> tuple[int | None, int | None]:
-    """Give states and cost of a task from the tables in the README of its folder, or of one above."""
+    """Return a task's number of states and optimal cost, from the README of its folder or of a parent folder."""
     for place in file.relative_to(folder()).parents:
         readme = folder() / place / README
         head: list[str] = []
@@ -107,5 +106,6 @@ def _known(file: Path) -> tuple[int | None, int | None]:
 
 
 def _number(cell: str) -> int | None:
+    """Return the whole number at the beginning of a table cell; None if there is none."""
     digits = re.match(r"[\d,]+", cell)
     return int(digits[0].replace(",", "")) if digits else None

@@ -1,7 +1,6 @@
-"""What a PDDL file declares: types, objects, predicates and functions, each with its place.
+"""Declarations of a PDDL file: types, objects, predicates and functions, each with its place.
 
-All other files of this project know these names from here only. A name that is declared in no sensible way is refused
-with its place.
+All other modules obtain these names from here. An invalid declaration is refused with its place.
 """
 
 from __future__ import annotations
@@ -17,24 +16,24 @@ from .instances import PDDLError
 from .s_expressions import Expression, Place
 
 OBJECT = "object"
-"""The type of everything."""
+"""Root of the type hierarchy."""
 
 RESERVED = frozenset(
     ("and", "or", "not", "imply", "forall", "exists", "when", "either", "increase", "decrease", "assign", "scale-up",
      "scale-down", "<", ">", "<=", ">=", "-", "+", "*", "/")
 )  # fmt: skip
-"""Words that begin a condition, an effect or a number, and are no names of predicates and functions."""
+"""Keywords of conditions, effects and numeric expressions. They cannot be names of predicates or functions."""
 
 
 @dataclass(frozen=True)
 class Typed:
-    """A name of a typed list: of an object, a variable, or a type.
+    """An entry of a typed list: an object, a variable or a type.
 
     Attributes
     ----------
     name : str
     kinds : tuple of str
-        Its type, or the several of `(either ...)`.
+        Its type, or the types of `(either ...)`.
     place : Place
     """
 
@@ -61,14 +60,14 @@ class Symbol:
 
 @dataclass(frozen=True)
 class Types:
-    """The types of a domain.
+    """The type hierarchy of a domain.
 
     Attributes
     ----------
     parents : mapping of str to tuple of str
-        The types right above each type, none for `object`, which is above all others.
+        Direct supertypes of each type. `object` has none, and is a supertype of all others.
     places : mapping of str to Place
-        Where each type is named first.
+        Place of the first mention of each type.
     """
 
     parents: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: {OBJECT: ()})
@@ -91,7 +90,7 @@ class Types:
 
     @cached_property
     def ordered(self) -> tuple[str, ...]:
-        """All types, each after those above it."""
+        """All types, each after its supertypes."""
         found: dict[str, None] = {}
         for name in self.parents:
             waiting = [name]
@@ -104,27 +103,27 @@ class Types:
         return tuple(found)
 
     def fits(self, kind: str, wanted: Iterable[str]) -> bool:
-        """Whether an object of one type is one of the others as well."""
+        """Whether a type is a subtype of, or equal to, one of the wanted types."""
         return not self._above[kind].isdisjoint(wanted)
 
     def overlap(self, kinds: Iterable[str], others: Iterable[str]) -> bool:
-        """Whether an object may be of one of some types and of one of some others."""
+        """Whether one of `kinds` and one of `others` have a common subtype, so that one object may belong to both."""
         below = frozenset[str]().union(*(self._below[kind] for kind in others))
         return any(not below.isdisjoint(self._below[kind]) for kind in kinds)
 
     def reduced(self, kinds: Iterable[str]) -> tuple[str, ...]:
-        """Leave out what is below another of some types."""
+        """Return the types of `kinds` that are not subtypes of another of them, sorted."""
         return tuple(sorted(a for a in kinds if not any(a != b and self.fits(a, (b,)) for b in kinds)))
 
     def common(self, kinds: Iterable[str]) -> str:
-        """The lowest type that is above all of some, where there is one such type."""
+        """Return the lowest common supertype, or `object` where there is no unique one."""
         shared = frozenset.intersection(*(self._above[kind] for kind in kinds))
         return next((name for name in shared if all(other in self._above[name] for other in shared)), OBJECT)
 
 
 @dataclass(frozen=True)
 class Names:
-    """What may be named in conditions and effects."""
+    """Names that conditions and effects may use."""
 
     types: Types
     predicates: Mapping[str, Symbol]
@@ -133,19 +132,19 @@ class Names:
 
 
 def meant(name: str, words: Iterable[str]) -> str:
-    """Offer the nearest of some other words."""
+    """Return the part of a message that suggests the most similar of the words; empty if none is similar."""
     near = difflib.get_close_matches(name.lstrip("?"), sorted({word.lstrip("?") for word in words} - {name}), n=1)
     return f"; did you mean '{'?' if name.startswith('?') else ''}{near[0]}'?" if near else ""
 
 
 def refuse(file: Path, at: Expression | Place | None, message: str) -> NoReturn:
-    """Raise an error with its place."""
+    """Raise a `PDDLError` with the place of the fault."""
     line, column = (None, None) if at is None else (at.line, at.column)
     raise PDDLError(file, line, message, column)
 
 
 def shown(expression: Expression, longest: int = 60) -> str:
-    """Give an expression as a message shows it."""
+    """Return the text of an expression for a message, shortened to `longest` characters."""
     text = str(expression)
     return text if len(text) <= longest else f"{text[:longest]} ..."
 
@@ -153,7 +152,8 @@ def shown(expression: Expression, longest: int = 60) -> str:
 def types(file: Path, section: Expression | None) -> Types:
     """Read the types of a domain.
 
-    A type that is its own parent, or that is named after a hyphen only, is a root; `object` needs no mention.
+    A type that is its own parent, or that occurs only as a parent, is a direct subtype of `object`. `object` need not
+    be listed.
     """
     if section is None:
         return Types()
@@ -204,18 +204,18 @@ def _check_circles(file: Path, parents: Mapping[str, Sequence[str]], places: Map
 def typed(
     file: Path, parts: Iterable[Expression], what: str, *, variables: bool = False, known: Types | None = None
 ) -> list[Typed]:
-    """Read a typed list, `a b - t c`; what has no type is of type `object`.
+    """Read a typed list such as `a b - t c`. Entries without a type have type `object`.
 
     Parameters
     ----------
     file : Path
     parts : iterable of Expression
     what : str
-        What it lists, for messages.
+        Kind of the entries, for messages.
     variables : bool
-        Whether it lists variables.
+        Whether the entries are variables.
     known : Types, optional
-        Those that may be named.
+        Types that may occur; unless given, types are not checked.
     """
     names: list[Expression] = []
     found: list[Typed] = []
@@ -252,7 +252,7 @@ def _kinds(file: Path, kind: Expression, known: Types | None) -> tuple[str, ...]
 
 
 def parameters(file: Path, parts: Iterable[Expression], known: Types) -> tuple[Typed, ...]:
-    """Read a list of variables that all differ."""
+    """Read a list of distinct variables."""
     found = typed(file, parts, "a variable", variables=True, known=known)
     names: set[str] = set()
     for each in found:
@@ -273,9 +273,9 @@ def objects(
     section : Expression or None
     known : Types
     before : mapping of str to Typed
-        Those that have been declared already, and may not be again.
+        Objects that are already declared, and may not be declared again.
     where : str
-        Where these were.
+        The file that declares these, for messages.
     """
     found: dict[str, Typed] = {}
     for each in typed(file, () if section is None else section.parts[1:], "an object", known=known):
@@ -294,16 +294,16 @@ def _symbol(file: Path, part: Expression, known: Types, what: str) -> Symbol:
         refuse(file, part, f"'{shown(part)}' declares no {what}; expected ({what.upper()} ?VARIABLE - TYPE ...)")
     if part.head in RESERVED or part.head.startswith(("?", ":")):
         refuse(file, part, f"'{part.head}' cannot be the name of a {what}")
-    found = typed(file, part.parts[1:], "a variable", variables=True, known=known)  # whose names do not matter
+    found = typed(file, part.parts[1:], "a variable", variables=True, known=known)  # their names have no meaning
     return Symbol(part.head, tuple(found), part.place)
 
 
 def predicates(file: Path, section: Expression | None, known: Types) -> dict[str, Symbol]:
-    """Read the predicates; one that is declared twice may have arguments of either's types."""
+    """Read the predicates. A predicate that is declared twice may have arguments of either declaration's types."""
     found: dict[str, Symbol] = {}
     for part in () if section is None else section.parts[1:]:
         new = _symbol(file, part, known, "predicate")
-        if new.name == "=":  # some domains declare it
+        if new.name == "=":  # some domains declare equality
             continue
         if (old := found.get(new.name)) is not None:
             if len(old.parameters) != len(new.parameters):
@@ -319,7 +319,7 @@ def predicates(file: Path, section: Expression | None, known: Types) -> dict[str
 
 
 def functions(file: Path, section: Expression | None, known: Types) -> dict[str, Symbol]:
-    """Read the functions; all give numbers."""
+    """Read the functions. All of them are numeric."""
     found: dict[str, Symbol] = {}
     words = iter(() if section is None else section.parts[1:])
     for part in words:

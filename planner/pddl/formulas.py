@@ -1,12 +1,12 @@
-"""Conditions, effects and costs: checked in the scopes of their variables, and written as all readers understand them.
+"""Conditions, effects and costs: checked within the scope of their variables, and normalised for all PDDL readers.
 
-An argument has to be declared, and its type may not be disjoint from the one that the predicate declares: what is of a
-supertype may be of that type. The same formula is given back without what readers of PDDL treat differently:
+Each argument must be declared. Its type must overlap with the type that the predicate declares: an object of a
+supertype may belong to the subtype. The formulas are rewritten without constructs that PDDL readers treat differently:
 
-- no two quantifiers of an action have variables of the same name, nor of those of its parameters;
-- `(either ...)` has become a type;
-- `()` is `(and)`, and a cost is a whole number or a function;
-- `when` stands within `forall`.
+- no two quantifiers of an action bind variables of the same name, nor of the name of a parameter;
+- `(either ...)` is replaced by a type of its own;
+- `()` is written as `(and)`, and a cost is a whole number or a function;
+- `when` occurs inside `forall`, never around it.
 """
 
 from __future__ import annotations
@@ -26,22 +26,23 @@ CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 EFFECTS = ("and", "not", "when", "forall", "increase")
 
 LARGEST_COST = 10**12
-"""No action may cost more: costs-to-go are kept in 64 bits, and told as floats, which are whole up to 2^53."""
+"""Largest cost of an action. Costs-to-go are 64-bit integers, and are reported as floats, which are exact up to 2^53.
+"""
 
 Scope = Mapping[str, Typed]
-"""What each variable stands for, by the name that it has in the file: its own name, and its types."""
+"""The variables in scope: from the name in the file to the variable's own, unique name and its types."""
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What an action costs.
+    """The cost of an action.
 
     Attributes
     ----------
     number : int or None
-        None where it is a function's value.
+        The cost, or None where it is the value of a function.
     function : tuple of str
-        The function with its arguments.
+        Name of the function and its arguments.
     place : Place
     """
 
@@ -50,14 +51,14 @@ class Cost:
     place: Place
 
     def of(self, bound: Mapping[str, str], values: Mapping[tuple[str, ...], int]) -> int | None:
-        """Give the cost of a ground action; None where the function has no value.
+        """Return the cost of a ground action; None if the function has no value for its arguments.
 
         Parameters
         ----------
         bound : mapping of str to str
-            What its parameters stand for.
+            Object of each parameter.
         values : mapping of tuple of str to int
-            Those of functions with their arguments.
+            Values of the functions, by name and arguments.
         """
         if self.number is not None:
             return self.number
@@ -65,32 +66,32 @@ class Cost:
 
 
 def word(at: Expression | Place, text: str) -> Expression:
-    """Give a word that stands where something else did."""
+    """Return a word at the place of another expression."""
     return Expression(at.line, text, (), at.column)
 
 
 def listed(at: Expression | Place, *parts: Expression) -> Expression:
-    """Give a list that stands where something else did."""
+    """Return a list at the place of another expression."""
     return Expression(at.line, "", parts, at.column)
 
 
 def whole_number(expression: Expression) -> int | None:
-    """Give the whole number, of 0 or more, that an expression is."""
+    """Return the whole number of 0 or more that an expression denotes; None if it denotes none."""
     found = re.fullmatch(r"(\d+)(\.0*)?", expression.word)
     return int(found[1]) if found else None
 
 
 class Formulas:
-    """Reads the formulas of one file.
+    """Reader of the formulas of one file.
 
     Parameters
     ----------
     file : Path
     names : Names
     derived : mapping of str to Place
-        The predicates that rules define, with the place of the first rule.
+        Derived predicates, with the place of the first rule that defines each.
     unions : dict of tuple of str to str
-        Gets a name for each set of types of which `(either ...)` consists.
+        Filled with a name for each set of types of an `(either ...)`.
     """
 
     def __init__(self, file: Path, names: Names, derived: Mapping[str, Place], unions: dict[tuple[str, ...], str]):
@@ -102,14 +103,14 @@ class Formulas:
         self._bound: set[str] = set()
 
     def scope(self, variables: Iterable[Typed], whole: Expression) -> Scope:
-        """Begin a scope with parameters, for the formulas within an expression."""
+        """Return the scope of an action's or a rule's parameters, and start a new set of unique names for `whole`."""
         found = {each.name: each for each in variables}
         self._used = {each for each in whole.words if each.startswith("?")}
         self._bound = set(found)
         return found
 
     def kind(self, kinds: tuple[str, ...]) -> str:
-        """Give one type for several: there is a type for each `(either ...)`."""
+        """Return one type for several: each `(either ...)` gets a type of its own."""
         types = self.names.types
         kept = types.reduced(kinds)
         if len(kept) == 1:
@@ -122,7 +123,7 @@ class Formulas:
         return self.unions[kept]
 
     def variables(self, found: Iterable[Typed]) -> tuple[Expression, ...]:
-        """Write a list of variables."""
+        """Return a typed list of variables."""
         return tuple(
             part
             for each in found
@@ -130,7 +131,7 @@ class Formulas:
         )
 
     def _quantified(self, part: Expression, scope: Scope) -> tuple[tuple[Expression, ...], Scope]:
-        """Read the variables of a quantifier; give them as they are written, and the scope that they open."""
+        """Read the variables of a quantifier. Return them as a typed list, with the scope inside the quantifier."""
         if part.word:
             refuse(self.file, part, f"'{part}' is no list of variables; expected (?VARIABLE - TYPE ...)")
         inner, written = dict(scope), []
@@ -157,7 +158,7 @@ class Formulas:
             refuse(self.file, formula, f"'{shown(formula)}' is no {what}: expected a predicate, or one of {near}")
 
     def condition(self, formula: Expression, scope: Scope) -> Expression:
-        """Check a condition, and write it."""
+        """Check a condition, and return it in normalised form."""
         self._headed(formula, "condition", CONDITIONS)
         head, parts = formula.head, formula.parts[1:]
         if not head:
@@ -184,7 +185,7 @@ class Formulas:
         return bool(part.parts) or (whole_number(part) is not None and part.word not in self.names.objects)
 
     def atom(self, formula: Expression, scope: Scope, besides: Iterable[str] = ()) -> Expression:
-        """Check a predicate with its arguments, and write it."""
+        """Check a predicate with its arguments, and return it in normalised form."""
         symbol = self.names.predicates.get(formula.head)
         if symbol is None and formula.head == "preference":
             refuse(self.file, formula, "preferences are not supported")
@@ -194,7 +195,7 @@ class Formulas:
         return listed(formula, formula.parts[0], *self.arguments(formula, symbol, scope))
 
     def _term(self, part: Expression, scope: Scope) -> tuple[Expression, Typed]:
-        """Give an argument as it is written, and what it is."""
+        """Return an argument in normalised form, and its declaration."""
         if not part.word:
             refuse(self.file, part, f"'{shown(part)}' is not expected here: expected an object or a variable")
         if (known := scope.get(part.word)) is not None:
@@ -206,7 +207,7 @@ class Formulas:
         refuse(self.file, part, f"unknown {what} '{part}'{near}")
 
     def arguments(self, formula: Expression, symbol: Symbol, scope: Scope) -> list[Expression]:
-        """Check the arguments of a predicate or a function, and write them."""
+        """Check the arguments of a predicate or a function, and return them in normalised form."""
         wanted, given = len(symbol.parameters), len(formula.parts) - 1
         if wanted != given:
             refuse(self.file, formula, f"'{symbol.name}' takes {wanted} argument{'s' * (wanted != 1)}, not {given}")
@@ -226,7 +227,7 @@ class Formulas:
         return written
 
     def effect(self, formula: Expression, scope: Scope, action: str, costs: list[Cost]) -> Expression:
-        """Check an effect, and write it; its costs are added to a list."""
+        """Check an effect, and return it in normalised form; its cost is appended to `costs`."""
         found = self._effect(formula, scope, action, costs, "")
         return listed(formula, word(formula, "and"), found) if found.head == "increase" else found
 
@@ -293,12 +294,12 @@ class Formulas:
         return listed(formula, formula.parts[0], parts[0], written), cost
 
     def limited(self, at: Expression, number: int) -> None:
-        """Refuse a cost that is too large."""
+        """Refuse a cost above `LARGEST_COST`."""
         if number > LARGEST_COST:
             refuse(self.file, at, f"a cost of {shown(at)} is too large; expected at most {LARGEST_COST}")
 
     def _amount(self, amount: Expression, scope: Scope, action: str) -> Expression:
-        """Check what an action costs: a whole number, or a declared function of as many arguments as it takes."""
+        """Check the cost of an action: a whole number, or a declared function with the right number of arguments."""
         if (number := whole_number(amount)) is not None:
             self.limited(amount, number)
             return word(amount, str(number))
@@ -327,7 +328,7 @@ class Formulas:
 
 
 def _when(at: Expression, condition: Expression, effect: Expression) -> Expression:
-    """Write a conditional effect; `forall` comes before `when`."""
+    """Return a conditional effect in which `forall` is outside of `when`."""
     if not any(part.head == "forall" for part in effect.walk()):
         return listed(at, word(at, "when"), condition, effect)
     if effect.head == "and":

@@ -1,7 +1,7 @@
-"""What of PDDL can be planned with: the sections and requirements of its two files.
+"""The supported fragment of PDDL: the sections and requirements that the two files may have.
 
-Classical planning with action costs is what Fast Downward's translator grounds. All that lies outside is refused here,
-with its place. `docs/planning.md` lists what is supported.
+Fast Downward's translator grounds classical planning with action costs. Everything else is refused here, with its
+place. `docs/planning.md` lists what is supported.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ REQUIREMENTS = (
     ":existential-preconditions", ":universal-preconditions", ":quantified-preconditions", ":conditional-effects",
     ":derived-predicates", ":action-costs",
 )  # fmt: skip
-"""The requirements that Fast Downward's translator knows."""
+"""Requirements that Fast Downward's translator accepts."""
 
 NUMERIC = "numeric fluents; for action costs write :action-costs"
 OUTSIDE = {
@@ -51,7 +51,7 @@ OUTSIDE = {
     ":observe": "sensing actions",
     ":sensing": "sensing actions",
 }
-"""What else there is in PDDL's family: sections and requirements that are not supported."""
+"""Sections and requirements of other PDDL dialects, which are not supported, with the name of the feature."""
 
 DOMAIN_SECTIONS = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action")
 PROBLEM_SECTIONS = (":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
@@ -63,7 +63,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     Raises
     ------
     PDDLError
-        With the place.
+        The names do not match, or a section or requirement is not supported; with the place.
     """
     _check_names(instance, domain, problem)
     counts = Counter(each.word for whole in (domain, problem) for each in whole.walk() if each.word.endswith("-"))
@@ -77,7 +77,7 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
 
 
 def _check_names(instance: Instance, domain: Expression, problem: Expression) -> None:
-    """Compare the domain's names in the two files; unified-planning accepts any."""
+    """Compare the domain's name in the two files, which unified-planning does not do."""
 
     def named(whole: Expression, head: str) -> Expression | None:
         part = whole.section(head)
@@ -105,9 +105,9 @@ def _check_names(instance: Instance, domain: Expression, problem: Expression) ->
 
 
 def _check_hyphens(file: Path, whole: Expression, counts: Mapping[str, int]) -> None:
-    """Refuse a hyphen that touches a name: for some readers of PDDL it begins a type, for others it is in the name.
+    """Refuse a hyphen that touches a name: PDDL readers differ on whether it belongs to the name.
 
-    Names may end in one; what ends in one and stands nowhere else is no name.
+    A name may end in a hyphen. A word that ends in one and occurs only once is taken for a mistake.
     """
     for each in whole.walk():
         word = each.word

@@ -1,7 +1,7 @@
-"""The files that belong together: the problems that a name stands for, and the domain of each problem.
+"""Finding the files of an instance: the problems that a name stands for, and the domain of each problem.
 
-A domain file is known by what it defines, `(define (domain NAME) ...)`, whatever it is called. A problem names its
-domain in `(:domain NAME)`. Files are read as far as that stands in them.
+A file is a domain if it contains `(define (domain NAME) ...)`, whatever its file name. A problem names its domain in
+`(:domain NAME)`. Files are read only up to this point.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from .bundled import DOMAIN_FILE
 from .instances import Instance, PDDLError
 
 BEGIN = 1 << 14
-"""Bytes of a file that are read first; more only where a long comment comes before everything else."""
+"""Bytes of a file that are read first. The rest is read only after a long comment at the beginning."""
 
 FOLDERS = ("", "domains")
-"""Where domains are sought in a problem's folder, and then in the folder above it."""
+"""Subfolders in which domains are sought, in the problem's folder and then in its parent folder."""
 
 SHOWN = 5
-"""Files that a message lists."""
+"""Largest number of files that a message lists, to keep it readable."""
 
 OPTION = "--domain (in Python: domain=)"
 
 
 class InstanceError(ValueError):
-    """A name on the command line that stands for no instance."""
+    """A name on the command line does not stand for any instance."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """What the beginning of a file says of it.
+    """Information from the beginning of a file.
 
     Attributes
     ----------
     domain : str
-        The domain that it defines, or that it is a problem of, in lower case; empty where it does not say.
+        Name of the domain that the file defines, or of the problem's domain, in lower case; empty if there is none.
     is_domain : bool
     line : int or None
-        Where the domain's name stands.
+        Line of the domain's name.
     """
 
     domain: str = ""
@@ -52,20 +52,20 @@ class Head:
 
 
 class Heads:
-    """The beginnings of files and the domains in folders, each read once."""
+    """Cache of the beginnings of files, and of the domains in folders."""
 
     def __init__(self) -> None:
         self._heads: dict[Path, Head] = {}
         self._defined: dict[tuple[Path, str], dict[str, list[Path]]] = {}
 
     def __getitem__(self, file: Path) -> Head:
-        """Return what a file's beginning says; nothing of one that cannot be read."""
+        """Return the `Head` of a file; an empty one if the file cannot be read."""
         if file not in self._heads:
             self._heads[file] = _head(file)
         return self._heads[file]
 
     def defined(self, folder: Path, suffix: str) -> dict[str, list[Path]]:
-        """Return the domain files of a folder, by the name that they define."""
+        """Return the domain files of a folder by the domain that they define."""
         if (folder, suffix) not in self._defined:
             found: dict[str, list[Path]] = {}
             for file in sorted(_files(folder)):
@@ -82,6 +82,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _head(file: Path) -> Head:
+    """Read the beginning of a file until its domain name is found."""
     text = ""
     with suppress(OSError), file.open("rb") as stream:
         for size in (BEGIN, -1):
@@ -97,7 +98,7 @@ def _head(file: Path) -> Head:
 
 
 def _places(problem: Path, heads: Heads) -> Iterator[dict[str, list[Path]]]:
-    """Yield the domains that lie where a problem's may lie, the nearest first."""
+    """Yield the domains of each folder that may hold the problem's domain, the nearest folder first."""
     beside = problem.parent
     above = beside.parent if beside.name not in ("", "..") else beside / ".."
     for folder in (beside, above):
@@ -106,17 +107,17 @@ def _places(problem: Path, heads: Heads) -> Iterator[dict[str, list[Path]]]:
 
 
 def _words(file: Path) -> list[str]:
-    """Split a file's name into words and numbers, without those that only say what kind of file it is."""
+    """Split a file name into words and numbers, without words that denote the kind of file."""
     name = re.sub("domain|problem|instance|task", " ", file.stem.lower())
     words = [word.lstrip("0") or "0" for word in re.findall(r"[^\W\d_]+|\d+", name)]
     return [word for word in words if word not in ("p", "prob", "pfile")]
 
 
 def _nearest(problem: Path, found: list[Path]) -> list[Path]:
-    """Choose the files whose names are most of the problem's name; all, where no name is.
+    """Return the files whose name agrees with the longest beginning of the problem's name; all of them if none does.
 
-    So are found `p01-domain.pddl` for `p01.pddl`, `domain-1.pddl` for `instance-1.pddl`, and `packing_domain.pddl` for
-    `packing_problem.pddl`.
+    This matches `p01-domain.pddl` with `p01.pddl`, `domain-1.pddl` with `instance-1.pddl`, and `packing_domain.pddl`
+    with `packing_problem.pddl`.
     """
     own = _words(problem)
     fitting = [file for file in found if own[: len(_words(file))] == _words(file)]
@@ -125,7 +126,7 @@ def _nearest(problem: Path, found: list[Path]) -> list[Path]:
 
 
 def _fitting(problem: Path, heads: Heads) -> list[Path]:
-    """Find the domain file of a problem: several, where it cannot be told which of them it is."""
+    """Return the domain file of a problem; several files where the choice is ambiguous."""
     wanted, default = heads[problem].domain, problem.with_name(DOMAIN_FILE)
     if not wanted or (heads[default].is_domain and heads[default].domain == wanted):
         return [default]
@@ -136,17 +137,18 @@ def _fitting(problem: Path, heads: Heads) -> list[Path]:
 
 
 def instance(problem: str | Path, domain: str | Path | None = None) -> Instance:
-    """Name an instance by its problem file; its domain file is found beside it unless given.
+    """Return the instance of a problem file. Its domain file is searched for unless it is given.
 
     Parameters
     ----------
     problem : path
-        Or the name of a task that comes with the package, such as `kitting/paper`; a file of that name comes first.
+        A problem file, or else the name of a bundled task, such as `kitting/paper`.
     domain : path, optional
-        Unless given: `domain.pddl` beside the problem if it defines the problem's domain, or else the file that does,
-        in the same folder, or else in the folder above, or in a folder `domains` of these. Of several the one is taken
-        whose name has the problem's, as `p01-domain.pddl` has that of `p01.pddl`. Where there is none, or it cannot be
-        told which of several, it is `domain.pddl` beside the problem, and reading the instance says what is missing.
+        Default: `domain.pddl` in the problem's folder if it defines the problem's domain. Otherwise the file that
+        defines it is searched for in the problem's folder, its subfolder `domains`, the parent folder, and the
+        parent's subfolder `domains`. Of several files, the one with the matching name is chosen (`p01-domain.pddl`
+        for `p01.pddl`). If there is none, or the choice is ambiguous, it is `domain.pddl` in the problem's folder,
+        and reading the instance reports what is missing.
     """
     problem = Path(problem)
     if not problem.exists():
@@ -160,7 +162,7 @@ def _instance(problem: Path, domain: str | Path | None, heads: Heads) -> Instanc
 
 
 def missing(instance: Instance) -> PDDLError | None:
-    """Return why an instance has no domain file, or no problem file; None where it has both."""
+    """Return the error for an instance without a domain file or a problem file; None if it has both."""
     heads = Heads()
     problem, domain = heads[instance.problem], heads[instance.domain]
     if problem.is_domain and (domain.is_domain or not instance.domain.exists()):
@@ -189,23 +191,23 @@ def _shown(files: Sequence[object]) -> str:
 
 
 def find_instances(names: Iterable[str | Path], domain: str | Path | None = None) -> list[Instance]:
-    """Find the instances that problem files, folders, globs and names of shipped tasks stand for.
+    """Return the instances that problem files, folders, globs and names of bundled tasks stand for.
 
-    A folder stands for every `*.pddl` file in it and below that defines no domain, in sorted order. No instance is
-    listed twice, and no domain file that is named beside its problems, as a shell writes `*.pddl`.
+    A folder stands for every `*.pddl` file in it and its subfolders that does not define a domain, in sorted order. No
+    instance is listed twice. A domain file that is listed with its problems, as a shell expands `*.pddl`, is left out.
 
     Parameters
     ----------
     names : iterable of path
-        Problem files, folders and globs. Where there is no file or folder of a name: a task that comes with the
-        package, such as `kitting/paper`, or all tasks of a folder of the package, such as `kitting`.
+        Problem files, folders and globs. A name without such a file or folder is a bundled task, such as
+        `kitting/paper`, or a folder of bundled tasks, such as `kitting`.
     domain : path, optional
-        Of all of them; found beside each as `instance` finds it unless given.
+        Domain file of all problems; by default, `instance` searches for that of each problem.
 
     Raises
     ------
     InstanceError
-        A file that is not there, a folder or a glob without problems.
+        A file does not exist, or a folder or a glob contains no problem.
     """
     if domain is not None and not Path(domain).is_file():
         raise InstanceError(f"{domain}: no such domain file")
@@ -237,7 +239,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
 
 
 def _matching(path: Path) -> Iterator[Path]:
-    """Yield the files that a glob stands for; none where it is no glob."""
+    """Yield the files that match a glob; nothing if the path is not a glob."""
     if any(mark in str(path) for mark in "*?["):
         start = Path(path.anchor) if path.anchor else Path()
         yield from start.glob(str(path.relative_to(path.anchor) if path.anchor else path))

@@ -1,6 +1,6 @@
-"""The PDDL files of instances, read as text.
+"""The PDDL files of an instance, and reading them as text.
 
-A fault of a file is a `PDDLError`: one line that says what is wrong, in which file and on which line.
+A faulty file raises a `PDDLError`, whose one-line message states the fault, the file and the line.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from .s_expressions import Expression, UnbalancedError
 
 
 class PDDLError(ValueError):
-    """A PDDL file that cannot be used.
+    """A PDDL file is invalid or not supported.
 
     Attributes
     ----------
     file : Path
         The file at fault.
     line : int or None
-        Its line, counted from 1, where one can be named.
+        Line of the fault, counted from 1, if it is known.
     message : str
-        What is wrong, and what would be right.
+        The fault, and what is expected.
     column : int or None
-        Where on that line, counted from 1.
+        Column of the fault, counted from 1, if it is known.
     """
 
     def __init__(self, file: Path, line: int | None, message: str, column: int | None = None) -> None:
@@ -66,19 +66,19 @@ MARKS = {  # the longer ones first
     "UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
     "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
 }
-"""What files begin with that are no UTF-8."""
+"""Byte order marks of encodings other than UTF-8."""
 
 STRANGE = re.compile(r"[^\t\v\f -~]")
-"""What stands in comments only."""
+"""Characters that may occur in comments only."""
 
 
 def text(file: Path, kind: str) -> str:
-    """Give the text of a PDDL file in lower case: PDDL does not distinguish case, unified-planning does.
+    """Return the text of a PDDL file in lower case, since PDDL ignores case and unified-planning does not.
 
     Raises
     ------
     PDDLError
-        There is no such file, or it is no PDDL text: letters outside ASCII may stand in comments only.
+        The file does not exist, is empty, or is not ASCII text outside of its comments.
     """
     try:
         raw = file.read_bytes()
@@ -93,7 +93,7 @@ def text(file: Path, kind: str) -> str:
         content = raw.decode("utf-8-sig")
         encoding = "UTF-8"
     except UnicodeDecodeError:
-        content = raw.decode("latin-1")  # as old files have it, in comments
+        content = raw.decode("latin-1")  # old files have comments in this encoding
         encoding = "unknown encoding"
     content = content.replace("\r\n", "\n").replace("\r", "\n")
     for number, line in enumerate(content.split("\n"), start=1):
@@ -121,7 +121,7 @@ def parse(file: Path, content: str) -> Expression:
     Raises
     ------
     PDDLError
-        A parenthesis is missing or too many; with its line, which a parser would see only at the end.
+        Parentheses do not match; with the line where this probably began, instead of the end of the file.
     """
     try:
         return s_expressions.parse(content)

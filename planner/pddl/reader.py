@@ -1,6 +1,6 @@
-"""A domain and a problem, as this project reads them: the one reading that all others are compared with.
+"""Reading a domain and a problem into frozen types; all other readings are compared with this one.
 
-`read` checks names, numbers of arguments and types everywhere, and gives what the two files say in frozen types.
+`read` checks names, numbers of arguments and types everywhere.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Action:
     name : str
     parameters : tuple of Typed
     precondition, effect : Expression
-        As all readers understand them; the effect has the cost.
+        Normalised for all PDDL readers (see `formulas`). The effect includes the cost.
     cost : Cost or None
     place : Place
     """
@@ -43,12 +43,12 @@ class Action:
 
 @dataclass(frozen=True)
 class Rule:
-    """What makes a derived predicate hold.
+    """A rule that defines a derived predicate.
 
     Attributes
     ----------
     head : Symbol
-        The predicate with variables.
+        The predicate with the rule's variables.
     condition : Expression
     """
 
@@ -68,7 +68,7 @@ class Domain:
     constants : mapping of str to Typed
     predicates, functions : mapping of str to Symbol
     entries : tuple of Action or Rule
-        In the order of the file.
+        Actions and rules in the order of the file.
     """
 
     name: str
@@ -81,12 +81,12 @@ class Domain:
 
     @property
     def actions(self) -> dict[str, Action]:
-        """The actions by their names."""
+        """The actions by name."""
         return {each.name: each for each in self.entries if isinstance(each, Action)}
 
     @property
     def rules(self) -> list[Rule]:
-        """What makes derived predicates hold."""
+        """The rules of the derived predicates."""
         return [each for each in self.entries if isinstance(each, Rule)]
 
 
@@ -99,16 +99,18 @@ class Problem:
     name : str
     requirements : tuple of Expression
     objects : mapping of str to Typed
-        Without the domain's constants.
+        Objects, without the domain's constants.
     facts : mapping of tuple of str to Place
-        What holds in the initial state, each a predicate with its arguments.
+        Facts that hold in the initial state (predicate and arguments), with their places.
     values : mapping of tuple of str to int
-        Those of functions with their arguments.
+        Values of the functions, by name and arguments.
     value_places : mapping of tuple of str to Place
+        Place of each value.
     goal : Expression
     metric : Place or None
-        Where (:metric minimize (total-cost)) is, if it is.
+        Place of (:metric minimize (total-cost)); None without a metric.
     init : Place
+        Place of the initial state.
     """
 
     name: str
@@ -124,7 +126,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the two files of an instance say.
+    """The content of the two files of an instance.
 
     Attributes
     ----------
@@ -132,7 +134,7 @@ class Reading:
     domain : Domain
     problem : Problem
     unions : mapping of tuple of str to str
-        A name for the type that `(either ...)` of several types is.
+        Name of the type that replaces each `(either ...)`.
     """
 
     instance: Instance
@@ -142,12 +144,12 @@ class Reading:
 
 
 def read(instance: Instance, domain: Expression, problem: Expression) -> Reading:
-    """Read an instance whose sections have been checked.
+    """Read an instance whose sections have been checked by `fragment`.
 
     Raises
     ------
     PDDLError
-        With the place.
+        A declaration, formula or value is invalid; with its place.
     """
     unions: dict[tuple[str, ...], str] = {}
     known, derived = _domain(instance.domain, domain, unions)
@@ -158,7 +160,7 @@ def read(instance: Instance, domain: Expression, problem: Expression) -> Reading
 
 
 def _check_repeated(reading: Reading, action: Action) -> None:
-    """Refuse a cost that names a parameter twice and lacks a value: the translator grounds such actions wrongly."""
+    """Refuse a cost that has a repeated parameter and lacks a value: the translator grounds such actions wrongly."""
     function = () if action.cost is None or action.cost.number is not None else action.cost.function
     variables = [word for word in function[1:] if word.startswith("?")]
     if action.cost is None or len(variables) == len(set(variables)):
@@ -293,7 +295,7 @@ def _problem(
 def _init(
     file: Path, init: Expression, formulas: Formulas
 ) -> tuple[dict[tuple[str, ...], Place], dict[tuple[str, ...], int], dict[tuple[str, ...], Place]]:
-    """Read the initial state: the facts that hold, and the values of functions with their places."""
+    """Read the initial state: the facts that hold and the values of functions, each with their places."""
     facts: dict[tuple[str, ...], Place] = {}
     absent: dict[tuple[str, ...], Place] = {}
     values: dict[tuple[str, ...], int] = {}

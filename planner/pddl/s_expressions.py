@@ -1,6 +1,6 @@
-"""PDDL text as nested lists of words, each with its line and column: enough to say where something is.
+"""PDDL text as nested lists of words, each with its line and column.
 
-What the words mean is not known here.
+This module does not interpret the words.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SECTIONS = {
 
 
 class UnbalancedError(ValueError):
-    """Parentheses that do not match; `line` is where."""
+    """Parentheses do not match; `line` is the line of the fault."""
 
     def __init__(self, line: int, message: str) -> None:
         self.line = line
@@ -24,7 +24,7 @@ class UnbalancedError(ValueError):
 
 
 class Place(NamedTuple):
-    """Where something begins in a file; both are counted from 1."""
+    """Position at which something begins in a file; both are counted from 1."""
 
     line: int
     column: int
@@ -36,13 +36,13 @@ class Expression(NamedTuple):
     Attributes
     ----------
     line : int
-        Where it begins, counted from 1.
+        Line where it begins, counted from 1.
     word : str
-        Empty for a list.
+        The word; empty for a list.
     parts : tuple of Expression
-        What a list consists of.
+        Elements of the list; empty for a word.
     column : int
-        Of its first character, counted from 1.
+        Column of its first character, counted from 1.
     """
 
     line: int
@@ -55,21 +55,21 @@ class Expression(NamedTuple):
 
     @property
     def place(self) -> Place:
-        """Where it begins."""
+        """Position where it begins."""
         return Place(self.line, self.column)
 
     @property
     def head(self) -> str:
-        """The first word of a list; empty where it does not begin with a word."""
+        """First element of a list if that is a word, else an empty text."""
         return self.parts[0].word if self.parts else ""
 
     @property
     def words(self) -> list[str]:
-        """All words in it, in their order."""
+        """All words in the expression, in the order of the text."""
         return [each.word for each in self.walk() if each.word]
 
     def walk(self) -> Iterator[Expression]:
-        """Give the expression and all that it consists of, in the order of the text."""
+        """Yield the expression and all its subexpressions, in the order of the text."""
         waiting = [self]
         while waiting:
             expression = waiting.pop()
@@ -77,11 +77,11 @@ class Expression(NamedTuple):
             waiting.extend(reversed(expression.parts))
 
     def lists(self, head: str) -> Iterator[Expression]:
-        """Give the lists within it, itself included, that begin with a word."""
+        """Return the subexpressions, itself included, that are lists beginning with the word."""
         return (each for each in self.walk() if each.head == head)
 
     def section(self, head: str) -> Expression | None:
-        """Give its first part that begins with a word."""
+        """Return the first element that is a list beginning with the word; None if there is none."""
         return next((part for part in self.parts if part.head == head), None)
 
 
@@ -89,23 +89,23 @@ _TOKEN = re.compile(r"[()]|\?[^()\s?]*|[^()\s?]+")
 
 
 def tokens(text: str) -> Iterator[tuple[str, Place]]:
-    """Parentheses and words with their places, comments left out; a variable begins at its question mark."""
+    """Yield parentheses and words with their positions, without comments. A question mark begins a new word."""
     for line, content in enumerate(text.split("\n"), start=1):
         for match in _TOKEN.finditer(content.partition(";")[0]):
             yield match[0], Place(line, match.start() + 1)
 
 
 DEEPEST = 200
-"""Lists may be nested so deep: readers call themselves for each."""
+"""Largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit."""
 
 
 def parse(text: str) -> Expression:
-    """Read the first list of a text.
+    """Parse the only list of a text.
 
     Raises
     ------
     UnbalancedError
-        Parentheses are missing, or too many.
+        Parentheses do not match, or lists are nested too deep.
     """
     opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None

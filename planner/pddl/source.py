@@ -1,4 +1,4 @@
-"""The texts of an instance, read and checked as far as that needs no planner and no library."""
+"""The texts of an instance, read and checked as far as possible without a planner or another library."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .writer import Rendered
 
 @dataclass(frozen=True)
 class Source:
-    """What the files of an instance say, and both written anew for other readers.
+    """The content of an instance's files, and both files rewritten in normalised form.
 
     Attributes
     ----------
@@ -29,12 +29,12 @@ class Source:
 
     @classmethod
     def of(cls, instance: Instance) -> Source:
-        """Read an instance's files, and check what needs no library.
+        """Read the files of an instance, and perform the checks that need no library.
 
         Raises
         ------
         PDDLError
-            They are no PDDL, do not belong together, or use what lies outside classical planning with action costs.
+            The files are not valid PDDL, do not match, or use features beyond classical planning with action costs.
         """
         if (fault := instance_finder.missing(instance)) is not None:
             raise fault
@@ -48,7 +48,7 @@ class Source:
 
     @cached_property
     def typed_domain(self) -> Rendered:
-        """The domain for unified-planning: it takes `object` for a type only where that is listed."""
+        """The domain for unified-planning, which accepts `object` as a type only if it is listed."""
         return writer.domain(self.reading, list_object=True)
 
     @property
@@ -58,12 +58,12 @@ class Source:
 
     @property
     def domain(self) -> Expression:
-        """The domain, as it is written anew; with the places of the file."""
+        """The normalised domain, with the positions of the original file."""
         return self.rendered_domain.whole
 
     @property
     def problem(self) -> Expression:
-        """The problem, as it is written anew; with the places of the file."""
+        """The normalised problem, with the positions of the original file."""
         return self.rendered_problem.whole
 
     @property

@@ -1,10 +1,10 @@
-"""What unified-planning says of files and of plans.
+"""Validation of files and plans with unified-planning.
 
-unified-planning knows types and the whole language, and validates plans independently of all that is computed here;
-nothing is expanded with it.
+unified-planning checks types and the whole language. It validates plans independently of all that is computed here. It
+is not used to expand states.
 
-Not everything that it refuses is wrong: it wants names to differ that Fast Downward tells apart. The translator has the
-last word.
+It also refuses some valid files: it requires distinct names where Fast Downward does not. The translator therefore
+decides.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ if TYPE_CHECKING:
 
 
 class InvalidPlanError(AssertionError):
-    """A plan that does not solve its task."""
+    """A plan does not solve its task."""
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why unified-planning does not accept an instance.
+    """The reason why unified-planning does not accept an instance.
 
     Attributes
     ----------
     file : str
         "domain" or "problem".
     line : int or None
-        Of the text that it was given.
+        Line of the text that unified-planning has read.
     message : str
     """
 
@@ -45,13 +45,13 @@ class Refusal:
     message: str
 
     def placed(self, source: Source) -> Refusal:
-        """Give it with the line of the instance's own file."""
+        """Return the refusal with the line of the instance's own file."""
         rendered = source.typed_domain if self.file == "domain" else source.rendered_problem
         return Refusal(self.file, rendered.line(self.line), self.message)
 
 
 class InstanceRefusedError(ValueError):
-    """Carries a `Refusal`."""
+    """unified-planning refuses an instance; `refusal` holds the reason."""
 
     def __init__(self, refusal: Refusal) -> None:
         self.refusal = refusal
@@ -64,8 +64,8 @@ def read(instance: Instance) -> Problem:
     Raises
     ------
     PDDLError
-        The files are no valid PDDL, do not belong together, or use what lies outside classical planning with action
-        costs, or unified-planning cannot read them.
+        The files are not valid PDDL, do not match, or use features beyond classical planning with action costs, or
+        unified-planning cannot read them.
     """
     source = Source.of(instance)
     try:
@@ -76,7 +76,7 @@ def read(instance: Instance) -> Problem:
 
 
 def validate(problem: Problem, plan: Sequence[str]) -> None:
-    """Check a plan, ground actions as `(name arg ...)`, with unified-planning's own validator.
+    """Check a plan, a sequence of ground actions `(name arg ...)`, with unified-planning's own validator.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def validate(problem: Problem, plan: Sequence[str]) -> None:
 
         parsed = PDDLReader(problem.environment).parse_plan_string(problem, "\n".join(plan))
         validator = SequentialPlanValidator(environment=problem.environment)
-        # Its list of features lacks functions without a value for some arguments, which it handles well.
+        # It supports functions without a value for some arguments, although its list of features does not say so.
         validator.skip_checks = True
         result = validator.validate(problem, parsed)
     if result.status != ValidationResultStatus.VALID:
@@ -98,14 +98,14 @@ def validate(problem: Problem, plan: Sequence[str]) -> None:
 
 
 def parsed(domain: str, problem: str) -> Problem:
-    """Read an instance's texts; a `InstanceRefusedError` tells why not."""
+    """Parse an instance's texts with unified-planning; raise `InstanceRefusedError` if it refuses them."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unified-planning and pyparsing warn of their own internals
         from unified_planning.io import PDDLReader
 
         try:
             return PDDLReader().parse_problem_string(domain, problem)
-        except Exception as fault:  # noqa: BLE001  it raises whatever comes, its own internal errors included
+        except Exception as fault:  # noqa: BLE001  it raises any exception, internal errors included
             clear_walkers()
             try:  # which of the two files is it?
                 PDDLReader().parse_problem_string(domain)
@@ -116,7 +116,7 @@ def parsed(domain: str, problem: str) -> Problem:
 
 
 def clear_walkers() -> None:
-    """Let the shared environment forget what an error has interrupted; its next user would be told of it."""
+    """Reset the walkers of the shared environment after an error, which would otherwise affect their next use."""
     from unified_planning.environment import get_environment
 
     for walker in vars(get_environment()).values():
@@ -125,7 +125,7 @@ def clear_walkers() -> None:
 
 
 def _refuse(file: str, text: str, fault: Exception) -> NoReturn:
-    """Say in one line what unified-planning or pyparsing does not accept, and where."""
+    """Raise `InstanceRefusedError` with a one-line reason for what unified-planning or pyparsing does not accept."""
     told = str(fault)
     line: int | None = getattr(fault, "lineno", None)
     if line is None and (place := re.search(r"\bline:? (\d+)", told)):

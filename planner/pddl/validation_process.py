@@ -1,8 +1,8 @@
-"""unified-planning in a process of its own.
+"""unified-planning in a separate process.
 
-A `ValidationProcess` reads an instance while Fast Downward's translator grounds it, and checks plans afterwards.
-Importing the library takes longer than most tasks. Its internal errors, its memory and its time stay in that process,
-which waits for the next instance when it is done, and ends with the process that started it.
+A `ValidationProcess` reads an instance while Fast Downward's translator grounds it, and validates plans later.
+Importing the library takes longer than solving most tasks. Its internal errors, memory and time are confined to the
+process. The process is reused for the next instance, and ends with the process that started it.
 """
 
 from __future__ import annotations
@@ -27,24 +27,25 @@ from .source import Source
 from .validation import InstanceRefusedError, InvalidPlanError, Refusal, parsed, validate
 
 PATIENCE = 300.0
-"""Seconds that unified-planning may take longer than Fast Downward's translator, and for a plan."""
+"""Seconds to wait for an answer, once the translator has finished, and for a plan. It stops a process that hangs."""
 
 MAPPED_MB = 1000.0
-"""Memory that loading libraries maps and never uses, beyond what a process may take."""
+"""Megabytes that imported libraries map without using them, added to the limit of memory."""
 
 ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
-"""What unified-planning takes from packages that its reader and its validator need for annotations only: importing them
-takes longer than all the rest."""
+"""Packages that unified-planning's reader and validator use for annotations only, and the names used. Importing them
+takes longer than all else.
+"""
 
 INSTANCES = 100
-"""So many are read by one process: the library keeps what it has read."""
+"""Instances that one process reads before it is replaced, since the library keeps what it has read in memory."""
 
 LATEST = 8
-"""Of so many a process knows what it has read, since the same ones are often loaded again."""
+"""Number of recent instances that a process keeps parsed, since the same ones are often loaded again."""
 
 
 class ValidationProcess:
-    """What unified-planning says of one instance; it begins to read at once. Use it as a context manager."""
+    """unified-planning reading one instance, from the constructor on. Use it as a context manager."""
 
     def __init__(self, source: Source, limits: Limits = NO_LIMITS) -> None:
         self._process = _Process.idle(limits)
@@ -60,7 +61,7 @@ class ValidationProcess:
         self._process.release()
 
     def refusal(self, seconds: float = PATIENCE) -> Refusal | None:
-        """Wait for what it says of the files: nothing, if they are valid."""
+        """Wait for the result for the files: None if unified-planning accepts them."""
         if not self._read:
             self._read = True
             answer = self._process.answer(seconds)
@@ -71,12 +72,12 @@ class ValidationProcess:
         return self._refusal
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
-        """Check a plan of an instance that it has accepted.
+        """Validate a plan of an instance that unified-planning has accepted.
 
         Returns
         -------
         str or None
-            Why it could not be checked, if it could not.
+            The reason if the plan could not be validated, else None.
 
         Raises
         ------
@@ -93,9 +94,9 @@ class ValidationProcess:
 
 
 class _Process:
-    """A process that answers questions in turn."""
+    """A process that answers questions in order."""
 
-    waiting: tuple[int, list[_Process]] = (0, [])  # of which process, since a fork inherits this: those that are idle
+    waiting: tuple[int, list[_Process]] = (0, [])  # process id, since a fork inherits this, and its idle processes
 
     def __init__(self, limits: Limits) -> None:
         self._popen = subprocess.Popen(
@@ -117,7 +118,7 @@ class _Process:
 
     @classmethod
     def idle(cls, limits: Limits) -> _Process:
-        """Take a process that waits, or start one; memory is limited in one's own only."""
+        """Return an idle process, or start one. A process with a memory limit is always a new one."""
         owner, waiting = cls.waiting
         if owner != os.getpid():
             waiting = []
@@ -134,7 +135,7 @@ class _Process:
             waiting.pop()._close()
 
     def release(self) -> None:
-        """Let the process wait for the next instance, or end it where something is left of this one."""
+        """Keep the process for the next instance, or end it if it is busy, limited, or not needed."""
         waiting = self.waiting[1]
         alive = self._popen.poll() is None
         if alive and not self._open and not self._limited and not waiting and self._instances < INSTANCES:
@@ -163,16 +164,16 @@ class _Process:
         self._answers.put("")
 
     def ask(self, question: Mapping[str, Any]) -> None:
-        """Put a question, for which there is one answer."""
+        """Send a question. Each question has one answer."""
         stream = self._popen.stdin
         assert stream is not None
         self._open += 1
-        with contextlib.suppress(BrokenPipeError):  # it has died, which the answer tells
+        with contextlib.suppress(BrokenPipeError):  # the process has died, which `answer` reports
             stream.write(json.dumps(question) + "\n")
             stream.flush()
 
     def answer(self, seconds: float) -> dict[str, Any] | None:
-        """Wait for the next answer; it says so where there will be none."""
+        """Wait for the next answer. If none arrives, the result contains the reason under "failed"."""
         try:
             line = self._answers.get(timeout=seconds)
         except queue.Empty:
@@ -185,13 +186,13 @@ class _Process:
 
 
 def _serve(questions: IO[str], answers: IO[str]) -> None:
-    """Answer questions about files, and about plans for the latest; ends when the other side is gone."""
+    """Answer questions about files, and about plans for the latest instance, until the input is closed."""
     asked: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
 
     def listen() -> None:
         for line in questions:
             asked.put(json.loads(line))
-        os._exit(0)  # in the middle of whatever the library does
+        os._exit(0)  # even while the library is working
 
     threading.Thread(target=listen, daemon=True).start()
 
@@ -220,5 +221,5 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
 
 if __name__ == "__main__":
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answers:
-        os.dup2(2, 1)  # whatever libraries print
+        os.dup2(2, 1)  # output of libraries must not mix with the answers
         _serve(sys.stdin, answers)

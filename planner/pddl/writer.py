@@ -1,7 +1,7 @@
-"""A domain and a problem as all readers of PDDL understand them, written anew from what has been read.
+"""A domain and a problem, written in a form on which all PDDL readers agree.
 
-Sections stand in the order that the grammar gives them. Each type is listed with the one above it, and `object` is not
-among them. Each line stands for one of the file, so that another reader's places can be told as the file's own.
+Sections are in the order of the grammar. Each type is listed with its supertype, and `object` is not listed unless
+asked for. Each line corresponds to a line of the original file, so that positions of other readers can be translated.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ START = Place(1, 1)
 
 @dataclass(frozen=True)
 class Rendered:
-    """A file, written anew.
+    """A file in normalised form.
 
     Attributes
     ----------
     whole : Expression
-        With the places of the original.
+        Its expression, with the positions of the original file.
     text : str
     lines : tuple of int
-        For each line of the text that of the file.
+        Line of the original file for each line of the text.
     """
 
     whole: Expression
@@ -35,12 +35,12 @@ class Rendered:
     lines: tuple[int, ...]
 
     def line(self, number: int | None) -> int | None:
-        """Give the line of the file for one of the text."""
+        """Return the line of the original file for a line of the text; None if it is unknown."""
         return self.lines[number - 1] if number is not None and 0 < number <= len(self.lines) else None
 
 
 def domain(reading: Reading, *, list_object: bool = False) -> Rendered:
-    """Write the domain of what has been read; `object` is among the types if it is to be."""
+    """Write the domain of a reading; `list_object` lists `object` among the types."""
     read = reading.domain
     parts = [_section(START, "domain", [word(START, read.name)])]
     if read.requirements:
@@ -58,7 +58,7 @@ def domain(reading: Reading, *, list_object: bool = False) -> Rendered:
 
 
 def problem(reading: Reading) -> Rendered:
-    """Write the problem of what has been read; what does not hold in the initial state is left out."""
+    """Write the problem of a reading. Facts that do not hold initially are left out."""
     read = reading.problem
     parts = [
         _section(START, "problem", [word(START, read.name)]),
@@ -91,7 +91,7 @@ def _words(at: Place, words: Iterable[str]) -> Expression:
 
 
 def _types(reading: Reading) -> list[Expression]:
-    """List each type after those above it, each with one of these."""
+    """Return the typed list of types, each after its supertypes."""
     types, found = reading.domain.types, list[Expression]()
     for kinds, union in reading.unions.items():
         place = types.places.get(kinds[0], START)
@@ -108,7 +108,7 @@ def _types(reading: Reading) -> list[Expression]:
 
 
 def _objects(objects: Iterable[Typed]) -> list[Expression]:
-    """List objects, neighbours of one type together."""
+    """Return the typed list of objects; neighbours of the same type share it."""
     found: list[Expression] = []
     before: Typed | None = None
     for each in objects:
@@ -122,7 +122,7 @@ def _objects(objects: Iterable[Typed]) -> list[Expression]:
 
 
 def _symbol(symbol: Symbol, reading: Reading) -> Expression:
-    """Write a declaration; an argument of several types is of one that is above them all."""
+    """Return a declaration. A parameter of several types gets their common supertype."""
     found = [word(symbol.place, symbol.name)]
     differ = len({each.name for each in symbol.parameters}) == len(symbol.parameters)
     for number, each in enumerate(symbol.parameters):
@@ -172,7 +172,7 @@ def _rule(rule: Rule, reading: Reading) -> Expression:
 
 
 def _rendered(parts: Iterable[Expression]) -> Rendered:
-    """Write a file; a line ends where what follows stands on another line of the original."""
+    """Write a file; a line ends where the next word is on another line of the original."""
     whole = listed(START, word(START, "define"), *parts)
     pieces: list[str] = []
     lines = [1]
