@@ -1,1 +1,1 @@
-"""The grounded task: what Fast Downward's translator makes of PDDL files."""
+"""The grounded task, which Fast Downward's translator derives from PDDL files."""

@@ -1,8 +1,8 @@
-"""What the translator has grounded, compared with what has been read.
+"""Comparison of the translator's grounded task with this project's own reading of the files.
 
-A ground action has to be one of an action that was read, with objects of the right types, and has to cost what the
-files say. So has each fact to be one of a predicate with as many arguments, and what holds initially to be stated. The
-two readings are made by different programs; a difference is an error, and is told with its place.
+Each ground action must instantiate an action of the domain, with objects of the right types, and have the cost that the
+files state. Each fact must instantiate a predicate with the right number of arguments. The facts that hold initially
+must be the stated ones. The two readings are independent programs. A difference is an error, reported with its place.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ def check(
     facts: Sequence[Sequence[str]],
     values: Sequence[int],
 ) -> None:
-    """Compare a grounded task with what has been read.
+    """Compare a grounded task with the reading of its files.
 
     Parameters
     ----------
     reading : Reading
     actions : sequence of str
-        As `(name arg ...)`.
+        Ground actions as `(name arg ...)`.
     costs : sequence of int
-        Of each action.
+        Cost of each action.
     facts : sequence of sequence of str
-        For each variable that is not derived, what its values mean.
+        Meanings of the values of each variable that is not derived.
     values : sequence of int
-        The initial value of each of these variables.
+        Initial value of each of these variables.
 
     Raises
     ------
     PDDLError
-        They differ.
+        The grounded task and the reading differ.
     """
     objects = {**reading.domain.constants, **reading.problem.objects}
     known = reading.domain.actions
@@ -51,7 +51,7 @@ def check(
         _check_arguments(reading, action, ground, arguments, objects)
         if (stated := _cost(reading, action, arguments)) != cost:
             refuse(reading.instance.domain, action.place, f"{ground} costs {stated}, and {cost} for {TRANSLATOR}")
-    if any("dummy(" in fact for variable in facts for fact in variable):  # it has decided the task by itself
+    if any("dummy(" in fact for variable in facts for fact in variable):  # the translator has decided the task
         return
     for variable, initial in zip(facts, values, strict=True):
         for number, fact in enumerate(variable):
@@ -82,7 +82,7 @@ def _cost(reading: Reading, action: Action, arguments: Sequence[str]) -> int | N
 
 def _check_fact(reading: Reading, fact: str, holds: bool, objects: Mapping[str, Typed]) -> None:
     name, _, inner = fact.removesuffix(")").partition("(")
-    if "@" in name:  # the translator's own
+    if "@" in name:  # a fact that the translator introduced
         return
     atom = (name, *(inner.split(", ") if inner else ()))
     symbol = reading.domain.predicates.get(name)

@@ -1,10 +1,10 @@
-"""The one place that runs Fast Downward.
+"""The only module that runs Fast Downward.
 
-Its translator grounds an instance into a finite-domain task (the SAS text that `task` reads), its A*
-finds an optimal plan from the initial state or from any other state. Both run as subprocesses: Fast
-Downward is GPL-3.0-only and is never imported.
+Its translator grounds an instance into a finite-domain task: the SAS text that `task` reads. Its A* search finds an
+optimal plan from the initial state or from another state. Both run as subprocesses. Fast Downward is GPL-3.0-only, and
+is never imported.
 
-Handed on: SAS text, and plans as lists of ground action names; `None` where there is provably no plan.
+Results are SAS text, and plans as lists of ground action names; None means that there is provably no plan.
 """
 
 from __future__ import annotations
@@ -31,37 +31,37 @@ from ..system.processes import guarded_group, python
 
 TRANSLATE_OPTIONS = ("--add-implied-preconditions", "--keep-unimportant-variables")
 
-# The fastest admissible configuration on kitting, and the only kind that supports derived variables.
+# The fastest admissible configuration on kitting, and one that supports derived variables.
 ASTAR = "astar(landmark_cost_partitioning(lm_rhw()))"
 ASTAR_WITH_AXIOMS = "astar(blind())"
 
 EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
-EXIT_NOT_LOADED = 127  # the system's loader did not bring the program to its beginning
-NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # what it says then
+EXIT_NOT_LOADED = 127  # the system's loader could not start the program
+NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # its messages then
 
 
 class FastDownwardError(RuntimeError):
-    """Fast Downward ended in a way that says nothing about the task."""
+    """Fast Downward ended in a way that gives no information about the task."""
 
 
 LAST = 19
-"""The lowest priority."""
+"""Nice value of the lowest scheduling priority."""
 
 LONGEST_WAIT = 2_000_000.0
-"""Seconds that one call of the system can wait, about: it counts milliseconds in 32 bits."""
+"""Longest timeout of one system call in seconds: it counts milliseconds in a 32-bit integer."""
 
 
 def version() -> str:
-    """Name the version of Fast Downward that the installed package bundles."""
-    import importlib.metadata  # takes its time
+    """Return the version of the bundled Fast Downward."""
+    import importlib.metadata  # slow to import
 
     return importlib.metadata.version("fast-downward.translate")
 
 
 def digest(instance: Instance) -> str:
-    """Name what the translation of an instance depends on: both files' contents, and the versions of the readers."""
+    """Return a hash of what the translation depends on: the contents of both files and the versions of the readers."""
     import importlib.metadata
 
     found = hashlib.sha256(f"4 {version()} {importlib.metadata.version('unified-planning')}".encode())
@@ -73,7 +73,7 @@ def digest(instance: Instance) -> str:
 def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     """Ground an instance and return its finite-domain task as SAS text.
 
-    A goal that cannot be reached even if nothing is ever deleted, or that always holds, gives a dummy task
+    If the goal is unreachable even when delete effects are ignored, or if it always holds, the result is a dummy task
     without operators (`Task.decided_by_translator`).
 
     Raises
@@ -85,7 +85,7 @@ def translate(source: Source, limits: Limits = NO_LIMITS) -> str:
     """
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder:
         sas, domain, problem = (Path(folder) / name for name in ("output.sas", "domain.pddl", "problem.pddl"))
-        # The texts as all other readers have them, without marks of the encoding.
+        # The normalised texts, which all other readers use too.
         domain.write_text(source.domain_text, encoding="utf-8")
         problem.write_text(source.problem_text, encoding="utf-8")
         command = python("fast_downward.translate", *TRANSLATE_OPTIONS, "--sas-file", str(sas))
@@ -106,24 +106,24 @@ def optimal_plan(
     sas : str
         The task, as `translate` returns it.
     state : sequence of int, shape (variables,), optional
-        The value of every variable. It has to be reachable from the initial state: the translator has
-        dropped all that is not.
+        Value of every variable. The state must be reachable from the initial state, since the translator has removed
+        everything else.
     search : str, optional
-        Fast Downward's search configuration; an admissible default is chosen.
+        Search configuration of Fast Downward; by default an admissible one that supports the task.
     limits : Limits
         Time and memory of the search.
 
     Returns
     -------
     list of str or None
-        Ground actions as `(name arg ...)`; None where no plan exists, proven.
+        Ground actions as `(name arg ...)`; None if Fast Downward has proven that no plan exists.
 
     Raises
     ------
     LimitError
-        Out of time or memory: nothing is known about the state.
+        Out of time or memory; nothing is known about the state.
     FastDownwardError
-        Any other end of the search.
+        The search failed for another reason.
     """
     if state is not None:
         sas = with_initial_state(sas, state)
@@ -145,7 +145,7 @@ def optimal_plan(
 
 @cache
 def _binary() -> Path:
-    """Find the search program, without importing the package that holds it: that imports much."""
+    """Return the path of the search program without importing its package, which is slow to import."""
     package = importlib.util.find_spec("up_fast_downward")
     if package is None or not package.submodule_search_locations:
         raise FastDownwardError("the package up-fast-downward is not installed")
@@ -153,7 +153,7 @@ def _binary() -> Path:
 
 
 def with_initial_state(sas: str, state: Sequence[int]) -> str:
-    """Write another initial state into a SAS text."""
+    """Return the SAS text with another initial state."""
     before, after = sas.split("begin_state\n", 1)
     old, after = after.split("\nend_state", 1)
     if len(state) != len(old.split("\n")):
@@ -167,9 +167,9 @@ def has_axioms(sas: str) -> bool:
 
 
 def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> tuple[int, str]:
-    """Run a program in a folder of its own; return its exit code and all it printed.
+    """Run a program in a folder; return its exit code and its output.
 
-    It ends with this process, however that ends.
+    The program does not outlive this process.
     """
     process = subprocess.Popen(
         command,
@@ -200,10 +200,10 @@ def _run(command: list[str], folder: str, text: str | None, limits: Limits) -> t
 
 
 def _give(process: subprocess.Popen[str], text: str) -> None:
-    """Write what a program reads, once it is limited.
+    """Write the input of a program whose limits have been set.
 
-    All of it at once, since `communicate` forgets what a pipe has not taken when it is called again: these programs
-    read everything before they do anything, or end.
+    The whole input is written at once, since a repeated call of `communicate` loses the unwritten part. These programs
+    read all input before they print anything, or they end.
     """
     given, process.stdin = process.stdin, None
     assert given is not None
@@ -212,7 +212,7 @@ def _give(process: subprocess.Popen[str], text: str) -> None:
 
 
 def _output(process: subprocess.Popen[str], limits: Limits) -> str:
-    """Wait for all that a program prints."""
+    """Wait for the program to end, and return its output."""
     begun = time.monotonic()
     end = math.inf if limits.seconds is None else begun + limits.seconds
     first = math.inf if limits.first is None else begun + limits.first
@@ -220,7 +220,7 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
         now = time.monotonic()
         if now >= first:
             first = math.inf
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # the program has ended
                 os.setpriority(os.PRIO_PROCESS, process.pid, LAST)
         wait = min(end - now, first - now, math.inf if limits.stop is None else 0.02)
         try:
@@ -233,7 +233,7 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
 
 
 def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
-    """Raise if a program ended because of a limit; one that a signal ended under a memory limit did as well."""
+    """Raise if a program ended because of a limit. Under a memory limit, an end by a signal counts as out of memory."""
     if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
         raise LimitError(f"{what} ran out of time")
     unloaded = code == EXIT_NOT_LOADED and any(word in output for word in NO_ROOM_TO_LOAD)
@@ -242,14 +242,14 @@ def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
 
 
 def _last_line(output: str) -> str:
-    """The last line that says why a program ended."""
+    """Return the last two lines that say why a program ended."""
     lines = [line.strip() for line in output.splitlines() if line.strip()]
     lines = [line for line in lines if not line.startswith(("Peak memory", "Remove intermediate", "["))]
     return " ".join(lines[-2:]) if lines else "no output"
 
 
 def _refused(source: Source, code: int, output: str) -> PDDLError:
-    """Say why the translator refuses what has been read and checked: only a few faults are left for it to find."""
+    """Return the error for a task that the translator refuses although it has passed all checks."""
     reading = source.reading
     if "not stratifiable" in output:
         line = next((rule.head.place.line for rule in reading.domain.rules), None)

@@ -1,4 +1,4 @@
-"""From an instance to its grounded task: read, validated, and translated by Fast Downward."""
+"""Loading an instance: it is read, validated, and grounded by Fast Downward."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def load(
     Parameters
     ----------
     problem : path, Instance, or Problem of unified-planning
-        The problem file, the name of a task that comes with the package (`kitting/paper`), or a problem that was built
-        in Python. The latter's names stand in the task as they are.
+        Problem file, name of a bundled task (`kitting/paper`), or a problem that was built in Python. The task keeps
+        the names of the latter.
     domain : path, optional
-        The domain file; found beside the problem unless given, as `instance` does.
+        Domain file; by default `instance_finder.instance` searches for it.
     limits : Limits
         Time and memory of the grounding.
     cache : path, optional
-        A folder in which the result is kept, addressed by the files' contents: files that have been read and
-        grounded before are neither validated nor grounded again.
+        Folder in which results are cached by the contents of the files. Files that were grounded before are neither
+        validated nor grounded again.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def load(
 
 
 def _kept(file: Path) -> tuple[str | None, str] | None:
-    """Return the note and the SAS text of a file of the cache; None if there is none, or it is not whole."""
+    """Return the note and the SAS text of a cache file; None if there is none, or it is damaged."""
     try:
         digest, _, content = file.read_text(encoding="utf-8").partition("\n")
     except (FileNotFoundError, UnicodeDecodeError):
@@ -86,10 +86,10 @@ def _digest(content: str) -> str:
 
 
 def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMITS) -> Task:
-    """Ground an instance that unified-planning is reading meanwhile.
+    """Ground an instance while unified-planning reads it.
 
-    Where unified-planning refuses what Fast Downward's translator reads, the task's note says so: the files have been
-    checked before.
+    If unified-planning refuses an instance that Fast Downward's translator accepts, the task's note says so. The files
+    have passed this project's own checks before.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def ground(source: Source, checker: ValidationProcess, limits: Limits = NO_LIMIT
 
 
 def _agreed(task: Task, source: Source) -> Task:
-    """Give back a grounded task that agrees with what was read."""
+    """Return the task after checking that it agrees with the reading of its files."""
     primary = [at for at, variable in enumerate(task.variables) if variable.axiom_layer < 0]
     facts = [task.variables[at].facts for at in primary]
     cross_check.check(source.reading, task.actions, task.costs, facts, [task.initial[at] for at in primary])
@@ -126,7 +126,7 @@ def _load_built(problem: Problem, limits: Limits) -> Task:
             source = Source.of(instance)
             sas = fast_downward.translate(source, limits)
             _agreed(from_sas(sas, instance), source)
-        except instances.PDDLError as error:  # the places are those of files that nobody has seen
+        except instances.PDDLError as error:  # the user does not know the temporary files
             raise instances.PDDLError(named.problem, None, error.message) from None
     return from_sas(built_problems.restore_names(sas, names), named)
 

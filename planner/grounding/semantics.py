@@ -1,7 +1,7 @@
-"""Plans and successors by what the grounded task says, one action after the other.
+"""Reference semantics of a grounded task: plans and successors, one action at a time.
 
-Independent of all that computes costs-to-go: neither packed states nor moves, only the operators and axioms as the
-translator wrote them.
+This module is independent of all code that computes costs-to-go. It uses neither packed states nor split operators,
+only the operators and axioms of the translator.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from .task import Effect, Fact, Operator, Task
 
 
 def replay(task: Task, plan: Sequence[str]) -> int:
-    """Follow a plan, ground actions as `(name arg ...)`, from the initial state to the goal; give its cost.
+    """Execute a plan, ground actions as `(name arg ...)`, from the initial state, and return its cost.
 
     Raises
     ------
     InvalidPlanError
-        An action is unknown or not applicable where its turn comes, or the goal does not hold at the end.
+        An action is unknown or not applicable in its state, or the goal does not hold at the end.
     """
     state, cost = derived(task, task.initial), 0
     for step, name in enumerate(plan):
@@ -37,13 +37,15 @@ def replay(task: Task, plan: Sequence[str]) -> int:
 
 
 def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
-    """Give the cost of each applicable action and the state after it; actions that were split come once for each part.
+    """Return the cost of each applicable operator and the successor state.
+
+    An action with several operators may occur repeatedly.
 
     Parameters
     ----------
     task : Task
     state : sequence of int, shape (variables,)
-        With its derived variables.
+        Values of all variables, derived ones included.
     """
     return [
         (task.costs[operator.action], derived(task, _applied(operator, state)))
@@ -53,7 +55,7 @@ def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
 
 
 def derived(task: Task, state: Sequence[int]) -> list[int]:
-    """Give a state with its derived variables: layer by layer, each to its least fixed point."""
+    """Return the state with its derived variables, evaluated layer by layer to the least fixed point."""
     values = [
         value if variable.axiom_layer < 0 else default
         for value, default, variable in zip(state, task.initial, task.variables, strict=True)

@@ -1,10 +1,10 @@
 """The grounded finite-domain task.
 
-`load` takes the PDDL files to a frozen `Task`: variables with finitely many values, ground actions with
-their costs, operators as preconditions and (conditional) effects, axioms, the initial state and the
-goal, all numbers. It is what Fast Downward's translator writes (SAS+, Bäckström and Nebel 1995; Helmert,
-"Concise finite-domain representations for PDDL planning tasks", 2009), read once and never changed. The text that Fast
-Downward's search reads is made from these fields, so that a task in which some are replaced is the same to everything.
+A frozen `Task` consists of variables with finitely many values, ground actions with their costs, operators as
+preconditions and (conditional) effects, axioms, the initial state and the goal, all numbered. It is the SAS+
+representation of Fast Downward's translator (Bäckström and Nebel 1995; Helmert, "Concise finite-domain representations
+for PDDL planning tasks", 2009). It is read once and never changed. The SAS text for Fast Downward's search is generated
+from these fields, so that a task with replaced fields is consistent everywhere.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Fact = tuple[int, int]
 
 @dataclass(frozen=True)
 class Variable:
-    """A finite-domain variable; `facts[v]` says what its value `v` means, as the translator writes it.
+    """A finite-domain variable; `facts[v]` is the meaning of value `v` in the translator's notation.
 
-    That is `Atom on(a, b)`, `NegatedAtom on(a, b)`, or `<none of those>`.
+    The notation is `Atom on(a, b)`, `NegatedAtom on(a, b)`, or `<none of those>`.
 
-    A derived variable has an axiom layer of 0 or more, a primary one -1.
+    The axiom layer of a derived variable is 0 or more, that of a primary variable -1.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class Variable:
 
 @dataclass(frozen=True)
 class Effect:
-    """`variable := value` where all conditions hold in the state before.
+    """The assignment `variable := value`, made if all conditions hold in the state before.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class Effect:
 
 @dataclass(frozen=True)
 class Operator:
-    """One way in which a ground action can be applied (disjunctions give an action several).
+    """One way to apply a ground action; a disjunctive precondition gives an action several.
 
     Attributes
     ----------
     action : int
-        Its number in the task.
+        Number of the ground action.
     preconditions : tuple of Fact
     effects : tuple of Effect
     """
@@ -82,27 +82,27 @@ class Operator:
 
 @dataclass(frozen=True)
 class Task:
-    """A planning task, grounded.
+    """A grounded planning task.
 
     Attributes
     ----------
     instance : Instance
-        The files that it was read from; of a problem that was built in Python, names of files that do not exist.
+        Files of the task. For a problem that was built in Python, these files do not exist.
     variables : tuple of Variable
     actions : tuple of str
         Ground actions as `(name arg ...)`, each once, sorted.
     costs : tuple of int
         The cost of each action: its PDDL cost, or 1 where the problem has no metric.
     operators, axioms : tuple
-        The head of an axiom is its only effect.
+        Operators, and axioms as effects on derived variables.
     initial : tuple of int
-        Value of each variable; a derived variable has the value that it takes when no axiom applies.
+        Value of each variable; for a derived variable, its value when no axiom applies.
     goal : tuple of Fact
     mutexes : tuple of tuple of Fact
-        Groups of facts of which the operators let at most one hold, if not more hold before. Only searches use them,
-        to be faster.
+        Groups of facts such that operators preserve that at most one of each group holds. They are used only to speed
+        up searches.
     note : str or None
-        What a user has to know of how it was read: that unified-planning has not checked the files, and why.
+        Warning for the user that unified-planning has not validated the files, with the reason.
     """
 
     instance: instances.Instance
@@ -119,7 +119,7 @@ class Task:
     __repr__ = outline
 
     def __post_init__(self) -> None:
-        """Refuse costs, an initial state and a goal that no task has."""
+        """Check the costs, the initial state and the goal."""
         try:
             costs = tuple(map(index, self.costs))
         except TypeError:
@@ -142,21 +142,21 @@ class Task:
 
     @property
     def decided_by_translator(self) -> bool:
-        """Whether the translator settled the task by itself and dropped its states.
+        """Whether the translator decided the task and dropped its states.
 
-        It does so where the goal cannot be reached even if nothing is ever deleted, and where it consists of
-        facts that always hold. What remains is a dummy task of one state; `astar` says which case it is.
+        This happens if the goal is unreachable even when delete effects are ignored, or if it consists of facts that
+        always hold. The result is a dummy task of one state; `astar` tells the two cases apart.
         """
         return not self.operators and any("dummy(" in fact for v in self.variables for fact in v.facts)
 
     @cached_property
     def sas(self) -> str:
-        """The task as SAS text (file format version 3), which Fast Downward's search reads and `from_sas` too."""
+        """The task as SAS text (file format version 3), for Fast Downward's search and `from_sas`."""
         return _rendered(self)
 
     @cached_property
     def reduced(self) -> Task:
-        """The same task with costs divided by their greatest common divisor."""
+        """The task with costs divided by their greatest common divisor."""
         divisor = math.gcd(*self.costs)
         return self if divisor <= 1 else replace(self, costs=tuple(cost // divisor for cost in self.costs))
 
@@ -166,17 +166,17 @@ class Task:
         return {action: index for index, action in enumerate(self.actions)}
 
     def facts(self, values: Sequence[int]) -> list[str]:
-        """Describe a state by its values: the PDDL atoms that hold in it, of those that can change."""
+        """Return the PDDL atoms that hold in a state, among those that can change, sorted."""
         facts = (variable.facts[value] for variable, value in zip(self.variables, values, strict=True))
         return sorted(fact.removeprefix("Atom ") for fact in facts if fact.startswith("Atom "))
 
     def plan_cost(self, plan: Sequence[str]) -> int:
-        """Add up the costs of a plan's actions."""
+        """Return the sum of the costs of a plan's actions."""
         return sum(self.costs[self.action_index[action]] for action in plan)
 
 
 def pddl_fact(fact: str) -> str:
-    """Return what a value of a variable means in PDDL; `<none of those>` stays as it is."""
+    """Return the meaning of a variable's value in PDDL notation; `<none of those>` is returned unchanged."""
     match = re.fullmatch(r"(Negated)?Atom ([^()]+)\((.*)\)", fact)
     if match is None:
         return fact
@@ -185,7 +185,7 @@ def pddl_fact(fact: str) -> str:
 
 
 def _rendered(task: Task) -> str:
-    """Write a task as the SAS text that `from_sas` reads."""
+    """Return a task as the SAS text that `from_sas` reads."""
 
     def listed(facts: Sequence[Fact]) -> list[str]:
         return [str(len(facts)), *(f"{variable} {value}" for variable, value in facts)]
@@ -196,7 +196,7 @@ def _rendered(task: Task) -> str:
     for variable in task.variables:
         lines += ["begin_variable", variable.name, str(variable.axiom_layer), str(len(variable.facts))]
         lines += [*variable.facts, "end_variable"]
-    # What a group says is true only where it is true of the initial state.
+    # A mutex group is valid only if it is satisfied in the initial state.
     initial = set(enumerate(task.initial))
     groups = [group for group in task.mutexes if len(initial.intersection(group)) <= 1]
     lines.append(str(len(groups)))
@@ -206,7 +206,7 @@ def _rendered(task: Task) -> str:
     lines += [*listed(tuple(dict.fromkeys(task.goal))), "end_goal"]
     lines.append(str(len(task.operators)))
     for operator in task.operators:
-        # The value before of a variable that changes stands beside its effects, the other conditions by themselves.
+        # The precondition on a variable that changes is written with its effects, the other conditions separately.
         changed, before = {effect.variable for effect in operator.effects}, dict(operator.preconditions)
         lines += ["begin_operator", _name_in_sas(task.actions[operator.action])]
         lines += listed([(v, x) for v, x in operator.preconditions if v not in changed or x != before[v]])
@@ -224,6 +224,6 @@ def _rendered(task: Task) -> str:
 
 
 def _name_in_sas(action: str) -> str:
-    """Write an action as the translator does: a space comes after the name, also where no argument does."""
+    """Return an action in the translator's notation, with a space after the name even if it has no arguments."""
     name = action[1:-1]
     return name if " " in name else f"{name} "
