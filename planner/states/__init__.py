@@ -1,1 +1,1 @@
-"""States of a grounded task, and the transitions between them."""
+"""States of a grounded task and their transitions."""

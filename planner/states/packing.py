@@ -19,12 +19,12 @@ Words = NDArray[np.uint64]
 
 @dataclass(frozen=True)
 class Packing:
-    """Where the value of each variable stands in the words of a packed state.
+    """Position of each variable's value in the words of a packed state.
 
     Attributes
     ----------
     word, shift, bits : int64 arrays, shape (variables,)
-        Value `v` of a variable is stored as `v << shift` in `word`; no variable crosses a word's end.
+        Value `v` of a variable is stored as `v << shift` in `word`, in `bits` bits. No variable spans two words.
     words : int
         64-bit words per state.
     """
@@ -38,12 +38,12 @@ class Packing:
 
     @classmethod
     def of(cls, task: Task) -> Packing:
-        """Lay out the variables of a task, one after the other."""
+        """Lay out the variables of a task, in order."""
         return cls.of_sizes([len(variable.facts) for variable in task.variables])
 
     @classmethod
     def of_sizes(cls, sizes: Sequence[int]) -> Packing:
-        """Lay out variables of so many values each, one after the other."""
+        """Lay out variables with the given numbers of values, in order."""
         bits = np.array([max(1, (size - 1).bit_length()) for size in sizes], dtype=np.int64)
         word, shift = np.zeros_like(bits), np.zeros_like(bits)
         at, used = 0, 0
@@ -63,14 +63,14 @@ class Packing:
         return packed
 
     def unpack(self, states: Words) -> NDArray[np.int64]:
-        """Give the values, shape (..., variables), of packed states, shape (..., words)."""
+        """Return the values, shape (..., variables), of packed states, shape (..., words)."""
         values = states.take(self.word, axis=-1)
-        values >>= self.shift.astype(np.uint64)  # in place: of millions of states a copy takes longer than all else
+        values >>= self.shift.astype(np.uint64)  # in place: copying millions of states would dominate the time
         values &= (np.uint64(1) << self.bits.astype(np.uint64)) - np.uint64(1)
         return values.view(np.int64)
 
     def condition(self, facts: Sequence[Fact]) -> tuple[Words, Words]:
-        """Give mask and bits, each of shape (words,): the facts hold in `s` where `s & mask == bits`."""
+        """Return mask and bits, each of shape (words,), such that the facts hold in `s` if `s & mask == bits`."""
         mask, value = np.zeros(self.words, dtype=np.uint64), np.zeros(self.words, dtype=np.uint64)
         for variable, wanted in facts:
             word, shift = self.word[variable], np.uint64(self.shift[variable])
@@ -80,7 +80,7 @@ class Packing:
 
 
 def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
-    """Tell for each packed state, shape (n, words), whether a condition holds."""
+    """Return whether a condition holds in each packed state, shape (n, words)."""
     result = np.ones(len(states), dtype=bool)
     for word in np.flatnonzero(mask):
         result &= (states[:, word] & mask[word]) == value[word]
@@ -88,5 +88,5 @@ def holds(states: Words, mask: Words, value: Words) -> NDArray[np.bool_]:
 
 
 def can_hold(facts: Sequence[Fact]) -> bool:
-    """Tell whether facts do not contradict each other."""
+    """Return whether the facts are consistent, that is, assign at most one value to each variable."""
     return len(dict(facts)) == len(set(facts))

@@ -1,8 +1,8 @@
-"""Every reachable state of a task, numbered, and what each action leads to.
+"""The reachable states of a task, numbered, with their transitions.
 
-A `StateSpace` is what a sweep finds: how many states there are, which number each has, and, only when asked
-for, the choices of all of them. How states are numbered is behind the `StateIndex` that it holds: `listing`
-keeps the packed states themselves, in the order in which they are found; `sweep` has a more compact one.
+A `StateSpace` is the result of a sweep: the number of states, the number of each state, and, computed when first used,
+the transitions of all states. A `StateIndex` defines the numbering. `RegistryIndex` stores the packed states in the
+order of their discovery. `RankedIndex` is more compact.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .packing import Ints, Packing
 from .successors import Successors, Transitions
 
 BLOCK = 1 << 13
-"""States whose values are looked at together: those of more would not stay in the processor's cache."""
+"""States that are unpacked and numbered at a time. Larger blocks would not fit the processor's cache."""
 
 
 def state_numbers(states: ArrayLike, count: int) -> Ints:
-    """Return numbers of states as an array of their shape, each below the count of all states.
+    """Return state numbers as an int64 array of the same shape, after checking their range.
 
     Raises
     ------
@@ -41,36 +41,36 @@ def state_numbers(states: ArrayLike, count: int) -> Ints:
 
 
 class StateIndex(Protocol):
-    """How states are numbered: what a `StateSpace` needs of any way to enumerate them."""
+    """A numbering of the reachable states, as a `StateSpace` needs it."""
 
     def numbers(self, values: Ints) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
+        """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
 
     def values(self, numbers: Ints) -> Ints:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
+        """Return the values, shape (n, variables), of states, shape (n,)."""
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
+        """Return whether the facts hold in each state, shape (states,)."""
 
     def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the choices of all states; the arguments are how many there are of both."""
+        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
 
 
 @dataclass(frozen=True)
 class StateSpace:
-    """All states that a task can reach.
+    """All reachable states of a task.
 
     Attributes
     ----------
     task : Task
     size : int
-        How many there are; they are numbered from 0.
+        Number of states, which are numbered from 0.
     initial : int
         The number of the initial state.
     transition_count : int
-        Ground actions applicable in a state, added up over all states.
-    numbering : Numbering
-        What is behind the methods.
+        Number of transitions: applicable ground actions, summed over all states.
+    numbering : StateIndex
+        The numbering of the states.
     """
 
     task: Task
@@ -86,12 +86,12 @@ class StateSpace:
 
     @cached_property
     def goal(self) -> NDArray[np.bool_]:
-        """Which states are goal states, shape (n,)."""
+        """Whether each state is a goal state, shape (n,)."""
         return self.numbering.where(self.task.goal)
 
     @cached_property
     def transitions(self) -> Transitions:
-        """The choices of all states, built when they are first asked for."""
+        """The transitions of all states, built when first used."""
         rows = self.numbering.transitions(self.size, self.transition_count)
         for array in rows:
             array.flags.writeable = False
@@ -99,12 +99,12 @@ class StateSpace:
 
     @cached_property
     def costs(self) -> Ints:
-        """The cost of each choice, shape (m,)."""
+        """Cost of each transition, shape (m,)."""
         return np.asarray(self.task.costs, dtype=np.int64)[self.transitions.actions]
 
     @cached_property
     def sources(self) -> Ints:
-        """The state in which each choice is made, shape (m,)."""
+        """State in which each transition starts, shape (m,)."""
         return np.repeat(np.arange(self.size), np.diff(self.transitions.offsets))
 
     @cached_property
@@ -112,12 +112,12 @@ class StateSpace:
         return Successors(self.task, Packing.of(self.task))
 
     def numbers(self, values: ArrayLike) -> Ints:
-        """Give the numbers, shape (N,), of the states with values of shape (N, variables).
+        """Return the numbers, shape (N,), of the states with the given values, shape (N, variables).
 
         Raises
         ------
         KeyError
-            One of them is no reachable state.
+            A state is not reachable.
         """
         array = np.asarray(values)
         if array.ndim != 2 or array.shape[1] != len(self.task.variables):
@@ -131,7 +131,7 @@ class StateSpace:
         return numbers
 
     def values(self, states: ArrayLike) -> Ints:
-        """Give the values, shape (N, variables), of states of shape (N,).
+        """Return the values, shape (N, variables), of states, shape (N,).
 
         Raises
         ------
@@ -141,29 +141,29 @@ class StateSpace:
         return self.numbering.values(state_numbers(states, self.size).reshape(-1))
 
     def choices(self, states: ArrayLike) -> Transitions:
-        """Give the choices of some states, shape (N,), as compressed rows, without building those of all."""
+        """Return the transitions of some states, shape (N,), without building those of all states."""
         packing = self._successors.packing
         offsets, actions, after = self._successors.choices(packing.pack(self.values(states)))
         parts = [after[at : at + BLOCK] for at in range(0, len(after) or 1, BLOCK)]
         return Transitions(offsets, actions, np.concatenate([self.numbers(packing.unpack(part)) for part in parts]))
 
     def facts(self, state: int) -> list[str]:
-        """Describe a state: the PDDL atoms that hold in it, of those that can change."""
+        """Return the PDDL atoms that hold in a state, among those that can change."""
         return self.task.facts(self.values([state])[0].tolist())
 
     def options(self, state: int) -> dict[str, int]:
-        """Give the applicable ground actions of a state in PDDL, each with the state that it leads to."""
+        """Return the applicable ground actions of a state in PDDL notation, each with its successor."""
         rows = self.choices([state])
         names = (self.task.actions[action] for action in rows.actions)
         return dict(zip(names, rows.targets.tolist(), strict=True))
 
     def follow(self, plan: Sequence[str], state: int | None = None) -> int:
-        """Give the state that a sequence of ground actions leads to, from the initial state unless given.
+        """Return the state after a sequence of ground actions, from the initial state unless another is given.
 
         Raises
         ------
         ValueError
-            An action that is not applicable where its turn comes.
+            An action is not applicable in its state.
         """
         at = self.initial if state is None else state
         for step, action in enumerate(plan):

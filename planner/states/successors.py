@@ -1,10 +1,9 @@
-"""The transition function of a task, on arrays of packed states.
+"""The transition function of a task on arrays of packed states.
 
-States are bit-packed into 64-bit words, so that thousands of them are tested against an operator with one
-comparison per word. `Successors` takes packed states to what each action leads to; it covers all that the
-translator produces, conditional effects and derived variables included.
+States are packed into 64-bit words, so that an operator is tested in thousands of states with one comparison per word.
+`Successors` covers everything that the translator produces, conditional effects and derived variables included.
 
-Derived variables are part of a packed state: they follow from the others by the axioms.
+A packed state contains the derived variables. The axioms determine them from the other variables.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ from .packing import Ints, Packing, Words, can_hold, holds
 
 
 class Transitions(NamedTuple):
-    """The choices of n states as compressed rows.
+    """The transitions of n states as compressed rows.
 
     Attributes
     ----------
     offsets : int64 array, shape (n + 1,)
-        The choices of the i-th state are the rows `offsets[i]:offsets[i + 1]` of the next two.
+        The transitions of the i-th state are the rows `offsets[i]:offsets[i + 1]` of the other two arrays.
     actions : int32 array, shape (m,)
-        Ground actions, ascending within a state, none twice.
+        Ground actions, strictly ascending within a state.
     targets : int32 or int64 array, shape (m,)
-        The state that each leads to.
+        Successor state of each transition.
     """
 
     offsets: Ints
@@ -48,7 +47,7 @@ class Successors:
     ----------
     task : Task
     packing : Packing
-        How its states are packed.
+        Layout of the packed states.
     """
 
     def __init__(self, task: Task, packing: Packing) -> None:
@@ -75,11 +74,11 @@ class Successors:
         ]
 
     def applicable(self, states: Words, operator: int) -> NDArray[np.int64]:
-        """Give the rows of `states` in which an operator can be applied."""
+        """Return the rows of `states` in which an operator is applicable."""
         return np.flatnonzero(holds(states, *self.conditions[operator]))
 
     def apply(self, states: Words, operator: int) -> Words:
-        """Give the states, shape (n, words), after an operator that is applicable in all of them."""
+        """Return the successors, shape (n, words), by an operator that is applicable in all the states."""
         after = states.copy()
         for mask, value, cleared, assigned in self.effects[operator]:
             rows = holds(states, mask, value)[:, None]
@@ -87,7 +86,7 @@ class Successors:
         return self.derive(after)
 
     def derive(self, states: Words) -> Words:
-        """Set the derived variables: layer by layer, each to its least fixed point."""
+        """Return the states with their derived variables, evaluated layer by layer to the least fixed point."""
         if not self.layers:
             return states
         cleared, assigned = self.defaults
@@ -103,16 +102,16 @@ class Successors:
         return states
 
     def edges(self, states: Words) -> tuple[Ints, NDArray[np.int32], Words]:
-        """Apply every operator to states of shape (n, words).
+        """Apply every operator to states, shape (n, words).
 
         Returns
         -------
         rows : int64 array, shape (m,)
-            The state from which each edge starts.
+            Row of the state where each edge starts.
         actions : int32 array, shape (m,)
         after : uint64 array, shape (m, words)
-            The edges stand in the order of the operators; operators that come from one ground action (a
-            disjunctive precondition) give equal ones.
+            Successor states. Edges are in the order of the operators. Operators of one ground action (a disjunctive
+            precondition) may yield duplicates.
         """
         rows: list[Ints] = [np.empty(0, dtype=np.int64)]
         actions = [np.empty(0, dtype=np.int32)]
@@ -126,10 +125,9 @@ class Successors:
         return np.concatenate(rows), np.concatenate(actions), np.concatenate(after)
 
     def choices(self, states: Words) -> tuple[Ints, NDArray[np.int32], Words]:
-        """Give the choices of states of shape (n, words).
+        """Return the transitions of states, shape (n, words).
 
-        `offsets` and `actions` are as in `Transitions`; the third array, shape (m, words), are the states
-        that they lead to.
+        `offsets` and `actions` are as in `Transitions`. The third array, shape (m, words), holds the packed successors.
         """
         rows, actions, after = self.edges(states)
         kept = distinct(rows, actions)
@@ -137,12 +135,12 @@ class Successors:
         return offsets.astype(np.int64), actions[kept], after[kept]
 
     def follow(self, states: Words, action: int) -> Words:
-        """Give the states after a ground action that is applicable in all of them.
+        """Return the successors by a ground action that is applicable in all the states.
 
         Raises
         ------
         ValueError
-            It is not.
+            The action is not applicable in one of them.
         """
         after = states.copy()
         missing = np.ones(len(states), dtype=bool)
@@ -156,7 +154,7 @@ class Successors:
 
 
 def distinct(rows: Ints, actions: NDArray[np.int32]) -> Ints:
-    """Order edges by row and action, and keep one of each."""
+    """Return the indices of the distinct edges, sorted by row and action."""
     order = np.lexsort((actions, rows))
     first = np.ones(len(order), dtype=bool)
     first[1:] = (np.diff(rows[order]) != 0) | (np.diff(actions[order]) != 0)
