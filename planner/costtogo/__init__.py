@@ -1,1 +1,1 @@
-"""The exact cost-to-go: tables of all states, single states on demand, and what verifies them."""
+"""The exact cost-to-go: tables of all states, single states on demand, and their verification."""

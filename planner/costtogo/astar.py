@@ -1,4 +1,4 @@
-"""The cost-to-go of one state, from Fast Downward's A*, and what its sums of costs allow."""
+"""The cost-to-go of one state by Fast Downward's A*, within the range of its 32-bit cost sums."""
 
 from __future__ import annotations
 
@@ -14,50 +14,57 @@ from ..states.packing import can_hold
 from ..system.limits import NO_LIMITS, CostLimitError, LimitError, Limits
 
 OVERFLOW = 1 << 31
-"""Fast Downward's sums of costs have to stay below this."""
+"""Fast Downward's cost sums must stay below this (signed 32-bit integers)."""
 
 PATIENCE = 60.0
-"""Seconds for a search with large costs, if there is no other limit: above 2^29 some were seen not to end."""
+"""Default time limit in seconds for a search with large costs. Above 2^29, some searches were observed not to
+terminate.
+"""
 
 LARGE = OVERFLOW // 1000
-"""From such a cost on no heuristic is trusted, whose sums are not known: a thousand of such actions overflow."""
+"""Cost from which no heuristic is trusted: the sums inside heuristics are unknown, and a thousand such costs overflow.
+"""
 
 
 def astar(
     task: Task, state: Sequence[int] | None = None, *, search: str | None = None, limits: Limits = NO_LIMITS
 ) -> tuple[float, list[str] | None]:
-    """Ask Fast Downward's A* for h* of one state and an optimal plan from it.
+    """Return h* of one state and an optimal plan from it, computed by Fast Downward's A*.
 
     Parameters
     ----------
     task : Task
     state : sequence of int, shape (variables,), optional
-        A reachable state; the initial one unless given.
+        A reachable state; the initial state by default.
     search : str, optional
-        A search configuration of Fast Downward that is optimal; one that is, and fits the task, unless given.
+        An optimal search configuration of Fast Downward; by default one that supports the task.
     limits : Limits
-        Of the search.
+        Limits of the search.
 
     Returns
     -------
     h : float
-        Infinite where Fast Downward proves that there is no plan.
+        h* of the state; infinite if Fast Downward proves that there is no plan.
     plan : list of str or None
+        Ground actions of an optimal plan.
 
     Raises
     ------
     LimitError
-        Out of time or memory, or costs too large for Fast Downward: nothing is known about the state.
+        Out of time or memory, or costs are too large for Fast Downward. Nothing is known about the state.
 
     Notes
     -----
-    Fast Downward adds costs in 32 bits. Costs are divided by their greatest common divisor first. If a thousand of the
-    dearest actions could still overflow, the search is blind, whatever `search` says: it expands states in the order
-    of their distance g from the beginning, at most the optimal cost C, so that no sum is larger than C + 2 c for the
-    dearest action's cost c. A plan of cost P with P + 2 c below `OVERFLOW` is optimal therefore, since C is at most P.
-    Any other answer is refused.
+    Fast Downward adds costs in 32 bits. Costs are first divided by their greatest common divisor. Let c be the largest
+    cost then. If c is at least `LARGE`, the search is blind, whatever `search` says.
+
+    Claim: a plan of cost P that the blind search finds is optimal if P + 2 c < `OVERFLOW`.
+
+    Proof: let C be the optimal cost, so that C <= P. A* expands only states whose distance g from the start is at
+    most C. Their successors have g <= C + c, and the blind heuristic adds at most c. Hence no sum exceeds
+    C + 2 c <= P + 2 c, no sum overflows, and A* is exact. Any other plan is refused with a `CostLimitError`.
     """
-    if not task.goal:  # Fast Downward wants one, and each variable in it once
+    if not task.goal:  # Fast Downward requires a goal that mentions each variable at most once
         return 0.0, []
     if not can_hold(task.goal):
         return float("inf"), None
@@ -67,7 +74,7 @@ def astar(
         limits = limits if limits.seconds is not None else replace(limits, seconds=PATIENCE)
     if dearest >= OVERFLOW:
         raise CostLimitError(f"{task.instance}: a cost of {dearest} is more than Fast Downward can read")
-    if state is not None:  # Fast Downward wants derived variables at their defaults, and derives them itself
+    if state is not None:  # Fast Downward expects the default values of derived variables
         state = tuple(
             value if variable.axiom_layer < 0 else default
             for value, default, variable in zip(state, task.initial, task.variables, strict=True)
@@ -82,7 +89,7 @@ def astar(
 
 
 def with_small_costs(task: Task) -> tuple[str, int]:
-    """Return a task's SAS text with costs divided by their greatest common divisor, and the largest cost in it."""
+    """Return the SAS text of a task with costs divided by their greatest common divisor, and its largest cost."""
     return task.reduced.sas, max(task.reduced.costs, default=1)
 
 
@@ -92,35 +99,38 @@ CANDIDATES = (
     "astar(lmcut())",
     "astar(hmax())",
 )
-"""Search configurations of which the fastest on a task is used; all give the exact cost."""
+"""Admissible search configurations, of which the fastest on a task is used."""
 
 
 QUICK = 0.05
-"""Seconds of a search of which so much is Fast Downward's start that none is worth comparing with it."""
+"""Seconds below which a search consists mostly of Fast Downward's start, so that comparing configurations is useless.
+"""
 
 
-UNIT = 1000  # what a unit of cost is worth in prices, where an action is worth 1; plans are shorter
+UNIT = 1000
+"""Factor of a cost in the combined costs, where each action adds 1. Plans with this many actions are refused."""
 
 
-LARGEST = 2**31  # beyond, Fast Downward's sums overflow
+LARGEST = 2**31
+"""Combined costs must stay below this, since Fast Downward's sums have 32 bits."""
 
 
 def priced(task: Task) -> tuple[Task, int]:
-    """Give a task as Fast Downward is asked about it, and the price of a unit of cost there.
+    """Return the task with the costs that Fast Downward is given, and the factor of a unit of cost in them.
 
-    Where actions cost nothing, every action costs one more than `UNIT` times its cost, so that of the cheapest plans
-    one with the fewest actions is the best.
+    If some actions cost nothing, each action costs `UNIT` times its cost plus one. An optimal plan of that task is then
+    an optimal plan with the fewest actions.
     """
     return (task, 1) if min(task.costs, default=1) > 0 else (counted(task), UNIT)
 
 
 def counted(task: Task) -> Task:
-    """Give a task whose costs count its actions as well, each as the least part of `UNIT`."""
+    """Return the task with combined costs: `UNIT` times the cost of each action, plus one."""
     return replace(task, costs=tuple(cost * UNIT + 1 for cost in task.costs))
 
 
 class Chosen(NamedTuple):
-    """A search configuration, and what it found on the way: the plan from the initial state, None from a dead end."""
+    """A search configuration, whether it solved the initial state, and the plan (None at a dead end)."""
 
     search: str
     solved: bool
@@ -128,15 +138,15 @@ class Chosen(NamedTuple):
 
 
 def fastest_search(task: Task, candidates: Iterable[str] = CANDIDATES, *, limits: Limits = NO_LIMITS) -> Chosen:
-    """Choose the search configuration that solves a task's initial state fastest.
+    """Return the search configuration that solves a task's initial state fastest.
 
-    Each gets as long as the best so far has taken; once one took no longer than `QUICK`, no other is tried.
-    Configurations that do not support the task's features are left out.
+    Each configuration gets the time that the best one so far took. Once one took at most `QUICK`, no other is tried.
+    Tasks with derived variables or large costs use blind search without a comparison.
 
     Raises
     ------
     LimitError
-        None of them solved the initial state within the limits.
+        No configuration solved the initial state within the limits.
     """
     if not task.goal or not can_hold(task.goal):
         return Chosen(fast_downward.ASTAR, True, None if task.goal else [])

@@ -1,4 +1,4 @@
-"""Answers about single states, kept on disk."""
+"""A cache on disk for the cost-to-go of single states."""
 
 from __future__ import annotations
 
@@ -14,26 +14,25 @@ from ..grounding import fast_downward
 from ..grounding.task import Task
 from .astar import priced
 
-DEAD_END = -1  # how the cache stores an infinite cost-to-go
+DEAD_END = -1  # represents an infinite cost-to-go in the file
 
 
 def cache_folder() -> Path:
-    """Name the folder of the persistent cache: `kitassist` in the user's cache folder."""
+    """Return the folder of the persistent cache: `kitassist` in the user's cache folder."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "kitassist"
 
 
 class Cache:
-    """Costs-to-go of a task's states in a file, addressed by content; in the prices of `priced`.
+    """A file with the cost-to-go of a task's states, in the combined costs of `priced`.
 
-    The file's name is a digest of the grounded task and Fast Downward's version, so that a change of either begins
-    a new one.
+    The file name is a digest of the grounded task and Fast Downward's version. A change of either starts a new file.
 
     Parameters
     ----------
     task : Task
     folder : path, optional
-        Where the file is; `cache_folder()` unless given.
+        Folder of the file; `cache_folder()` by default.
     """
 
     def __init__(self, task: Task, folder: str | Path | None = None) -> None:
@@ -50,13 +49,13 @@ class Cache:
         return sqlite3.connect(self.file, timeout=60)
 
     def read(self) -> dict[bytes, float]:
-        """Give all that is known."""
+        """Return all stored costs, by the bytes of the packed state."""
         with closing(self._open()) as connection:
             rows = connection.execute("SELECT state, cost FROM cost").fetchall()
         return {state: float("inf") if cost == DEAD_END else float(cost) for state, cost in rows}
 
     def write(self, costs: dict[bytes, float]) -> None:
-        """Add costs; all of them or, if the process is killed, none."""
+        """Store costs atomically: all of them or, if the process is killed, none."""
         rows = [(state, DEAD_END if np.isinf(cost) else int(cost)) for state, cost in costs.items()]
         with closing(self._open()) as connection, connection:
             connection.executemany("INSERT OR REPLACE INTO cost VALUES (?, ?)", rows)

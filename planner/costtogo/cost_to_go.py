@@ -1,4 +1,4 @@
-"""The interface of whatever knows the exact cost-to-go, and the optimal choices that follow from it."""
+"""The interface of all providers of the exact cost-to-go, and the optimal choices that follow from it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..states.successors import Transitions
 
 
 class CostToGo(Protocol):
-    """The exact cost-to-go of a task, however it is come by. States are named by numbers."""
+    """Exact cost-to-go h* of a task, by any method. States are identified by numbers."""
 
     @property
     def task(self) -> Task:
@@ -21,54 +21,55 @@ class CostToGo(Protocol):
 
     @property
     def initial(self) -> int:
-        """The number of the initial state."""
+        """Number of the initial state."""
 
     @property
     def method(self) -> Literal["sweep", "on-demand"]:
-        """How the answers are come by."""
+        """Method that computes the cost-to-go."""
 
     @property
     def searches(self) -> bool:
-        """Whether looking a state up may take a search of its own, which takes its time."""
+        """Whether `lookup` may run a slow search."""
 
     def __len__(self) -> int:
-        """Count the states that have numbers."""
+        """Return the number of states that have been numbered."""
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends."""
+        """Return h* of states, shape (N,); infinite at dead ends."""
 
     def choices(self, states: ArrayLike) -> Transitions:
-        """Give the choices of states, shape (N,), as compressed rows."""
+        """Return the transitions of states, shape (N,), as compressed rows."""
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Tell of states, shape (N,), which are goal states."""
+        """Return whether each state is a goal state, shape (N,)."""
 
     def values(self, states: ArrayLike) -> Ints:
-        """Give the values, shape (N, variables), of states of shape (N,)."""
+        """Return the values, shape (N, variables), of states, shape (N,)."""
 
     def numbers(self, values: ArrayLike) -> Ints:
-        """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
+        """Return the numbers, shape (N,), of states with the given values, shape (N, variables)."""
 
     def plan_lengths(self, states: ArrayLike) -> Ints:
-        """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none."""
+        """Return the least number of actions of an optimal plan, shape (N,); `UNREACHED` at dead ends."""
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
-        """Give an optimal plan from a state (the initial one unless given); None from a dead end."""
+        """Return an optimal plan from a state (default: the initial state); None from a dead end."""
 
 
 def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> NDArray[np.bool_]:
-    """Tell of each choice of some states, shape (m,), whether a cheapest way to the goal begins with it.
+    """Return whether each transition of the given states, shape (m,), is optimal, that is, begins an optimal plan.
 
-    Where a task has actions of cost zero, only the cheapest ways with the fewest actions count. So optimal choices lead
-    to no circles: each lowers the cost-to-go or, that being equal, the number of actions to come, and who follows them,
-    whichever, reaches the goal.
+    If the task has actions of cost zero, only optimal plans with the fewest actions count. Claim: a policy that makes
+    any optimal choice in each state reaches the goal from every state with finite h*. Proof: each optimal choice
+    decreases h* or, if h* stays equal, the least number of actions of an optimal plan. Both are whole numbers of 0 or
+    more, so the decrease ends, and it ends in a goal state.
 
     Parameters
     ----------
     known : CostToGo
     states : int array, shape (N,)
     rows : Transitions
-        Their choices, as `known.choices` gives them.
+        Their transitions, as `known.choices` returns them.
     """
     costs, counts = np.asarray(known.task.costs), np.diff(rows.offsets)
     h = np.repeat(known.lookup(states), counts)

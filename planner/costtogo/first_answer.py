@@ -1,9 +1,8 @@
-"""The first answer to a task: cost and plan of its initial state, while all states are still being looked for.
+"""The first result for a task: cost and plan of its initial state, while all states are still being enumerated.
 
-`Early` asks Fast Downward's A* in a thread, which only waits for it. What takes less than a moment anyway is left
-alone: the search begins after `ALONE`. It has a part of the memory until it is over. Once it has taken `ABREAST`, it
-goes on with what time the other work leaves of the processors, so that a task whose plan is hard to find takes hardly
-longer than without it.
+`Early` runs Fast Downward's A* in a subprocess, and waits for it in a thread. The search starts after `ALONE` seconds,
+so that short tasks are not disturbed. A part of the memory is reserved for it until it ends. After `ABREAST` seconds it
+gets the lowest priority, so that a hard search hardly delays the other work.
 """
 
 from __future__ import annotations
@@ -22,33 +21,34 @@ from ..system.machine import available_memory, used_mb
 from .astar import astar
 
 ALONE = 0.5
-"""Seconds for which other work has the processors for itself; most tasks are swept in less."""
+"""Seconds before the search starts, since most tasks are swept in less. Longer delays the first result of large tasks.
+"""
 
 ABREAST = 10.0
-"""Seconds for which the search shares the processors with other work."""
+"""Seconds for which the search competes with other work at equal priority."""
 
 SHARE = 0.25
-"""Of the memory that is left, the search may take so much."""
+"""Share of the remaining memory that is reserved for the search."""
 
 Answer = tuple[float, list[str] | None]
-"""The cost of an optimal plan, and the plan; infinite and None where there is none."""
+"""Cost of an optimal plan, and the plan; infinite and None if there is none."""
 
 
 class Early:
-    """A search from the initial state, which begins when it is entered as a context and is ended when it is left.
+    """A context manager that searches from the initial state in the background until the context is left.
 
     Parameters
     ----------
     task : Task
     limits : Limits
-        Of the search; memory is that of the search and of all that goes on beside it.
+        Limits of the search; `memory_mb` is that of the whole process and the search together.
     tell : callable
-        Called with the answer, in a thread, as soon as it is there.
+        Called in a thread with the answer, as soon as it is known.
 
     Attributes
     ----------
     answer : Answer or None
-        What has been found by now.
+        The answer, or None as long as it is unknown.
     """
 
     def __init__(self, task: Task, limits: Limits, tell: Callable[[Answer], None]) -> None:
@@ -64,13 +64,13 @@ class Early:
 
     def __enter__(self) -> Early:
         if self._task.decided_by_translator:
-            self._ended.set()  # what is asked for at the end takes no time
+            self._ended.set()  # `wait` then solves the task at once
         else:
             thread = threading.Thread(target=self._run, daemon=True)
             try:
                 thread.start()
                 self._thread = thread
-            except RuntimeError:  # it finds no memory to begin
+            except RuntimeError:  # no memory for a thread
                 self._ended.set()
         return self
 
@@ -78,17 +78,19 @@ class Early:
         self.end()
 
     def end(self) -> None:
-        """End the search; an answer that is there already stays."""
+        """Stop the search; an answer that was found is kept."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
 
     def lent(self) -> float:
-        """Return how many bytes the search may take for now."""
+        """Return the number of bytes that are reserved for the search now."""
         return 0.0 if self._ended.is_set() else self._memory_mb * 1e6
 
     def wait(self, limits: Limits) -> Answer:
-        """Wait for the answer; the search has all the machine now, and these limits if it has to be done again.
+        """Wait for the answer.
+
+        If the search failed for lack of memory, or could not run, it is repeated under `limits`.
 
         Raises
         ------
@@ -114,9 +116,9 @@ class Early:
         except (LimitError, FastDownwardError, InvalidPlanError) as error:
             self._fault = error
         except (OSError, MemoryError, RuntimeError):
-            pass  # it is asked again when the other work is over
+            pass  # `wait` repeats the search when the other work is done
         finally:
             self._ended.set()
         if self.answer is not None and not self._stop.is_set():
-            with suppress(OSError):  # where it is told, something is full
+            with suppress(OSError):  # the receiver's disk or pipe may be full
                 self._tell(self.answer)

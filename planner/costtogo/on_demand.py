@@ -1,13 +1,13 @@
-"""Cost-to-go of single states, asked for as they are met.
+"""Cost-to-go of single states, computed when it is requested.
 
-For tasks that are too large to enumerate. `OnDemand` numbers the states that it is asked about in the order
-in which it meets them, asks Fast Downward's A* for the cost-to-go of those that it does not know, several
-at a time, and remembers every answer: in memory, and in a `Cache` on disk that outlives the process. An
-optimal plan labels all states on it, so that one search answers for many. Where one state of each orbit under the
-task's symmetries could be swept (`orbits`), the answers are looked up there, and nobody is asked.
+This is for tasks that are too large to enumerate. `OnDemand` numbers states in the order in which they are first
+requested. It runs Fast Downward's A* for states whose cost-to-go is unknown, several at a time. All results are kept in
+memory, and optionally in a `Cache` on disk. An optimal plan determines the cost-to-go of every state on it, so that one
+search serves many states. If one canonical state of each orbit was swept (`orbits`), the results are looked up there,
+and no search is run.
 
-Where a task has actions that cost nothing, what is asked for is the cheapest plan with the fewest actions, which says
-which choices are optimal (`costtogo.optimal_choices`): Fast Downward is given prices that count both.
+If the task has actions of cost zero, Fast Downward is given combined costs of cost and number of actions. It then finds
+optimal plans with the fewest actions, which determine the optimal choices (`cost_to_go.optimal_choices`).
 """
 
 from __future__ import annotations
@@ -40,24 +40,24 @@ from .orbits import OrbitTable
 
 
 class OnDemand:
-    """The cost-to-go of a task that is too large to enumerate.
+    """Cost-to-go of a task that is too large to enumerate.
 
-    States are numbered as they are met; the initial state is 0. The object grows with what it is asked, and any thread
-    may ask.
+    States are numbered in the order of their first use, from the initial state, 0. The object grows with the states
+    that are requested, and may be used from any thread.
 
     Parameters
     ----------
     task : Task
     cache : Cache, optional
-        Where answers are kept; nowhere but in memory unless given.
+        Stores results on disk; by default they are kept in memory only.
     jobs : int, optional
-        Searches that run at a time; one per processor unless given.
+        Number of parallel searches; by default one per processor.
     limits : Limits
         Time and memory of each single search.
     reason : str, optional
-        Why the task is not enumerated.
-    orbits : Orbits, optional
-        The cost-to-go of one state of each orbit under the task's symmetries.
+        The reason why the task is not enumerated.
+    orbits : OrbitTable, optional
+        Cost-to-go of one canonical state of each orbit.
     """
 
     method: Literal["sweep", "on-demand"] = "on-demand"
@@ -88,7 +88,7 @@ class OnDemand:
         self.initial = int(self._meet(self._successors.derive(self.packing.pack([task.initial])))[0])
 
     def __len__(self) -> int:
-        """Count the states that have been met."""
+        """Return the number of states that have been numbered."""
         return len(self._met)
 
     @cached_property
@@ -97,23 +97,23 @@ class OnDemand:
 
     @cached_property
     def _counting(self) -> OnDemand:
-        """The same task, asked for the cheapest plans with the fewest actions."""
+        """The same task with combined costs, whose optimal plans have the fewest actions."""
         other = OnDemand(self.task, jobs=self._jobs, limits=self._limits)
         other._priced, other._unit = counted(self.task), UNIT
         return other
 
     @property
     def searches(self) -> bool:
-        """Whether looking a state up may take a search of its own."""
+        """Whether `lookup` may run a search."""
         return self.orbits is None
 
     def _meet(self, states: Words) -> Ints:
         return self._met.numbers(states).astype(np.int64)
 
     def numbers(self, values: ArrayLike) -> NDArray[np.int64]:
-        """Give the numbers, shape (N,), of states with values of shape (N, variables).
+        """Return the numbers, shape (N,), of states with the given values, shape (N, variables).
 
-        Whether a state can be reached is not checked, and has to be so.
+        The states must be reachable, which is not checked.
         """
         array = np.asarray(values)
         sizes = np.array([len(variable.facts) for variable in self.task.variables])
@@ -123,18 +123,18 @@ class OnDemand:
         return self._meet(self._successors.derive(self.packing.pack(array.astype(np.int64, copy=False))))
 
     def values(self, states: ArrayLike) -> NDArray[np.int64]:
-        """Give the values, shape (N, variables), of states of shape (N,)."""
+        """Return the values, shape (N, variables), of states, shape (N,)."""
         return self.packing.unpack(self._rows(states))
 
     def _rows(self, states: ArrayLike) -> Words:
         return self._met.states(np.atleast_1d(state_numbers(states, len(self))))
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Tell of states, shape (N,), which are goal states."""
+        """Return whether each state is a goal state, shape (N,)."""
         return holds(self._rows(states), *self._goal)
 
     def choices(self, states: ArrayLike) -> Transitions:
-        """Give the choices of states, shape (N,), as compressed rows; the states they lead to are met."""
+        """Return the transitions of states, shape (N,), as compressed rows; their successors are numbered."""
         none = np.empty(0, dtype=np.int32)
         parts = [(none, none, np.empty((0, self.packing.words), dtype=np.uint64))]
         parts += expanded(self._book, self._rows(states))
@@ -142,18 +142,18 @@ class OnDemand:
         return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, self._meet(after))
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends; ask Fast Downward for those not known.
+        """Return h* of states, shape (N,), infinite at dead ends; unknown states are solved by Fast Downward.
 
         Parameters
         ----------
         states : int array, shape (N,)
         progress : callable, optional
-            Called with how many states have been answered since the last call.
+            Called with the number of states solved since the last call.
 
         Raises
         ------
         LimitError
-            A search reached its limits. What the others found is kept, and nothing is said of that state.
+            A search reached its limits. The results of the other searches are kept.
         """
         rows = self._rows(states)
         if self.orbits is not None:
@@ -171,13 +171,13 @@ class OnDemand:
         return self._costs(np.array([self._known[key] for key in keys], dtype=np.float64))
 
     def under(self, limits: Limits, reason: str | None, orbits: OrbitTable | None = None) -> OnDemand:
-        """Give this, with what it knows and the states that it has met, under other limits and for another reason."""
+        """Return a copy with the same results and numbered states, but other limits and another reason."""
         other = copy.copy(self)
         other._limits, other.reason, other.orbits = limits, reason, orbits or self.orbits
         return other
 
     def known(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), as far as it is known without a search; NaN elsewhere."""
+        """Return h* of states, shape (N,), where it is known without a search; NaN elsewhere."""
         rows = self._rows(states)
         h = self._costs(np.array([self._known.get(row.tobytes(), np.nan) for row in rows], dtype=np.float64))
         return h if self.orbits is None else np.where(np.isnan(h), self.orbits.lookup(rows), h)
@@ -186,9 +186,9 @@ class OnDemand:
         return np.where(np.isfinite(prices), np.floor(prices / self._unit), prices)
 
     def plan_lengths(self, states: ArrayLike) -> NDArray[np.int64]:
-        """Give how many actions the shortest of the cheapest plans from states has, shape (N,); `UNREACHED` if none.
+        """Return the least number of actions of an optimal plan from each state, shape (N,); `UNREACHED` at dead ends.
 
-        Where actions differ in costs, and none is free, this takes searches of its own.
+        If the costs of actions differ and none is zero, this runs additional searches.
 
         Raises
         ------
@@ -212,7 +212,7 @@ class OnDemand:
         return found
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
-        """Find an optimal plan from a state (the initial one unless given); None from a dead end."""
+        """Return an optimal plan from a state (default: the initial state); None from a dead end."""
         at = self.initial if state is None else state
         if self.orbits is not None:
             return self._descent(at)
@@ -220,7 +220,7 @@ class OnDemand:
         return astar(self._priced, tuple(values.tolist()), limits=self._limits)[1]
 
     def _descent(self, state: int) -> list[str] | None:
-        """Follow optimal choices from a state to the goal."""
+        """Return the plan of optimal choices from a state to the goal; None from a dead end."""
         if not np.isfinite(self.lookup([state])[0]):
             return None
         plan = []
@@ -236,14 +236,14 @@ class OnDemand:
             chosen = fastest_search(self._priced, limits=self._limits)
             self._search = chosen.search
             if chosen.solved:
-                with suppress(LimitError):  # of a plan too long to be told: a state nearer to the goal may be asked for
+                with suppress(LimitError):  # the plan is too long; a state nearer to the goal may still be solvable
                     self._remember(self._labels(self._rows([self.initial]), chosen.plan))
 
         over = threading.Event()
         limits = self._limits.ended_by(over)
 
         def search(key: bytes) -> dict[bytes, float]:
-            if key in self._known:  # a plan that was found meanwhile leads through it
+            if key in self._known:  # a plan that was found meanwhile visits it
                 return {}
             if limits.stop is not None and limits.stop.is_set():
                 raise LimitError("stopped")
@@ -279,7 +279,7 @@ class OnDemand:
             self._cache.write(found)
 
     def _labels(self, row: Words, plan: Sequence[str] | None) -> dict[bytes, float]:
-        """Give the price of what is to come in every state on an optimal plan; None is that of a dead end."""
+        """Return the combined cost-to-go of every state on an optimal plan; None stands for a dead end."""
         if plan is None:
             return {row.tobytes(): np.inf}
         price = float(self._priced.plan_cost(plan))

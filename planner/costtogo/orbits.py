@@ -1,8 +1,8 @@
-"""The exact cost-to-go of all states of a task with many symmetries, from one state of each orbit.
+"""The exact cost-to-go by symmetry reduction: a search over one canonical state of each orbit.
 
-The search does with canonical states what it does elsewhere with states: every successor is replaced by the canonical
-state of its orbit before it is looked for. What is left is a task of as many states as there are orbits,
-with the same cost-to-go. That of any state is looked up by its form.
+The search replaces every successor by the canonical state of its orbit before looking it up. Symmetries preserve costs
+and the goal, so that all states of an orbit have the same cost-to-go. The reduced task has one state per orbit. The
+cost-to-go of any state is that of its canonical state.
 """
 
 from __future__ import annotations
@@ -30,31 +30,35 @@ from ..system.progress_reports import Progress
 from .table import Table
 
 EFFORT = 100_000_000_000
-"""Facts that may be moved by a symmetry, one at a time, on the way to forms: some minutes of a processor."""
+"""Limit on the work of canonicalisation: facts permuted by symmetries, one at a time. It corresponds to some minutes
+of one processor.
+"""
 
 AT_ONCE = 300_000_000
-"""So many of them between two looks at the time."""
+"""Facts permuted between two checks of the deadline."""
 
 LONG = 1 << 31
-"""More actions than any plan has that a search of orbits finds: it comes to none of them twice."""
+"""Factor between costs and action counts in the combined costs. It exceeds the length of every optimal plan, which
+visits no orbit twice.
+"""
 
 
 @dataclass(frozen=True)
 class OrbitTable:
-    """The cost-to-go of all states that a task can reach.
+    """Exact cost-to-go of all reachable states of a task, by orbits.
 
     Attributes
     ----------
     index : OrbitIndex
-        The orbits that have been found.
+        The reachable orbits.
     distance : unsigned integer array, shape (orbits,)
-        h*, the type's largest value for dead ends.
+        h* of each orbit; the type's largest value marks dead ends.
     lengths : int64 array, shape (orbits,), or None
-        Actions of the shortest of the cheapest plans, where some actions cost nothing.
+        Least number of actions of an optimal plan; None if all actions have positive costs.
     order : int
-        How many symmetries there are.
+        Order of the symmetry group.
     transition_count : int
-        Ground actions applicable in a state, added up over one state of each orbit.
+        Number of applicable ground actions, summed over the canonical states.
     """
 
     index: OrbitIndex
@@ -69,7 +73,7 @@ class OrbitTable:
         return len(self.distance)
 
     def lookup(self, states: Words) -> NDArray[np.float64]:
-        """Give h* of packed states, shape (n, words): infinite at dead ends, NaN where nothing has been found."""
+        """Return h* of packed states, shape (n, words): infinite at dead ends, NaN where the orbit is unknown."""
         rows = self.index.rows(states)
         distance = self.distance[rows]
         h = np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
@@ -77,20 +81,20 @@ class OrbitTable:
 
     @property
     def described(self) -> str:
-        """Say how many there are."""
+        """Text with the numbers of orbits and symmetries."""
         return f"{len(self):,} orbits of {self.order:,} symmetries"
 
     def table(self, task: Task) -> Table:
-        """Give the cost-to-go of one state of each orbit; what leads to a state leads to that of its orbit there."""
+        """Return a table of the canonical states; its transitions lead to canonical states."""
         return Table(StateSpace(task, len(self), 0, self.transition_count, self.index), self.distance)
 
     def plan_lengths(self, task: Task, states: Words) -> NDArray[np.int64]:
-        """Give the actions of the shortest of the cheapest plans from packed states; `UNREACHED` if there are none.
+        """Return the least number of actions of an optimal plan from packed states; `UNREACHED` at dead ends.
 
         Raises
         ------
         KeyError
-            Nothing has been found of one of them.
+            The orbit of a state is unknown.
         """
         rows = self.index.rows(states)
         if (rows < 0).any():
@@ -110,25 +114,25 @@ def orbits(
     progress: Progress | None = None,
     lent: Callable[[], float] = float,
 ) -> OrbitTable:
-    """Find the cost-to-go of all states that a task can reach, from one state of each orbit.
+    """Compute the cost-to-go of all reachable states of a task, from one canonical state of each orbit.
 
     Parameters
     ----------
     task : Task
     max_orbits : int
-        The largest number of orbits.
+        Largest number of orbits.
     states : int
-        The task is known to have so many states or more. Where it has not enough symmetries to have no more orbits
-        than allowed, none are listed.
+        Known lower bound on the number of reachable states. If there are too few symmetries for `max_orbits` orbits,
+        no search is started.
     memory_limit_mb, deadline, threads, stop, lent
         As in `sweep`.
     progress : callable, optional
-        As in `sweep`; it counts "orbits".
+        As in `sweep`; the stage of the search is "orbits".
 
     Raises
     ------
     LimitError
-        There are more orbits than allowed, or no symmetries, or there is no time or memory left.
+        There are too many orbits or no symmetries, or time or memory is exhausted.
     """
     budget = Budget.within(max_orbits, memory_limit_mb, deadline, stop, lent)
     looking, forming = budget.during("symmetries were looked for"), budget.during("orbits were listed")

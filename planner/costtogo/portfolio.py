@@ -1,12 +1,11 @@
-"""One call for the exact cost-to-go of a task, whatever its size.
+"""One function for the exact cost-to-go of a task of any size.
 
-`cost_to_go` sweeps all states, as far as the limits allow, and answers on demand where they do not. Where only some
-states are wanted both ways are tried side by side, and whichever is done first is the answer: nothing is guessed, and
-it takes at most about twice as long as the better of the two, which would have had the processors for itself. Each is
-left alone for a moment first, as what is done at once is not to share them: the sweep for `FIRST`, then the search for
-single states for `SECOND`. Where there are too many states for a sweep, one state of each
-orbit under the task's symmetries is swept, if these are few enough; then answers on demand are looked up. The result
-is a `Table` or an `OnDemand`; both are a `CostToGo`.
+`cost_to_go` sweeps all states if the limits allow it, and otherwise solves states on demand. If only some states are
+requested, both methods run concurrently, and the first to finish provides the result. Since each has about half of the
+processors, this takes at most about twice as long as the better method alone. At the start each method runs alone for a
+moment: the sweep for `FIRST` seconds, then the single-state search for `SECOND` seconds. If there are too many states
+for a sweep, one canonical state of each orbit is swept, provided that there are few enough orbits. The result is a
+`Table` or an `OnDemand`; both implement `CostToGo`.
 """
 
 from __future__ import annotations
@@ -33,38 +32,40 @@ from .sweep import sweep
 from .table import Table
 
 FIRST = 0.008
-"""Seconds that a sweep has before the first state is asked for: as much as a task of some ten thousand states takes."""
+"""Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""
 
 SECOND = 0.03
-"""Seconds in which the sweep then waits: Fast Downward takes half as long for a state that is easy."""
+"""Seconds for which the sweep then pauses. Fast Downward solves an easy state in half of that."""
 
 LONGER = 4
-"""Times that asking would have to go on for as long as it has, when all states are enumerated, for it to end there."""
+"""Factor for ending the single-state search: once all states are enumerated, it ends if it would take this many times
+the time so far.
+"""
 
 PER_ORBIT = 4
-"""An orbit counts as so many states: it takes more time and memory."""
+"""Number of states that an orbit counts as in `max_states`, since an orbit takes more time and memory."""
 
 
 class _Unswept(NamedTuple):
-    """Why a task was not swept, and its orbits, if these were."""
+    """The reason why a task was not swept, and its orbits if these were swept."""
 
     reason: str
     orbits: OrbitTable | None
 
 
 class _Stop(threading.Event):
-    """Tells the sweep that it is not needed any more; a sweep that asks waits while it is not its turn."""
+    """The stop signal of the sweep; it can also pause the sweep."""
 
     def __init__(self) -> None:
         super().__init__()
         self._waits_until = -math.inf
 
     def pause(self, seconds: float) -> None:
-        """Let who asks wait."""
+        """Make calls of `is_set` wait for some seconds."""
         self._waits_until = time.monotonic() + seconds
 
     def is_set(self) -> bool:
-        """Whether it is over, which ends waiting."""
+        """Whether the sweep should end; waits during a pause."""
         seconds = self._waits_until - time.monotonic()
         return self.wait(seconds) if seconds > 0 else super().is_set()
 
@@ -84,39 +85,39 @@ def cost_to_go(
     checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
 ) -> Table | OnDemand:
-    """Choose how to come by the exact cost-to-go of a task, and begin.
+    """Compute the exact cost-to-go, by the method that fits the task.
 
-    All states are swept where they fit the limits; else one state of each orbit, if these do. Otherwise, and where only
-    a few states are wanted and asking for them is done earlier, the result answers on demand; in the latter case it
-    knows them already.
+    All states are swept if they fit the limits, else one canonical state of each orbit if these do. Otherwise the
+    result solves states on demand. It also does so if only some states are requested and solving these finishes first;
+    their costs-to-go are then known already.
 
     Parameters
     ----------
     task : Task
     states : int array, shape (N, variables), optional
-        The values of the states that are wanted; all unless given.
+        Values of the requested states; all states by default.
     max_states : int
-        Sweep at most so many, or a fourth as many orbits.
+        Largest number of states that are swept, or of four times the number of orbits.
     memory_limit_mb : float, optional
-        What a sweep may use in addition to what the process has already; what the machine has left unless given.
-        It is estimated before anything is allocated.
+        Memory of a sweep in MB, in addition to what the process uses already; by default, the available memory. The
+        need is estimated before memory is allocated.
     deadline : float, optional
-        A time on `time.monotonic()`'s clock. Orbits have half of what a sweep leaves of the time.
+        Time on the clock of `time.monotonic()`. The search of orbits gets half of the time that the sweep leaves.
     cache : Cache, optional
-        Where answers on demand are kept.
+        Cache of the results on demand.
     jobs : int, optional
-        Threads of the sweep, or searches at a time; one per processor unless given.
+        Threads of the sweep, or parallel searches; by default one per processor.
     limits : Limits
-        Of each single search on demand.
+        Limits of each search on demand.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`.
+        Receives progress reports, as `planner.system.progress` describes.
     checkpoint, lent
-        Of the sweep.
+        As in `sweep`.
 
     Returns
     -------
     Table or OnDemand
-        Both are a `CostToGo`; the latter says in `reason` why, and has `orbits` where these were swept.
+        An `OnDemand` has the reason in `reason`, and `orbits` if these were swept.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def cost_to_go(
     assert callable(progress)
 
     def swept(stop: threading.Event | None = None, progress: Progress = progress) -> Table | _Unswept:
-        """Sweep; give the reason if that is not possible."""
+        """Sweep the task; return the reason if it is not swept."""
         states = 0
         try:
             return sweep(
@@ -141,7 +142,7 @@ def cost_to_go(
                 lent=lent,
             )
         except (MemoryLimitError, MemoryError):
-            reason = "a table of all states does not fit the memory"  # how much is missing differs from run to run
+            reason = "a table of all states does not fit the memory"  # the missing amount differs between runs
         except LimitError as error:
             if deadline is not None and time.monotonic() > deadline:
                 raise
@@ -181,10 +182,10 @@ def _race(
     limits: Limits,
     progress: Progress,
 ) -> Table | OnDemand:
-    """Sweep and ask for states, of shape (N, variables), at the same time, until one of the two is done.
+    """Sweep the task and solve the requested states, shape (N, variables), concurrently, until one of the two is done.
 
-    How long a sweep takes is not known before the states are enumerated. Then what is left of it takes about as long
-    as that did; if what is left to ask for would take `LONGER` times that, the sweep has the processors for itself.
+    The duration of a sweep is unknown until the states are enumerated. Then its remaining part takes about as long as
+    the enumeration. If the remaining requests would take `LONGER` times that, the single-state search ends.
     """
     asked = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
     wanted = asked.numbers(states)
@@ -218,7 +219,7 @@ def _race(
             start = time.monotonic()
             try:
                 asked.under(replace(limits, stop=late), None).lookup(wanted, count)
-            except LimitError:  # the sweep was faster, or will be, or has to do
+            except LimitError:  # the sweep was faster, is expected to be, or is the only method left
                 found = sweep_of_all.result()
                 return found if isinstance(found, Table) else asked.under(limits, *found)
             seconds = time.monotonic() - start

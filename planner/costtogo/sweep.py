@@ -1,10 +1,10 @@
-"""Every reachable state of a task and its exact cost-to-go, fast and in little memory.
+"""The sweep: all reachable states of a task and their exact cost-to-go, fast and in little memory.
 
-`sweep` takes a `Task` to a `Table`: it chooses the indices of states (`coding`), finds all states and their distances
-(`searches`), and numbers them; the *number* of a state is its rank among the indices of all states.
+`sweep` computes a `Table` in three steps: it constructs a ranking of the states (`ranking`), finds the reachable states
+and their distances (`forward_search`, `bucket_dijkstra`), and numbers the states in the order of their ranks.
 
-Tasks with derived variables, with indices beyond 62 bits, or with operators that split into very many moves
-take a slower way: a list of packed states, and all transitions in memory (`listing`).
+Tasks with derived variables, with ranks beyond 62 bits, or with operators that split into very many moves use a slower
+method: a registry of packed states, with all transitions in memory.
 """
 
 from __future__ import annotations
@@ -32,16 +32,21 @@ from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
 
 FEW = 128
-"""Transitions for each move that are listed before a dense index is looked for, which takes longer than that."""
+"""Transitions per move that are enumerated before a denser ranking is sought, which takes longer than such a search."""
 
 ANYWAY = 1 << 13
-"""Moves that are counted beside those of the task, as looking takes seconds where listing a million takes one."""
+"""Added to the number of moves in that limit: seeking a ranking takes seconds, enumerating a million transitions about
+one.
+"""
 
 HUGE = 1 << 38
-"""Indices of which no bitmap is made: a list takes less time than a hash table of them, but more memory."""
+"""Number of ranks above which the registry is tried first: it is faster than a hash table of ranks, but needs more
+memory.
+"""
 
 LOOKING = 0.25
-"""Share of the time in which a denser index is looked for; after that, what there is has to do."""
+"""Share of the remaining time for the search of a denser ranking. After that, the best ranking so far is used, if any.
+"""
 
 
 @shows_progress
@@ -57,36 +62,34 @@ def sweep(
     checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
 ) -> Table:
-    """Enumerate the reachable states of a task, and compute the exact cost-to-go of all.
+    """Enumerate the reachable states of a task, and compute the exact cost-to-go of all of them.
 
     Parameters
     ----------
     task : Task
     max_states : int, optional
-        The largest number of states.
+        Largest number of states; unlimited by default.
     memory_limit_mb : float, optional
-        What the sweep may use in addition to what the process has already; what the machine has left
-        unless given.
+        Memory of the sweep in MB, in addition to what the process uses already; by default, the available memory.
     deadline : float, optional
-        A time on `time.monotonic()`'s clock.
+        Time on the clock of `time.monotonic()`.
     threads : int, optional
-        As many as there are processors unless given. The result does not depend on it.
+        Number of threads; by default one per processor. The result does not depend on it.
     stop : threading.Event, optional
-        The sweep is given up once it is set.
+        The sweep ends with a `LimitError` once this is set.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`, after each layer of the search: what is under way is
-        "states" or "cost-to-go", what is done the states that have been found, or have got theirs.
+        Receives progress reports, as `planner.system.progress` describes. The stages are "states", with the number
+        of states found, and "cost-to-go", with the number of states whose cost-to-go is known.
     checkpoint : path, optional
-        A file in which a long sweep keeps what it has found, every ten minutes; another sweep of the same task
-        continues from there. It is removed when the sweep is done. One that is damaged is ignored, which the table's
-        note says.
+        File in which a long sweep saves its progress every ten minutes. Another sweep of the same task continues from
+        it. The file is removed when the sweep is done. A damaged file is ignored, and the table's note says so.
     lent : callable, optional
-        Tells how many bytes of the memory something else may take for now.
+        Returns the number of bytes that are currently reserved for another computation.
 
     Raises
     ------
     LimitError
-        One of the limits does not suffice, or a cost is larger than `LARGEST_COST`.
+        A limit is reached, or a cost is larger than `LARGEST_COST`.
     """
     assert callable(progress)
     if (dearest := max(task.costs, default=0)) > LARGEST_COST:
@@ -108,7 +111,7 @@ def sweep(
 def _search(
     task: Task, budget: Budget, threads: int, progress: Progress, checkpoint: Path | None
 ) -> BucketDijkstra | Table | str:
-    """Return the search by an index, or why there is none, or the table where listing is done before one is found."""
+    """Return the ranked search; the table if enumeration finished first; or the reason why there is no ranking."""
     if any(variable.axiom_layer >= 0 for variable in task.variables):
         return "it has derived variables"
     try:
@@ -119,7 +122,7 @@ def _search(
     except (MemoryLimitError, MemoryError):
         return "looking for an index took too much memory"
     if coding is None or coding.size > MANY:
-        with suppress(MemoryLimitError, MemoryError):  # an index may take less
+        with suppress(MemoryLimitError, MemoryError):  # a ranked search may need less memory
             few = enumerated(task, budget, threads, progress, FEW * (len(moves) + ANYWAY))
             if few is not None:
                 return _settled(task, few, budget, progress, None)
@@ -136,7 +139,7 @@ def _search(
     if coding.size > HUGE:
         with suppress(MemoryLimitError, MemoryError):
             return _listed(task, budget, threads, None, progress)
-    # What is laid out is in use all the time.
+    # These tables are in use throughout the search.
     left = budget.beside(coding.decoder.rows.nbytes)
     operators: list[RankedOperators] = []
     try:
@@ -150,7 +153,7 @@ def _search(
 
 
 def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:
-    """List the states, which does for every task; the table's note says why, if there is a reason."""
+    """Compute the table without a ranking, which is possible for every task. The note states the reason `why`."""
     listing = enumerated(task, budget, threads, progress)
     assert listing is not None
     note = f"swept without an index, which takes some ten times as long as with one: {why}"
@@ -158,7 +161,7 @@ def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress:
 
 
 def _settled(task: Task, listing: ExploredGraph, budget: Budget, progress: Progress, note: str | None) -> Table:
-    """Find the distances of states that are listed."""
+    """Compute the table from an explored graph."""
     distance = settled(task, listing, budget, progress)
     space = StateSpace(task, len(distance), 0, len(listing.targets), listing.found)
     return Table(space, distance, note)

@@ -1,8 +1,8 @@
-"""Exact cost-to-go: what the cheapest way from a state to the goal costs.
+"""Table of the exact cost-to-go, that is, the cost of an optimal plan from each state.
 
-`CostToGo` is what the rest of the project asks: the cost-to-go of some states, and their choices. There are
-two kinds of it. A `Table` holds h* of every state of a `StateSpace` (`sweep` makes it); `OnDemand`, in the
-module of that name, asks Fast Downward for one state at a time.
+The rest of the project uses the interface `CostToGo`: the cost-to-go of some states, and their transitions. Two classes
+implement it. A `Table`, which `sweep` computes, contains h* of every state of a `StateSpace`. `OnDemand` computes h* of
+single states with Fast Downward.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class Table:
     ----------
     space : StateSpace
     distance : unsigned integer array, shape (n,)
-        h* in the task's cost units, in the smallest type that holds it; the type's largest value marks
-        a dead end.
+        h* in the task's cost units, in the smallest type that can represent it. The type's largest value marks
+        dead ends.
     note : str or None
-        Why it was made in a way that takes much longer than usual, if it was.
+        Remark on how the table was computed, such as the reason for a slower method; None if there is none.
     """
 
     space: StateSpace
@@ -55,12 +55,12 @@ class Table:
 
     @property
     def method(self) -> Literal["sweep", "on-demand"]:
-        """How it was come by."""
+        """Method that computed the table."""
         return "sweep"
 
     @property
     def searches(self) -> bool:
-        """Whether looking a state up may take a search of its own: no."""
+        """Whether `lookup` may run a search: always False."""
         return False
 
     @property
@@ -70,25 +70,25 @@ class Table:
 
     @property
     def initial(self) -> int:
-        """The number of the initial state."""
+        """Number of the initial state."""
         return self.space.initial
 
     @property
     def dead_end(self) -> NDArray[np.bool_]:
-        """Which states have no way to the goal, shape (n,)."""
+        """Whether each state is a dead end, shape (n,)."""
         return self.distance == np.iinfo(self.distance.dtype).max
 
     @cached_property
     def h(self) -> NDArray[np.float64]:
-        """h* of every state, shape (n,), infinite at dead ends."""
+        """h* of every state, shape (n,); infinite at dead ends."""
         return self.lookup(slice(None))
 
     def __getitem__(self, state: int) -> float:
-        """h* of one state, infinite at a dead end."""
+        """Return h* of one state; infinite at a dead end."""
         return float(self.lookup([state])[0])
 
     def lookup(self, states: ArrayLike | slice) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends.
+        """Return h* of states, shape (N,); infinite at dead ends.
 
         Raises
         ------
@@ -99,27 +99,27 @@ class Table:
         return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
 
     def choices(self, states: ArrayLike) -> Transitions:
-        """Give the choices of states, shape (N,), as compressed rows."""
+        """Return the transitions of states, shape (N,), as compressed rows."""
         return self.space.choices(states)
 
     def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Tell of states, shape (N,), which are goal states."""
+        """Return whether each state is a goal state, shape (N,)."""
         values = self.values(states)
         variables, wanted = np.array(self.task.goal, dtype=np.int64).reshape(len(self.task.goal), 2).T
         return (values[:, variables] == wanted).all(axis=1)
 
     def values(self, states: ArrayLike) -> Ints:
-        """Give the values, shape (N, variables), of states of shape (N,)."""
+        """Return the values, shape (N, variables), of states, shape (N,)."""
         return self.space.values(states)
 
     def numbers(self, values: ArrayLike) -> Ints:
-        """Give the numbers, shape (N,), of states with values of shape (N, variables)."""
+        """Return the numbers, shape (N,), of states with the given values, shape (N, variables)."""
         return self.space.numbers(values)
 
     def plan_lengths(self, states: ArrayLike) -> Ints:
-        """Give how many actions the shortest of the cheapest plans has, shape (N,); `UNREACHED` from dead ends.
+        """Return the least number of actions of an optimal plan, shape (N,); `UNREACHED` at dead ends.
 
-        Only states on cheapest plans are looked at.
+        The search visits only states on optimal plans from the given states.
         """
         wanted = state_numbers(states, len(self))
         costs = np.asarray(self.task.costs)
@@ -141,23 +141,23 @@ class Table:
         return result
 
     def optimal_choices(self) -> NDArray[np.bool_]:
-        """Tell of each choice of all states, shape (m,), whether it is optimal, as the function of that name has it."""
+        """Return whether each transition of all states, shape (m,), is optimal, as the function of the same name."""
         return optimal_choices(self, np.arange(len(self)), self.space.transitions)
 
     def optimal_plan(self, state: int | None = None) -> list[str] | None:
-        """Read an optimal plan off the table; None from a dead end.
+        """Return an optimal plan, read off the table; None from a dead end.
 
-        Of the cheapest plans it is one with the fewest actions.
+        If actions of cost zero exist, the plan has the fewest actions among the optimal plans.
         """
         start = self.initial if state is None else state
         if not np.isfinite(self[start]):
             return None
-        # Actions of cost zero can lead in circles, so this is a search breadth first, not a mere descent.
+        # Actions of cost zero can form cycles. Greedy descent could then loop, so this is a breadth-first search.
         costs = np.asarray(self.task.costs)
         descent = 0 not in costs
         seen = np.zeros(len(self), dtype=bool)
         layer = np.array([start])
-        came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, where they were reached from, and how
+        came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, their predecessors and the actions
         while not (ends := self.is_goal(layer)).any():
             seen[layer] = True
             rows = self.choices(layer)
@@ -165,7 +165,7 @@ class Table:
             cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
             cheapest &= ~seen[rows.targets]
             targets, first = np.unique(rows.targets[cheapest], return_index=True)
-            if descent:  # any one way will do
+            if descent:  # h* decreases with every action, so one successor suffices
                 targets, first = targets[:1], first[:1]
             came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
             if not len(targets):

@@ -1,8 +1,8 @@
-"""Cost-to-go tables in files: written a block at a time, and opened without being read.
+"""Cost-to-go tables in files: written block by block, and memory-mapped when opened.
 
-A file is numpy's `.npz`, an uncompressed archive of arrays, so that `numpy.load` reads it too; `docs/commands.md`
-describes the arrays. Tables of a billion states are larger than the memory, and of most only some states are wanted:
-`open_table` maps the file into memory, and only what is looked at is read.
+A file is an uncompressed `.npz` archive of numpy, which `numpy.load` can read as well; `docs/commands.md` describes the
+arrays. Tables of a billion states exceed the memory, and often only some states are needed. `open_table` therefore maps
+the file into memory, and reads only the parts that are accessed.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from ..system.files import atomic
 from .table import Table
 
 BLOCK = 1 << 16
-"""States that are unpacked at a time."""
+"""States that are written at a time. It bounds the memory for unpacked states."""
 
 LOCAL_HEADER = 30
-"""Bytes of an archive's header of one file, before the file's name."""
+"""Bytes of a file's local header in a ZIP archive, before the file name."""
 
 
 @dataclass(frozen=True)
 class SavedTable:
-    """A table in a file.
+    """A cost-to-go table in a file.
 
     Attributes
     ----------
     packing : Packing
     states : uint64 array, shape (n, words)
     distance : unsigned integer array, shape (n,)
-        The type's largest value marks a dead end.
+        h* of each state; the type's largest value marks dead ends.
     initial : int
-        The initial state's place.
+        Number of the initial state.
     facts : text array, shape (variables, values)
-        What a value of a variable means: `(on a b)`, `(not (on a b))`, or `<none of those>`; empty where it has no
-        such value.
+        Meaning of each value of each variable: `(on a b)`, `(not (on a b))`, or `<none of those>`; empty for values
+        that the variable does not have.
     """
 
     packing: Packing
@@ -62,17 +62,17 @@ class SavedTable:
         return len(self.distance)
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
-        """Give h* of states, shape (N,), infinite at dead ends."""
+        """Return h* of states, shape (N,); infinite at dead ends."""
         distance = self.distance[state_numbers(states, len(self))]
         return np.where(distance == np.iinfo(distance.dtype).max, np.inf, distance)
 
     def values(self, states: ArrayLike) -> Ints:
-        """Give the values, shape (N, variables), of states of shape (N,)."""
+        """Return the values, shape (N, variables), of states, shape (N,)."""
         return self.packing.unpack(self.states[state_numbers(states, len(self))])
 
 
 def save_table(file: str | Path, table: Table) -> None:
-    """Save a cost-to-go table as `.npz`, at once or not at all.
+    """Save a cost-to-go table as `.npz`, atomically.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def save_table(file: str | Path, table: Table) -> None:
 
 
 def open_table(file: str | Path) -> SavedTable:
-    """Open a table that `save_table` has written; what is not looked at is not read.
+    """Open a table that `save_table` has written; only the parts that are accessed are read.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def open_table(file: str | Path) -> SavedTable:
     Raises
     ------
     DamagedFileError
-        It is no such file, not all of it, or one whose arrays do not belong together.
+        The file is not such a table, is truncated, or contains arrays that do not match.
     """
     file = Path(file)
     try:
@@ -125,7 +125,10 @@ def open_table(file: str | Path) -> SavedTable:
 
 
 def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
-    """Put a table together whose arrays fit each other: what they hold of single states is not looked at."""
+    """Return the table of the given arrays after checking their types and shapes.
+
+    The entries of single states are not checked.
+    """
     states, distance, facts = arrays["states"], arrays["cost_to_go"], arrays["facts"]
     for name, kinds, dimensions in (
         ("states", "u", 2),
@@ -148,10 +151,10 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
 
 
 def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:
-    """Map an array of an archive."""
+    """Return an array of an archive, memory-mapped."""
     stream.seek(member.header_offset)
     header = stream.read(LOCAL_HEADER)
-    # What follows are the file's name and more about it, the lengths of both are the header's last numbers.
+    # The file name and an extra field follow; the last two numbers of the header are their lengths.
     lengths = np.frombuffer(header[-4:], dtype="<u2")
     stream.seek(member.header_offset + LOCAL_HEADER + int(lengths.sum()))
     if npy.read_magic(stream) != (1, 0):

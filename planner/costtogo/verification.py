@@ -1,4 +1,4 @@
-"""Comparisons of a cost-to-go table with others: with Fast Downward's A*, and with itself."""
+"""Verification of a cost-to-go table, against Fast Downward's A* and against its own successors."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def verify(
     known: Mapping[int, float] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> int:
-    """Compare a random sample of a table with Fast Downward's A*, the initial state first.
+    """Compare a random sample of a table's states, the initial state first, with Fast Downward's A*.
 
-    A state whose search reaches its limits is left out.
+    States whose search reaches its limits are skipped.
 
     Parameters
     ----------
@@ -42,27 +42,27 @@ def verify(
         States to compare (all, where there are fewer).
     rng : numpy.random.Generator
     seconds : float, optional
-        Stop after this time; searches that are under way then are ended.
+        Time after which the comparison stops and running searches are ended.
     limits : Limits
-        Of each single search.
+        Limits of each search.
     jobs : int
-        States at a time.
+        Number of states that are compared in parallel.
     searches : sequence of str or None
-        Configurations as `astar` takes them; all search from a state at the same time, and the first answer counts.
+        Search configurations for `astar`. They run concurrently for each state, and the first result counts.
     known : mapping of int to float, optional
-        What A* has said of states already.
+        Results of A* that are known already, by state.
     progress : callable, optional
-        Called with how many states have been compared.
+        Called with the number of states compared so far.
 
     Returns
     -------
     int
-        How many states were compared, all of them equal.
+        Number of states compared; all values were equal.
 
     Raises
     ------
     MismatchError
-        A state whose values differ.
+        The values of a state differ.
     """
     space, states = table.space, sample(len(table), table.initial, count, rng)
     said, compared = known or {}, 0
@@ -85,7 +85,7 @@ def verify(
             return None
 
     with ThreadPoolExecutor(jobs) as pool:
-        # One at a time without a thread: where no memory is left for its beginning, Python waits for it for ever.
+        # A single job needs no thread: if there is no memory for a new thread, Python would wait for it forever.
         each = pool.map if jobs > 1 else map
         try:
             for state, expected in zip(states, each(asked, states), strict=True):
@@ -102,7 +102,7 @@ def verify(
 
 
 def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], limits: Limits) -> float:
-    """Give what the first of several searches says of a state."""
+    """Return h* of a state from the first of several searches that finishes."""
     if len(searches) == 1:
         return astar(task, state, search=searches[0], limits=limits)[0]
     done = threading.Event()
@@ -118,30 +118,30 @@ def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], lim
 
 
 def check_successors(table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None) -> int:
-    """Compare a random sample of a table with the values of what comes after, the initial state first.
+    """Check the Bellman equation of a table in a random sample of states, the initial state first.
 
-    In a goal state the cost-to-go is 0, in any other the least sum of an action's cost and the cost-to-go after it.
-    What comes after is computed from the operators of the grounded task, not by what made the table. Of states that
-    are too far from the goal for A* this can be told as well.
+    In a goal state h* must be 0. In any other state it must be the minimum over actions of the cost plus h* of the
+    successor. Successors are computed from the operators of the grounded task, independently of the sweep. The check
+    also covers states that are too far from the goal for A*.
 
     Parameters
     ----------
     table : Table
     count : int
-        States to compare (all, where there are fewer); those that `verify` takes with the same generator.
+        Number of states to check (all if there are fewer). A generator in the same state yields the sample of `verify`.
     rng : numpy.random.Generator
     seconds : float, optional
-        No further state is compared after this time.
+        Time after which no further state is checked.
 
     Returns
     -------
     int
-        How many states were compared, all of them equal.
+        Number of states checked; all satisfied the equation.
 
     Raises
     ------
     MismatchError
-        A state whose values differ, or that leads to something that is no state of the table.
+        The equation fails in a state, or a successor is not a state of the table.
     """
     space, task, states = table.space, table.task, sample(len(table), table.initial, count, rng)
     start = time.monotonic()
@@ -165,7 +165,7 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
 
 
 def sample(states: int, initial: int, count: int, rng: np.random.Generator) -> list[int]:
-    """Draw numbers of states to compare, the initial one first; all of them where there are fewer."""
+    """Return a random sample of `count` distinct states, the initial state first; all states if there are no more."""
     count = max(0, count - 1)
     if count >= states - 1:
         return [initial, *(state for state in range(states) if state != initial)]
@@ -176,7 +176,7 @@ def sample(states: int, initial: int, count: int, rng: np.random.Generator) -> l
 
 
 def mismatch(table: Table, state: int, expected: float, who: str = "Fast Downward's A* says") -> MismatchError:
-    """Return what is raised where a table differs from what another says of a state."""
+    """Return the error for a state whose value differs from another result."""
     return MismatchError(
         f"cost-to-go of state {state} is {table[state]:g}, but {who} {expected:g} "
         f"({', '.join(table.space.facts(state))})"
