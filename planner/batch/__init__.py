@@ -1,1 +1,1 @@
-"""Many instances: each solved, recorded and resumed."""
+"""Solving many instances, with records that allow a run to be resumed."""

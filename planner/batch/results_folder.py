@@ -1,9 +1,8 @@
-"""A folder of results: the records of instances, their tables and plans, and what these were made from.
+"""A folder of results: records of instances, their tables and plans, and what these depend on.
 
-Beside `results.jsonl` stands `fingerprints`, with a line of JSON for each record: the `fingerprint` of what the answer
-depends on (both files' contents, the options that matter, the programs that search and check), the `place` of the
-instance's table and plan, the size of each, and a digest of the `record` itself. A record is kept by a later run only
-while all of that is as it was.
+The file `fingerprints` contains a line of JSON for each record in `results.jsonl`. It holds the `fingerprint` of what
+the result depends on (the contents of both files, the relevant options, the programs), the `place` of the table and the
+plan, their sizes, and a digest of the `record`. A later run keeps a record only if all of these are unchanged.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from .solve_instance import SolveOptions, SolveRecord, begun_sweep, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
 Key = tuple[str, str]
-"""What tells instances apart: the paths of the problem and of the domain. One problem may have several domains."""
+"""Identifier of an instance: the paths of its problem and domain. One problem may be solved with several domains."""
 
 DONE = ("solved", "unsolvable")  # statuses that a resumed run keeps; the others are tried again
 
 
 class Results:
-    """The results of a run, as they come in.
+    """The results of a run, updated while it runs.
 
     Attributes
     ----------
-    records : dict of Key to Record
-        What is known by now, by instance (`key`).
+    records : dict of Key to SolveRecord
+        Records so far, by instance (`key`).
     """
 
     def __init__(self, folder: Path, instances: Sequence[Instance], options: SolveOptions, *, resume: bool) -> None:
@@ -44,17 +43,17 @@ class Results:
         ----------
         folder : Path
         instances : sequence of Instance
-            All that the run is about.
+            All instances of the run.
         options : SolveOptions
         resume : bool
-            Keep what is in the folder and still holds.
+            Whether valid records in the folder are kept.
 
         Raises
         ------
         ResultsExistError
-            There are results already, and `resume` is not set.
+            The folder contains results, and `resume` is not set.
         DamagedFileError
-            They are none of this program's.
+            The files in the folder are not results of this program.
         """
         self._folder = folder
         results, prints = folder / RESULTS, folder / FINGERPRINTS
@@ -79,7 +78,7 @@ class Results:
                 self._lines[name] = {
                     "instance": name[0], "domain": name[1], "fingerprint": current[name], "place": place,
                 }  # fmt: skip
-                if resume:  # what an earlier run made from other files
+                if resume:  # outdated results of an earlier run
                     for file in saved_files(folder / place):
                         file.unlink(missing_ok=True)
         self.remove_unfinished()
@@ -87,37 +86,37 @@ class Results:
         write_records(prints, [self._lines[name] for name in self.records if name in self._lines])
 
     def place(self, instance: Instance) -> Path:
-        """Where the table and the plan of an instance belong, without their endings."""
+        """Return the path of an instance's table and plan, without their file endings."""
         return self._folder / self._lines[key(instance)]["place"]
 
     def add(self, record: SolveRecord, *, lasting: bool = True) -> None:
-        """Add a record, which takes the place of an earlier one of the instance.
+        """Add a record, which replaces an earlier one of the instance.
 
-        A later run keeps it if it is `lasting`: its table and plan have been saved.
+        A later run keeps the record only if it is `lasting`, that is, if its table and plan have been saved.
         """
         if not lasting:
             append_record(self._folder / RESULTS, record)
             return
         line = self._lines[_key_of(record)]
         line |= {"files": self._sizes(line), "record": _digest(record)}
-        append_record(self._folder / FINGERPRINTS, line)  # first: without it the record would not be kept
+        append_record(self._folder / FINGERPRINTS, line)  # first: a record without a fingerprint would not be kept
         append_record(self._folder / RESULTS, record)
         self.records[_key_of(record)] = record
 
     def finish(self, instances: Sequence[Instance]) -> None:
-        """Put the records into the order of the instances; those of other instances come last."""
+        """Sort the records in the order of the instances; records of other instances are last."""
         ordered = {key(instance): self.records[key(instance)] for instance in instances}
         write_records(self._folder / RESULTS, {**ordered, **self.records}.values())
         known = [self._lines[name] for name in {**ordered, **self.records} if name in self._lines]
         write_records(self._folder / FINGERPRINTS, known)
 
     def remove_unfinished(self) -> None:
-        """Remove what stopped processes have left half-written."""
+        """Remove temporary files that stopped processes have left."""
         remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
 
     def _holds(self, record: SolveRecord, line: dict[str, Any], current: str | None) -> bool:
         if begun_sweep(self._folder / line["place"]).exists():
-            return False  # it was solved on demand for lack of time, and the sweep can go on
+            return False  # it was solved on demand for lack of time; the sweep can continue
         is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
         return current is not None and all(line.get(name) == value for name, value in is_now.items())
 
@@ -127,7 +126,7 @@ class Results:
 
 
 def key(instance: Instance) -> Key:
-    """Return what tells an instance from others."""
+    """Return the identifier of an instance."""
     return str(instance.problem), str(instance.domain)
 
 
@@ -136,9 +135,9 @@ def _key_of(record: Mapping[str, Any]) -> Key:
 
 
 def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
-    """Name what the answer for an instance depends on; None if its files cannot be read.
+    """Return a hash of all that the result of an instance depends on; None if its files cannot be read.
 
-    Limits of time and memory are not among it: they decide whether there is an answer, not which.
+    Limits of time and memory are not included. They determine whether there is a result, but not the result.
     """
     try:
         files = fast_downward.digest(instance)
@@ -150,7 +149,7 @@ def fingerprint(instance: Instance, options: SolveOptions) -> str | None:
 
 @cache
 def _programs() -> str:
-    """Name the programs that find an answer: a search that was changed has another name without being given one."""
+    """Return a hash of the package's source files, so that a changed program recomputes its results."""
     found = hashlib.sha256()
     for file in sorted(Path(__file__).parents[1].rglob("*.py")):
         found.update(hashlib.sha256(file.read_bytes()).digest())
@@ -170,7 +169,7 @@ def _records(file: Path) -> list[SolveRecord]:
 
 
 def _is_record(record: Mapping[str, Any]) -> bool:
-    """Whether what stands in a file has the form of what `solve` wrote, so that it can be shown."""
+    """Whether a line has the form of a record of `solve`, so that it can be displayed."""
     error, plan = record.get("error", 0), record.get("plan", 0)
     return (
         all(isinstance(record.get(field), str) for field in ("instance", "domain", "status"))
@@ -183,7 +182,7 @@ def _is_record(record: Mapping[str, Any]) -> bool:
 
 
 def _free_place(instance: Instance, taken: set[str]) -> str:
-    """Give the path of an instance's files in the folder: its own path, with a number where that is taken."""
+    """Return the path for an instance's files in the folder: its own path, numbered if that is taken."""
     parts = [part for part in instance.problem.parts if part not in (instance.problem.anchor, "..")]
     place = str(Path(*parts).with_suffix(""))
     numbers = iter(range(2, len(taken) + 3))

@@ -1,7 +1,7 @@
-"""Many instances: in parallel, on this machine or on a cluster, resumable.
+"""Solving many instances in parallel, on this machine or on a cluster.
 
-`solve_batch` runs `solve_instance` on each and keeps what is finished in a folder of results: a record is added as
-soon as it is there. The records do not depend on where they were made.
+`solve_batch` runs `solve_instance` on each instance, and adds each record to a folder of results as soon as it is
+known. A run can be resumed. The records do not depend on where they were computed.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key
 from .solve_instance import SolveOptions, SolveRecord, solve_instance, unfinished, unsolved
 
-GRACE = 10.0  # seconds that a worker may take to end by itself after its time limit
+GRACE = 10.0
+"""Seconds that a worker may take to stop after its time limit, before it is killed."""
 
 TOLD = "told"
-"""What a worker reports when more is known of its instance than before."""
+"""Report of a worker that it has written a new intermediate record."""
 
 Work = tuple[Instance, Path | None, Path | None]
-"""An instance, the place of its table and plan, and the file for what is known of it meanwhile."""
+"""An instance, the path of its table and plan, and the file for its intermediate records."""
 
 
 def solve_batch(
@@ -43,43 +44,42 @@ def solve_batch(
     stages: Callable[..., None] | None = None,
     tell: Callable[[SolveRecord], None] | None = None,
 ) -> list[SolveRecord]:
-    """Solve many instances.
+    """Solve many instances, and return their records.
 
     Parameters
     ----------
     instances : sequence of Instance
     options : SolveOptions, optional
     out : Path, optional
-        A folder for `results.jsonl`, to which each record is added as soon as it is there, and for
-        tables and plans.
+        Folder for tables, plans and `results.jsonl`, to which each record is added as soon as it is known.
     jobs : int
-        Worker processes, at most; those that run share the machine's memory and processors.
+        Largest number of worker processes, which share the machine's memory and processors.
     resume : bool
-        Keep what the folder holds as solved or unsolvable and was made from the same files, and run the rest.
+        Whether valid records of solved and unsolvable instances are kept, so that only the others are run.
     scheduler : str, optional
         Address of a Dask scheduler whose workers solve the instances instead of processes of this machine. They
-        have to see the same files at the same paths, and run one thread each.
+        must see the same files at the same paths, and run one thread each.
     progress : callable, optional
-        Called with each record as it comes in.
+        Called with each final record.
     stages : callable, optional
-        Called, in a thread, with an instance and with what `solve_instance` calls its `progress` with.
+        Called in a thread with an instance and the arguments of `progress` in `solve_instance`.
     tell : callable, optional
-        Called, in a thread, with the record of what is known of an instance on which work goes on, whenever that is
-        more than before, and with the latest one of each where the work is interrupted; not of a cluster's.
+        Called in a thread with each new intermediate record of an instance that is not finished. If the run is
+        interrupted, it is called with the latest record of each. A cluster reports none.
 
     Returns
     -------
-    list of Record
-        In the order of `instances`.
+    list of SolveRecord
+        Records in the order of `instances`.
 
     Raises
     ------
     ResultsExistError
-        There are results in `out` already, and `resume` is not set.
+        `out` contains results, and `resume` is not set.
     DamagedFileError
-        What is in `out` is none of this program's.
+        The files in `out` are not results of this program.
     MissingExtraError
-        A cluster is asked for, and the extra `cluster` is not installed.
+        A scheduler is given, and the extra `cluster` is not installed.
     """
     options = options or SolveOptions()
     results = None if out is None else Results(out, instances, options, resume=resume)
@@ -105,13 +105,13 @@ def solve_batch(
 
         def hear(item: Work, what: str, *stage: Any) -> None:
             if what == TOLD:
-                with suppress(OSError):  # which the end of the instance will say, if it lasts
+                with suppress(OSError):  # a lasting fault is reported with the final record
                     ongoing.hear(item[0])
             elif stages is not None:
                 stages(item[0], what, *stage)
 
         if results is not None and scheduler is None:
-            at_the_end.callback(results.remove_unfinished)  # by workers that were stopped
+            at_the_end.callback(results.remove_unfinished)  # of workers that were stopped
         ways: dict[str, Any] = {"jobs": jobs, "scheduler": scheduler, "timeout": timeout, "hear": hear}
         coming = at_the_end.enter_context(closing(outcomes(_solve, work, (shared,), **ways)))
         try:
@@ -134,7 +134,7 @@ def solve_batch(
 
 
 def _shared(options: SolveOptions, jobs: int) -> SolveOptions:
-    """Share the machine between workers."""
+    """Return the options with the machine's memory and processors divided among the workers."""
     if jobs <= 1:
         return options
     memory = available_memory() / 1e6 / jobs
@@ -153,7 +153,7 @@ def _solve(work: Work, options: SolveOptions, progress: Progress) -> SolveRecord
             part = file.with_suffix(".part")
             part.write_text(json.dumps([record, saved]), encoding="utf-8")
             part.replace(file)
-            if saved != heard:  # otherwise only more states have been compared
+            if saved != heard:  # otherwise only the number of compared states has changed
                 progress(TOLD, 0, None)
             heard = saved
 
@@ -161,7 +161,7 @@ def _solve(work: Work, options: SolveOptions, progress: Progress) -> SolveRecord
 
 
 class _Ongoing:
-    """What is known of instances on which work goes on: each has a file for it, which its worker writes."""
+    """Intermediate records of unfinished instances, which each worker writes to a file."""
 
     def __init__(
         self,
@@ -173,14 +173,14 @@ class _Ongoing:
         self._folder, self._records, self._results, self._tell = folder, records, results, tell
         self._files: dict[Key, Path] = {}
         self._heard: dict[Key, SolveRecord] = {}
-        self._lock = threading.Lock()  # a thread hears of instances, another of their end
+        self._lock = threading.Lock()  # one thread receives reports, another final records
 
     def file(self, instance: Instance) -> Path:
-        """Name the file of an instance."""
+        """Return the file for an instance's intermediate records."""
         return self._files.setdefault(key(instance), self._folder / f"{len(self._files)}.json")
 
     def latest(self, instance: Instance) -> tuple[SolveRecord, bool] | None:
-        """Give what is known of an instance, and whether its table and plan are saved; None while nothing is."""
+        """Return the latest intermediate record, and whether table and plan are saved; None if there is no record."""
         try:
             record, saved = json.loads(self.file(instance).read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -188,7 +188,7 @@ class _Ongoing:
         return record, saved
 
     def hear(self, instance: Instance) -> None:
-        """Keep what is known of an instance, and pass it on."""
+        """Store the latest intermediate record of an instance, and report it."""
         with self._lock:
             latest = self.latest(instance)
             if latest is None or key(instance) in self._records or latest[0] == self._heard.get(key(instance)):
@@ -200,7 +200,7 @@ class _Ongoing:
             self._tell(latest[0])
 
     def end(self, instance: Instance, record: SolveRecord) -> None:
-        """Keep the record of an instance on which no work goes on."""
+        """Store the final record of an instance."""
         with self._lock:
             self._records[key(instance)] = record
             if self._results is not None:
@@ -210,7 +210,7 @@ class _Ongoing:
 def _ended(
     instance: Instance, error: Exception, options: SolveOptions, latest: tuple[SolveRecord, bool] | None
 ) -> SolveRecord:
-    """Give what is known of an instance whose worker has ended early."""
+    """Return the record of an instance whose worker ended early."""
     record = _unsolved(instance, error, options)
     if latest is None or record["status"] != "limit":
         return record
@@ -218,7 +218,7 @@ def _ended(
 
 
 def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> SolveRecord:
-    """Say why there is no result; a fault of this program stops one instance, not all."""
+    """Return the record for an exception of a worker. An internal error affects one instance only."""
     if isinstance(error, TimeoutError):
         return unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
     if isinstance(error, WorkerDiedError):

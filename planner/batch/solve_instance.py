@@ -1,8 +1,8 @@
-"""One instance, from its files to its record.
+"""Solving one instance, from its files to its record.
 
-`solve_instance` solves an instance within its limits of time and memory and describes the outcome; on request it
-saves the cost-to-go table as `.npz` and the plan. The records' fields are a contract that scripts depend on;
-`docs/commands.md` lists them.
+`solve_instance` solves an instance within limits of time and memory, and returns a record of the result. On request it
+saves the cost-to-go table as `.npz` and the plan. Scripts depend on the fields of the records, which `docs/commands.md`
+lists.
 """
 
 from __future__ import annotations
@@ -43,41 +43,41 @@ if TYPE_CHECKING:
 SolveRecord = dict[str, Any]
 
 SWEEP_SHARE = 0.75
-"""Share of an instance's time in which all states are to be swept; what is left is for the initial one alone."""
+"""Share of an instance's time for the sweep of all states. The rest is reserved for the initial state alone."""
 
 COMPARED = 20
-"""States that are compared with A*, unless a number is given."""
+"""Default number of states that are compared with A*. More detects more errors, and takes longer."""
 
 COMPARING_SHARE, LEAST = 0.25, 1.0
-"""Their comparison takes at most this share of the time that the search took, or so many seconds if that is more."""
+"""Limit of the default comparison: the first is a share of the search's time, the second a minimum in seconds."""
 
 COMPARISON = 300.0
-"""Seconds that the comparison of one state may take, whatever else is allowed."""
+"""Largest number of seconds for the comparison of one state, so that one hard state does not use up all the time."""
 
 SWEEPING = "solved on demand: the sweep had not ended"
 COMPARING = "the comparison with A* had not ended"
-"""Notes in the records of instances on which work goes on."""
+"""Notes in the records of unfinished instances."""
 
 DISK_IS_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @dataclass(frozen=True)
 class SolveOptions:
-    """How an instance is solved.
+    """Options for solving an instance.
 
     Attributes
     ----------
     time_limit : float or None
-        Seconds of wall-clock time for one instance.
+        Wall-clock seconds for one instance; None for no limit.
     memory_limit : float or None
-        MB for one instance.
+        Memory in MB for one instance; None for all available memory.
     max_states : int
-        A task with more states is solved on demand: from its initial state only.
+        Largest number of states that are swept. A larger task is solved from its initial state only.
     verify : int, optional
-        States that are compared with Fast Downward's A*, the initial one first, however long it takes within the
-        limits; none if 0. Unless given, they are as many of `COMPARED` as a part of the search's time allows.
+        Number of states compared with Fast Downward's A*, the initial state first, within the limits. By default, up to
+        `COMPARED` states are compared, in a share of the search's time.
     threads : int, optional
-        Threads of one instance's sweep.
+        Threads of the sweep; by default one per processor.
     """
 
     time_limit: float | None = None
@@ -88,11 +88,11 @@ class SolveOptions:
 
 
 COMPILING = "compiling"
-"""What is under way while code is compiled that is in no cache yet."""
+"""Stage that is reported while code is compiled that is not in the cache."""
 
 
 class _Phases:
-    """Seconds spent in each named phase, the deadline of all of them, and what has been told."""
+    """Time spent in each phase, the common deadline, and the latest intermediate record."""
 
     def __init__(
         self,
@@ -122,32 +122,32 @@ class _Phases:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.monotonic() - start
 
     def part(self, share: float) -> float | None:
-        """Give when a share of all the time is over."""
+        """Return the time, on the clock of `time.monotonic()`, at which a share of the total time is used up."""
         return None if self.deadline is None else self.start + share * (self.deadline - self.start)
 
     def left(self) -> float:
-        """Give how many seconds are left."""
+        """Return the number of seconds left."""
         return math.inf if self.deadline is None else self.deadline - time.monotonic()
 
     def limits(self) -> Limits:
         return Limits(None if self.deadline is None else max(0.01, self.left()), self.memory_mb)
 
     def tell(self, record: SolveRecord, *, saved: bool) -> None:
-        """Tell what is known by now."""
+        """Report an intermediate record."""
         self.told = self.measured(record)
         if self._tell is not None:
             self._tell(self.told, saved)
 
     def measured(self, record: SolveRecord) -> SolveRecord:
-        """Give a record with the time and the memory that it took."""
+        """Return the record with its times and peak memory."""
         seconds = {name: round(seconds, 6) for name, seconds in self.seconds.copy().items()}
         seconds["total"] = round(time.monotonic() - self.start, 6)
         return {**record, "seconds": seconds, "peak_memory_mb": round(peak_memory_mb(), 1)}
 
 
 def versions() -> dict[str, str]:
-    """Name the versions that a result depends on."""
-    import importlib.metadata  # takes its time
+    """Return the versions of the programs that a result depends on."""
+    import importlib.metadata  # slow to import
 
     packages = {"kitassist": "kitassist", "unified_planning": "unified-planning", "numpy": "numpy"}
     found = {key: importlib.metadata.version(package) for key, package in packages.items()}
@@ -155,7 +155,7 @@ def versions() -> dict[str, str]:
 
 
 def empty_record(instance: Instance, status: str, error: dict[str, Any] | None) -> SolveRecord:
-    """Give the record of an instance of which nothing is known."""
+    """Return a record without results."""
     return {
         "instance": str(instance.problem),
         "domain": str(instance.domain),
@@ -186,26 +186,25 @@ def solve_instance(
     tell: Callable[[SolveRecord, bool], None] | None = None,
     use: Callable[[Table], None] | None = None,
 ) -> SolveRecord:
-    """Solve one instance and describe the outcome.
+    """Solve one instance, and return its record.
 
-    Nothing is raised: what is wrong with the instance, or with its solution, stands in the record's
-    `status` and `error`. A table that contradicts Fast Downward and a plan that its validator rejects are
-    such errors.
+    Faults of the instance or of its solution are not raised. They are reported in the fields `status` and `error`. A
+    table that contradicts Fast Downward, and a plan that the validator rejects, are such faults.
 
     Parameters
     ----------
     instance : Instance
     options : SolveOptions, optional
     place : Path, optional
-        Where the cost-to-go table and the plan are saved, without their endings `.npz` and `.plan`.
+        Path for the cost-to-go table and the plan, without their endings `.npz` and `.plan`.
     progress : callable, optional
-        Called with what is under way, how much of it is done, and of how much; None where nobody knows.
+        Called with the stage, the number of items done, and their total (None if it is unknown).
     tell : callable, optional
-        Called, in a thread as well, with the record of what is known by now, and whether all is saved: with the cost
-        and the plan where they are there before all states are, and before and in the comparison of states with A*.
-        A later one takes the place of an earlier one, and the result that of all.
+        Called with an intermediate record, and whether the table and the plan are saved. The call may come from another
+        thread. It occurs when the plan is known before all states are, and before and during the comparison with A*.
+        Each record replaces the earlier ones.
     use : callable, optional
-        Called in the end with the table of all states, if they were swept; no limit is on its time.
+        Called at the end with the table of all states, if they were swept. Its time is not limited.
     """
     options = options or SolveOptions()
     phases = _Phases(options.time_limit, options.memory_limit, progress or (lambda *_: None), tell)
@@ -229,7 +228,7 @@ def solve_instance(
             raise
         record = _out_of_memory(instance, options)
     except OSError as error:
-        if error.errno == errno.ENOMEM:  # another program found no room to begin
+        if error.errno == errno.ENOMEM:  # no memory to start a subprocess
             record = _out_of_memory(instance, options)
         else:
             status = "limit" if error.errno in DISK_IS_FULL else "invalid"
@@ -244,7 +243,7 @@ def solve_instance(
 
 
 def unfinished(record: SolveRecord, why: str) -> SolveRecord:
-    """Give the record of what was known when the work on an instance ended early, with the reason."""
+    """Return an intermediate record as the final one, with the reason for the early end in its note."""
     return {**record, "note": f"{record['note']}; {why}"}
 
 
@@ -254,7 +253,7 @@ def _out_of_memory(instance: Instance, options: SolveOptions) -> SolveRecord:
 
 
 def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until_solved: ExitStack) -> Task:
-    """Ground an instance; while other programs are at it, load what is needed until it is solved."""
+    """Ground an instance. Meanwhile, load the compiled code that the search needs."""
     with phases.phase("translate", "reading"), ThreadPoolExecutor(1) as thread:
         grounding = thread.submit(ground, source, checker, phases.limits())
         from ..system.jit import compiling
@@ -262,23 +261,23 @@ def _grounded(source: Source, checker: ValidationProcess, phases: _Phases, until
         until_solved.enter_context(compiling(lambda: phases.progress(COMPILING, 0, None)))
         from ..costtogo.sweep import sweep
 
-        # The smallest of tasks, a switch, has the compiled code loaded; that takes longer than most tasks.
+        # Solving the smallest task, a switch, loads the compiled code, which takes longer than solving most tasks.
         switch = Variable("switch", ("Atom off()", "Atom on()"), -1), Operator(0, ((0, 0),), (Effect((), 0, 1),))
         sweep(Task(source.instance, switch[:1], ("(switch)",), (1,), switch[1:], (), (0,), ((0, 1),)))
         return grounding.result()
 
 
 class _Swept(NamedTuple):
-    """What could be swept.
+    """The result of the sweep.
 
     Attributes
     ----------
     known : Table, OnDemand or None
-        The cost-to-go of all states.
+        Provider of the cost-to-go of all states.
     table : Table or None
-        The states that were swept: all, or one of each orbit.
+        Table of the swept states: all states, or one canonical state of each orbit.
     why : str or None
-        Why not all of them were.
+        The reason why not all states were swept.
     """
 
     known: Table | OnDemand | None
@@ -300,7 +299,7 @@ def _solve(
         found = {"method": "on-demand", "verified": 1, "note": _joined(task.note, SWEEPING)}
         phases.tell(empty_record(task.instance, "solved", None) | _outcome(*answer) | found, saved=False)
 
-    # Only now is memory limited: loading libraries maps far more than is ever used.
+    # Memory is limited only now, since imported libraries map far more memory than they use.
     with Early(task, phases.limits(), answered) as early, memory_limit(options.memory_limit):
         swept = _Swept(None, None, None)
         if not task.decided_by_translator:
@@ -324,7 +323,7 @@ def _solve(
 
 
 def _sweep(task: Task, options: SolveOptions, place: Path | None, phases: _Phases, early: Early) -> _Swept:
-    """Look for the cost-to-go of all states, or of one of each orbit."""
+    """Compute the cost-to-go of all states, or of one canonical state of each orbit."""
     from ..costtogo.portfolio import cost_to_go
     from ..costtogo.table import Table
 
@@ -351,14 +350,14 @@ def _sweep(task: Task, options: SolveOptions, place: Path | None, phases: _Phase
 
 
 def _found(task: Task, swept: _Swept, early: Early, options: SolveOptions, phases: _Phases) -> SolveRecord:
-    """Give the record of what has been found, compared with what costs no time.
+    """Return the record of the results, after the checks that take little time.
 
     Raises
     ------
     MismatchError
-        Table, A* and plan contradict each other.
+        The table, A* and the plan contradict each other.
     LimitError
-        Nothing was swept, and A* has found nothing.
+        Neither the sweep nor A* has found a solution.
     """
     record = empty_record(task.instance, "solved", None)
     known, table, why = swept
@@ -413,7 +412,7 @@ def _joined(*notes: str | None) -> str | None:
 
 
 def _save(place: Path, task: Task, table: Table | None, plan: list[str] | None, phases: _Phases) -> None:
-    """Save the table of all states and the plan, if there are any."""
+    """Save the table of all states and the plan, if they exist."""
     table_file, plan_file = saved_files(place)
     with phases.phase("save", "saving"):
         if table is not None:
@@ -425,7 +424,7 @@ def _save(place: Path, task: Task, table: Table | None, plan: list[str] | None, 
 
 
 def _allowed(table: Table, options: SolveOptions, phases: _Phases) -> tuple[int, float]:
-    """Say how many states of a table are to be compared, and in how many seconds."""
+    """Return how many states of a table to compare, and the seconds for it."""
     if options.verify is not None:
         return min(options.verify, len(table)), phases.left()
     seconds = max(LEAST, COMPARING_SHARE * phases.seconds["search"]) - phases.seconds.get("verify", 0.0)
@@ -433,7 +432,7 @@ def _allowed(table: Table, options: SolveOptions, phases: _Phases) -> tuple[int,
 
 
 def _compare(table: Table, options: SolveOptions, phases: _Phases, record: SolveRecord, answer: Answer | None) -> None:
-    """Compare states of a table with A*; note in the record how many."""
+    """Compare states of a table with A*, and store their number in the record."""
     import numpy as np
 
     from ..costtogo.verification import verify
@@ -452,7 +451,7 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
         record["verified"] = verify(
             table, count, np.random.default_rng(0), seconds=seconds,
             limits=Limits(COMPARISON if each is None else min(COMPARISON, each), options.memory_limit),
-            # Each search may take the memory that is allowed.
+            # Each search may use all the allowed memory.
             jobs=1 if options.memory_limit is not None else options.threads or processors(),
             known={} if answer is None else {table.initial: answer[0]},
             progress=compared,
@@ -460,7 +459,7 @@ def _compare(table: Table, options: SolveOptions, phases: _Phases, record: Solve
 
 
 def unsolved(instance: Instance, status: str, message: str) -> SolveRecord:
-    """Give the record of an instance that was not solved, with the reason."""
+    """Return the record of an instance that was not solved, with the reason."""
     return empty_record(instance, status, _error(instance.problem, None, message))
 
 
@@ -469,17 +468,17 @@ def _error(file: Path, line: int | None, message: str) -> dict[str, Any]:
 
 
 def saved_files(place: Path) -> tuple[Path, Path]:
-    """Name the files of an instance's table and plan."""
+    """Return the files of an instance's table and plan."""
     return place.with_name(f"{place.name}.npz"), place.with_name(f"{place.name}.plan")
 
 
 def begun_sweep(place: Path) -> Path:
-    """Return the file of what a long sweep has found that is not over."""
+    """Return the checkpoint file of an unfinished sweep."""
     return place.with_name(f"{place.name}.sweep")
 
 
 def save_plan(file: Path, task: Task, plan: Sequence[str]) -> None:
-    """Save a plan in the planners' format: an action a line, then its cost in a comment."""
+    """Save a plan in the usual format: one action per line, then its cost in a comment."""
     unit = all(cost == 1 for cost in task.costs)
     text = (
         "".join(f"{action}\n" for action in plan)
