@@ -1,18 +1,18 @@
-"""The planner as an engine of unified-planning: optimal plans for problems that were built in Python.
+"""An engine of unified-planning that finds optimal plans for problems that were built in Python.
 
-One line registers it,
+It is registered by one line,
 
     unified_planning.environment.get_environment().factory.add_engine("kitassist", "planner.engine", "Engine")
 
-or two lines of a file `up.ini`, which unified-planning reads by itself from the working folder, those above it, and
-the user's home:
+or by two lines of a file `up.ini`, which unified-planning reads from the working folder, its parent folders, and the
+user's home:
 
     [engine kitassist]
     module_name: planner.engine
     class_name: Engine
 
-Then `OneshotPlanner(name="kitassist")` finds plans that are proven to be optimal: of the least cost where the problem
-asks for that, else of the fewest actions.
+Then `OneshotPlanner(name="kitassist")` finds plans that are proven to be optimal: of least cost if the problem
+minimises costs, else with the fewest actions.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ KIND = {
     "quality_metrics": ("ACTIONS_COST", "PLAN_LENGTH"),
     "actions_cost_kind": ("STATIC_FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST"),
 }  # fmt: skip
-"""What of unified-planning's features there is, by kind: classical planning with action costs."""
+"""Supported features of unified-planning problems, by kind: classical planning with action costs."""
 
 
 class Engine(engines.Engine, OneshotPlannerMixin):
-    """A one-shot planner whose plans are optimal.
+    """A one-shot planner for optimal plans.
 
-    What its results say, `SOLVED_OPTIMALLY` or `UNSOLVABLE_PROVEN`, is proven; with `TIMEOUT` and `MEMOUT` nothing is
-    known, and `UNSUPPORTED_PROBLEM` says that the problem cannot be written in PDDL, or read by Fast Downward.
+    The results `SOLVED_OPTIMALLY` and `UNSOLVABLE_PROVEN` are proven. With `TIMEOUT` and `MEMOUT` nothing is known.
+    `UNSUPPORTED_PROBLEM` means that the problem cannot be written in PDDL, or not be read by Fast Downward.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -74,12 +74,12 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     @property
     def name(self) -> str:
-        """As it is registered."""
+        """Name under which the engine is registered."""
         return "kitassist"
 
     @staticmethod
     def supported_kind() -> ProblemKind:
-        """Give the features that it supports."""
+        """Return the supported features."""
         kind = ProblemKind(version=2)
         for what, features in KIND.items():
             for feature in features:
@@ -88,18 +88,18 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     @staticmethod
     def supports(problem_kind: ProblemKind) -> bool:
-        """Tell whether it supports all features of a problem: one metric at most, and whole numbers as costs."""
+        """Return whether all features of a problem are supported: at most one metric, and integer costs."""
         metrics = problem_kind.features & set(KIND["quality_metrics"])
         return bool(problem_kind <= Engine.supported_kind()) and len(metrics) < 2
 
     @staticmethod
-    def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:  # noqa: ARG004  each there is
-        """Tell whether plans are as good as that: they are optimal."""
+    def satisfies(optimality_guarantee: OptimalityGuarantee) -> bool:  # noqa: ARG004  every guarantee holds
+        """Return whether plans have the given guarantee: always, since they are optimal."""
         return True
 
     @staticmethod
     def get_credits(**_: Any) -> Credits:
-        """Say whose work it is."""
+        """Return the authors and the licence."""
         what = "Optimal plans, and the exact cost-to-go of every state, for assistance in task planning."
         return Credits(
             "kitassist", "the authors of kitassist", "", "", "Apache-2.0", what, f"{what} Runs Fast Downward."
@@ -141,7 +141,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
 
 def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
-    """Find an optimal plan; None where there is none.
+    """Return an optimal plan; None if there is no plan.
 
     A task whose costs are too large for Fast Downward is swept.
 
@@ -149,7 +149,7 @@ def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
     ----------
     task : Task
     left : callable
-        Gives what time is left.
+        Returns the limits with the remaining time.
     """
     try:
         return astar(task, limits=left())[1]
@@ -160,13 +160,13 @@ def cheapest_plan(task: Task, left: Callable[[], Limits]) -> list[str] | None:
 
 
 def read_plan(problem: Problem, plan: list[str]) -> SequentialPlan:
-    """Give a plan, `(name argument ...)` each, as unified-planning has it.
+    """Return a plan, ground actions as `(name argument ...)`, as a plan of unified-planning.
 
     Parameters
     ----------
     problem : Problem
     plan : list of str
-        In the names of the problem; those that could not be written so are in its PDDL's.
+        Ground actions, with the problem's own names, or else the names in its PDDL files.
     """
     own = {item.name: item for item in (*problem.actions, *problem.all_objects)}
     written: dict[str, Any] = {}
