@@ -58,7 +58,7 @@ ROOMS = {
         page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common task population person travel team policies live log",
+    "assist.cli.options": "common task population person travel team policies help live log",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
         people_estimates""",
     "assist.cli": """domains solve simulate policy bound export draw fit study user_study serve study_report

@@ -6,10 +6,14 @@ import errno
 import json
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, write_instance
 
+from assist.cli import main
+from assist.cli.command_group import COMMANDS
+from assist.cli.options.help import GROUPS
 from planner import Packing, Table, load
 from planner.batch.solve_instance import LEAST, SolveOptions, solve_instance
 from planner.pddl.validation import read, validate
@@ -269,3 +273,18 @@ def test_every_shipped_instance_is_described() -> None:
             assert problem.name in readme.read_text(), (
                 f"{problem.relative_to(ROOT)} is not in {readme.relative_to(ROOT)}"
             )
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_shows_an_example_and_every_option_in_a_group(name: str) -> None:
+    text = invoke(name, "--help").output
+    assert f"Example: kitassist {name}" in text
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    options = [option for option in command.params if isinstance(option, click.Option)]
+    grouped = {option for group in GROUPS.values() for option in group}
+    for option in options:
+        assert option.opts[0] in grouped
+        assert option.help
+        assert option.opts[0] in text
+    assert text.count("\n") < 110

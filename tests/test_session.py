@@ -375,7 +375,7 @@ def test_only_one_process_has_it_and_only_with_the_same_tasks_and_settings(
 ) -> None:
     session = opened()
     file = tmp_path / "journal.jsonl"
-    with pytest.raises(ResultsExistError, match="a session that runs"):
+    with pytest.raises(ResultsExistError, match="in use by a running session"):
         Session(fixed, file)
     session.join("ann")
     session.close()

@@ -13,25 +13,28 @@ from planner.batch.solve_instance import versions
 from planner.system.progress import stages
 
 from .options.common import JOBS, gap_option, instance_argument, json_option, seconds_option
+from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
 from .terminal.console import print_json, print_table
 
 
-@click.command()
+@command("bound kitting/paper --humans 4 --policy priority")
 @instance_argument
-@policy_option("Team policy; repeat it to certify several with the same bound.")
+@policy_option("Repeat it to certify several against the same bound.")
 @click.option(
     "--episodes", type=click.IntRange(2, 10**8), default=20_000, show_default=True,
-    help="From which its value is estimated.",
+    help="Simulated episodes that estimate each policy's value.",
 )  # fmt: skip
 @gap_option("Relative gap to which each person's problem is solved.")
-@seconds_option("Seconds for all of it; what has been proven by then is reported.", default=300.0)
+@seconds_option("Seconds for the whole computation. The bound proven by then is reported.", default=300.0)
 @click.option(
     "--paths", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Sample so many paths (at least 30) for a tighter bound, with a confidence of 95 %.",
+    help="Number of sample paths for a tighter bound (95 % confidence, at least 30 paths).",
 )  # fmt: skip
-@click.option("--jobs", type=JOBS, help="Problems solved at a time; as many as processors unless given.")
+@click.option(
+    "--jobs", type=JOBS, help="Number of problems solved at the same time. One for each processor unless given."
+)
 @team_options
 @json_option
 def bound(

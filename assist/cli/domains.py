@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-import click
 from rich.table import Table
 
 from planner.pddl.bundled import listed
 
 from .options.common import json_option
+from .options.help import command
 from .terminal.console import print_json, print_table
 
 
-@click.command()
+@command("domains")
 @json_option
 def domains(as_json: bool) -> None:
     """List the tasks that come with the package; every command takes their names."""

@@ -10,19 +10,22 @@ from planner import load
 from planner.system.files import each_record
 
 from .options.common import INPUT_FILE, OUTPUT_FILE, domain_option, instance_argument, json_option
+from .options.help import command
 from .options.task import one_instance
 from .terminal.console import EXIT_FAILED, fail, print_json
 
 
-@click.command()
+@command("draw kitting/tiny --out tiny.svg")
 @instance_argument
 @domain_option
-@click.option("--state", type=INPUT_FILE, help="A state: the facts that hold, as PDDL or a JSON list.")
-@click.option("--plan", type=INPUT_FILE, help="A plan: an action a line, as `solve --out` writes it.")
-@click.option("--trace", type=INPUT_FILE, help="Actions of people (JSON Lines), as `simulate --trace` writes them.")
-@click.option("--episode", metavar="E", help="Which episode of the trace; its first unless given.")
-@click.option("--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="About, in pixels.")
-@click.option("--out", type=OUTPUT_FILE, required=True, help="The file to write: .svg, .png, .gif or .html.")
+@click.option("--state", type=INPUT_FILE, help="State to draw: the facts that hold, as PDDL or a JSON list.")
+@click.option("--plan", type=INPUT_FILE, help="Plan to draw, one action per line, as `solve --out` writes it.")
+@click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as `simulate --trace` writes it.")
+@click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
+@click.option(
+    "--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="Approximate width in pixels."
+)
+@click.option("--out", type=OUTPUT_FILE, required=True, help="Output file: .svg, .png, .gif or .html.")
 @json_option
 def draw(
     instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,

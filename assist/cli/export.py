@@ -10,18 +10,19 @@ import click
 from planner import Table
 
 from .options.common import OUTPUT_FILE, instance_argument
+from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import table_of
 from .terminal.console import EXIT_FAILED, fail, one_line_errors, print_json
 
 
-@click.command()
+@command("export kitting/tiny --out tiny.pomdpx")
 @instance_argument
 @click.option(
     "--format", "form", type=click.Choice(["pomdpx", "pomdp"]), default="pomdpx", show_default=True,
-    help="POMDPX with mixed observability, or the flat format, for small tasks.",
+    help="POMDPX with mixed observability, or the flat POMDP format for small tasks.",
 )  # fmt: skip
-@click.option("--out", type=OUTPUT_FILE, required=True, help="The file to write.")
+@click.option("--out", type=OUTPUT_FILE, required=True, help="Output file.")
 @person_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
 def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:

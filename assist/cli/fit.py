@@ -17,25 +17,26 @@ from .options.common import (
     instance_argument,
     separate_files,
 )
+from .options.help import command
 from .options.log import log_options, people_of, replayed
 from .options.task import one_instance
 from .output.people_estimates import show_comparison, show_people
 from .terminal.console import EXIT_FAILED, one_line_errors
 
 
-@click.command()
+@command("fit kitting/paper log.csv --out people.jsonl")
 @instance_argument
 @click.argument("file", metavar="LOG", type=INPUT_FILE)
-@click.option("--out", type=OUTPUT_FILE, help="Write a record of each person (JSON Lines).")
+@click.option("--out", type=OUTPUT_FILE, help="Write one record per person (JSON Lines).")
 @click.option(
     "--population", type=OUTPUT_FILE,
-    help="Write the distribution of beta and theta over people, for `simulate --population`.",
+    help="Write the distribution of expertise (beta) and influence (theta), for `simulate --population`.",
 )  # fmt: skip
 @click.option(
     "--family", type=click.Choice(["uniform", "log-uniform", "log-normal", "histogram"]),
-    help="Of beta's distribution over people; the parametric one that fits best unless given.",
+    help="Family of the distribution of expertise (beta) over people. The best-fitting parametric one unless given.",
 )  # fmt: skip
-@click.option("--figures", type=OUTPUT_FOLDER, help="Draw into this folder.")
+@click.option("--figures", type=OUTPUT_FOLDER, help="Folder for figures.")
 @domain_option
 @log_options
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")

@@ -22,13 +22,14 @@ from .options.common import (
     region_states_option,
     seconds_option,
 )
+from .options.help import command
 from .options.person import person_options, person_problem
 from .options.task import costs_of
 from .output.person_bounds import line_of, show_bounds
 from .terminal.console import one_line_errors, print_json
 
 
-@click.command()
+@command("policy kitting/tiny --gap 0.01")
 @instance_argument
 @gap_option("Stop when (upper - lower) / |lower| is at most this.")
 @seconds_option("Seconds for the search.", default=60.0)

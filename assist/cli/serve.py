@@ -12,6 +12,7 @@ import click
 from planner.system.errors import DamagedFileError, ResultsExistError
 
 from .options.common import INPUT_FILE
+from .options.help import command
 from .options.live import live_options, plan_of
 from .options.policies import policy_errors
 from .user_study import PORT, conduct, listen, live_server, public_url_option
@@ -20,12 +21,20 @@ if TYPE_CHECKING:
     from ..web.tokens import AccessTokens
 
 
-@click.command()
+@command("serve kitting/paper --humans 4 --simulate 3")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1)
-@click.option("--study", type=INPUT_FILE, metavar="FILE.toml", help="A user study in place of tasks and a team.")
-@click.option("--rehearse", type=click.IntRange(1, 1000), metavar="N", help="N simulated people take part in it.")
-@click.option("--port", type=click.IntRange(0, 65535), help=f"0 for any.  [default: {PORT}, or another if it is taken]")
-@click.option("--host", default="127.0.0.1", show_default=True, help="Where to listen; 0.0.0.0 for all networks.")
+@click.option(
+    "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study, in place of tasks and a team."
+)
+@click.option(
+    "--rehearse", type=click.IntRange(1, 1000), metavar="N", help="Rehearse the study with N simulated participants."
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    help=f"Port to listen on; 0 for any free one.  [default: {PORT}, or another if it is taken]",
+)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all networks.")
 @public_url_option
 @live_options
 def serve(

@@ -1,4 +1,4 @@
-"""The command `simulate`: team policies compared on the same people and luck."""
+"""The command `simulate`: team policies compared on the same people and random numbers."""
 
 from __future__ import annotations
 
@@ -13,23 +13,30 @@ from planner.system import files
 from planner.system.progress import stages
 
 from .options.common import OUTPUT_FILE, instance_argument, json_option, separate_files
+from .options.help import command
 from .options.policies import policies_of, policy_errors, policy_option
 from .options.team import team_of, team_options
 from .terminal.console import print_json
 
 
-@click.command()
+@command("simulate kitting/paper --humans 4 --policy none --policy attention")
 @instance_argument
-@policy_option("Team policy; repeat it to compare several on the same people and luck.")
-@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True)
+@policy_option("Repeat it to compare several on the same people and random numbers.")
+@click.option("--episodes", type=click.IntRange(min=1), default=100, show_default=True, help="Number of episodes.")
 @click.option(
     "--pool", "size", type=click.IntRange(min=1),
-    help="People from whom teams are drawn.  [default: 12, or K if larger]",
+    help="Number of people from whom teams are drawn.  [default: 12, or K if larger]",
 )  # fmt: skip
-@click.option("--out", type=OUTPUT_FILE, help="Write a record of each episode (JSON Lines).")
+@click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
 @click.option("--figure", type=OUTPUT_FILE, help="Draw an episode in which the last policy saved actions (.png, .svg).")
-@click.option("--max-steps", type=click.IntRange(min=1), default=500, show_default=True, help="Cut an episode off.")
+@click.option(
+    "--max-steps",
+    type=click.IntRange(min=1),
+    default=500,
+    show_default=True,
+    help="Steps after which an episode is cut off.",
+)
 @team_options
 @json_option
 def simulate(

@@ -14,25 +14,26 @@ from planner.batch.solve_batch import solve_batch
 from planner.batch.solve_instance import SolveOptions
 
 from .options.common import JOBS, OUTPUT_FOLDER, domain_option, max_states_option, megabytes_option, seconds_option
+from .options.help import command
 from .output.solve_progress import solving
 from .output.solve_records import Answers
 from .terminal.console import EXIT_FAILED, one_line_errors
 
 
-@click.command()
+@command("solve kitting --out results")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1, required=True)
 @domain_option
 @click.option("--out", type=OUTPUT_FOLDER, help="Folder for results.jsonl, tables and plans.")
-@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
+@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
 @seconds_option("Seconds for each instance.")
 @megabytes_option("Memory for each instance.")
 @max_states_option("Solve only the initial state of a larger task.")
 @click.option(
     "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
-    help="States to compare with Fast Downward's A*, however long it takes.",
+    help="Number of states compared with Fast Downward's A*, however long it takes.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
-@click.option("--resume", is_flag=True, help="Keep what --out holds of the same files.")
+@click.option("--resume", is_flag=True, help="Keep finished results in --out and solve the rest.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def solve(
     instances: tuple[str, ...],

@@ -11,24 +11,28 @@ from rich.table import Table
 from planner.system.progress import stages
 
 from .options.common import JOBS, OUTPUT_FOLDER
+from .options.help import command
 from .terminal.console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, print_json, print_table
 
 
-@click.command()
+@command("study --out study")
 @click.option(
     "--protocol", default="paper", show_default=True, metavar="NAME|FILE.toml",
-    help="A study that comes with the package, or a file of your own.",
+    help="Name of a bundled study, or your own file.",
 )  # fmt: skip
 @click.option(
-    "--repeats", type=click.IntRange(min=1), metavar="N", help="Pools of people; as the study says unless given."
+    "--repeats",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Number of pools of people. As in the study's file unless given.",
 )
-@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Worker processes.")
+@click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`).")
 @click.option(
     "--out", type=OUTPUT_FOLDER, required=True,
     help="Folder for episodes, summary, figures and report.",
 )  # fmt: skip
-@click.option("--resume", is_flag=True, help="Keep what --out holds of this study, and run the rest.")
+@click.option("--resume", is_flag=True, help="Keep finished parts in --out and run the rest.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
 def study(
     protocol: str, repeats: int | None, jobs: int, scheduler: str | None, out: Path, resume: bool, as_json: bool

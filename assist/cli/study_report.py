@@ -8,12 +8,13 @@ import click
 from rich.table import Table
 
 from .options.common import OUTPUT_FOLDER, json_option
+from .options.help import command
 from .terminal.console import EXIT_FAILED, fail, print_json, print_table
 
 
-@click.command("study-report")
+@command("study-report data", "study-report")
 @click.argument("folder", metavar="DIR", type=click.Path(exists=True, path_type=Path))
-@click.option("--out", type=OUTPUT_FOLDER, metavar="DIR", help="Where to; `report` within DIR unless given.")
+@click.option("--out", type=OUTPUT_FOLDER, metavar="DIR", help="Output folder. `report` within DIR unless given.")
 @json_option
 def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
     """Report on a user study: means, differences and effects of conditions, questionnaires, dropouts.

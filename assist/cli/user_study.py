@@ -55,7 +55,7 @@ def _public_address(_context: click.Context, _option: click.Parameter, given: st
 
 public_url_option = click.option(
     "--public-url", callback=_public_address, metavar="URL",
-    help="Where people reach the service through a proxy, such as https://host.example/kits.",
+    help="Address of the service behind a proxy, such as https://host.example/kits.",
 )  # fmt: skip
 
 

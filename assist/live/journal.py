@@ -59,7 +59,7 @@ class Journal:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise ResultsExistError(
-                f"{self.file}: a session that runs is kept there; expected another folder"
+                f"{self.file}: the folder is in use by a running session; expected another folder"
             ) from None
 
     def _whole(self) -> int:

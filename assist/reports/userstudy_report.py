@@ -241,7 +241,7 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield table(["measure", "condition", f"minus {study.reference}", "Hedges' g", "shown"], rows)
     if summary["detectable"] is not None:
         yield (
-            "What would have been seen: with as many participants as in the smallest of these conditions, four of five "
+            "Sensitivity at 80 % power: with as many participants as in the smallest of these conditions, four of five "
             f"studies show a difference of g = {summary['detectable']:.2f} or more; a smaller one is likely missed."
         )
     else:

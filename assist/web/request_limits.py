@@ -96,7 +96,7 @@ class Guard:
             await refuse(send, 429, "too many requests; to be tried again later", retry_after=math.ceil(wait))
             return
         if scope["path"].startswith("/api/") and scope["path"] != "/api/health" and caller is None:
-            what = "this token is nobody's here" if token else "a token is missing"
+            what = "invalid token" if token else "a token is missing"
             await refuse(
                 send, 401, f"{what}; expected the header Authorization: Bearer, with the last part of the link"
             )

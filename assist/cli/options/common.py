@@ -129,7 +129,7 @@ def gap_option(text: str) -> Option[Any]:
 def seconds_option(text: str, default: float | None = None) -> Option[Any]:
     """Give the option that limits time; a limit there is only with a default."""
     return click.option(
-        "--time-limit", type=SECONDS, default=default, show_default=default is not None, metavar="S", help=text
+        "--time-limit", type=SECONDS, default=default, show_default=default is not None, metavar="SECONDS", help=text
     )
 
 
@@ -158,10 +158,16 @@ def lapse_option(text: str) -> Option[Any]:
 
 
 scale_option = click.option(
-    "--utility-scale", type=NUMBER, default=1.0, show_default=True, help="Cost units that change trust by eta."
+    "--utility-scale",
+    type=NUMBER,
+    default=1.0,
+    show_default=True,
+    help="Unit of utility in the trust update (cost units).",
 )
 instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
-    "--domain", type=click.Path(), help="Domain file; found beside the problem by its domain's name unless given."
+    "--domain",
+    type=click.Path(),
+    help="Domain file. Unless given, the file beside the problem that defines the problem's domain.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")

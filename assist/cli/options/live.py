@@ -13,7 +13,7 @@ from planner.batch.solve_instance import SolveOptions
 
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .person import model_options
-from .policies import PolicyName, policies_of
+from .policies import CHOICES, PolicyName, policies_of
 from .population import people_option, population_of, population_options
 from .task import costs_of
 from .travel import travel_of, travel_options
@@ -28,20 +28,43 @@ MOST = 10_000
 def live_options(command: Command) -> Command:
     """Add the options that say what session it is; `plan_of` takes them all."""
     options: tuple[Option[Any], ...] = (
-        click.option("--humans", type=click.IntRange(1, MOST), metavar="K", help="People in the team."),
-        click.option("--simulate", type=click.IntRange(min=0), default=0, metavar="N", help="Simulated among the K."),
-        click.option("--pace", type=SECONDS, default=3.0, show_default=True, help="Seconds in which those act once."),
-        click.option("--seed", type=SEED, default=0, show_default=True, help="From which those are drawn."),
-        click.option("--data", type=OUTPUT_FOLDER, metavar="DIR", help="Where the session is kept, and goes on from."),
-        click.option("--policy", type=PolicyName(), default="attention", show_default=True, help="Team policy."),
+        click.option("--humans", type=click.IntRange(1, MOST), metavar="K", help="Number of people in the team."),
         click.option(
-            "--tick", type=SECONDS, default=2.0, show_default=True, help="Idle seconds before deciding again."
+            "--simulate",
+            type=click.IntRange(min=0),
+            default=0,
+            metavar="N",
+            help="Number of simulated people among the K.",
+        ),
+        click.option(
+            "--pace",
+            type=SECONDS,
+            default=3.0,
+            show_default=True,
+            help="Mean seconds between actions of simulated people.",
+        ),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of simulated people."),
+        click.option(
+            "--data",
+            type=OUTPUT_FOLDER,
+            metavar="DIR",
+            help="Folder in which the session is stored. An existing session is resumed.",
+        ),
+        click.option(
+            "--policy", type=PolicyName(), default="attention", show_default=True, help=f"Team policy: {CHOICES}."
+        ),
+        click.option(
+            "--tick",
+            type=SECONDS,
+            default=2.0,
+            show_default=True,
+            help="Seconds without an event after which the robot decides again.",
         ),
         *model_options(),
         travel_options,
         population_options(),
         people_option,
-        range_option("--sigma", (0.1, 1.0), "Range of the size of simulated people's misconceptions."),
+        range_option("--sigma", (0.1, 1.0), "Range of the size of simulated people's misconceptions (sigma)."),
     )
     return with_options(command, options)
 

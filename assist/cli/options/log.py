@@ -44,54 +44,55 @@ def log_options(command: Command) -> Command:
     options: tuple[Option[Any], ...] = (
         click.option(
             "--misconception", "misconceptions", is_flag=True,
-            help="Also estimate sigma, and what people take for the cost-to-go.",
+            help="Also estimate misconceptions: their size (sigma) and the perceived cost-to-go.",
         ),
         click.option(
             "--terms", is_flag=True,
-            help="Also estimate what else than cost speaks for actions; everybody is taken for one of a population.",
+            help="Fit preferences besides cost (hierarchical model).",
         ),
         click.option(
             "--compare", is_flag=True,
-            help="Compare choice models instead: how well each predicts people whom it was not fitted to.",
+            help="Compare choice models by cross-validation over people.",
         ),
         click.option(
             "--folds", type=click.IntRange(2), default=8, show_default=True,
-            help="Groups of people that --compare leaves out in turn.",
+            help="Number of folds of --compare.",
         ),
         people_option,
-        click.option("--eta", type=NUMBER, help="Rate of the trust update where it is known; estimated unless given."),
+        click.option("--eta", type=NUMBER, help="Rate of the trust update (eta). Estimated unless given."),
         scale_option,
         lapse_option("Weight of a uniform choice."),
-        click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Of the intervals."),
+        click.option("--level", type=NUMBER, default=0.95, show_default=True, help="Confidence level of intervals."),
         click.option(
             "--largest-beta", type=NUMBER,
-            help="Where beta's range ends.  [default: 10, divided by the cost of the smallest possible mistake]",
+            help="Upper end of the range of expertise (beta).  [default: 10, divided by the cost of the smallest "
+                 "possible mistake]",
         ),
         click.option(
-            "--drop", multiple=True, metavar="ACTION", help="Leave out actions of this name, or with these arguments."
+            "--drop", multiple=True, metavar="ACTION", help="Ignore actions of this name, or with these arguments."
         ),
         click.option(
             "--rename", multiple=True, metavar="OLD=NEW",
-            help="What the log calls OLD the task calls NEW; may be repeated.",
+            help="Replace the name OLD in the log by NEW. May be repeated.",
         ),
         click.option(
             "--columns", multiple=True, metavar="NAME=COLUMN,...",
-            help="What the log calls its columns, such as person=worker,action=move.",
+            help="Names of the log's columns, such as person=worker,action=move.",
         ),
         click.option(
-            "--gaps", is_flag=True, help="Steps may skip numbers without a line missing, as the log counts otherwise."
+            "--gaps", is_flag=True, help="Accept gaps in step numbers. Otherwise a gap means that lines are missing."
         ),
         click.option(
-            "--strict", is_flag=True, help="Fit nothing if any line cannot be used, or if any state takes too long."
+            "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
         ),
         max_states_option("On a larger task evaluate only states that were visited, and their successors."),
         seconds_option("Seconds for each of these states."),
         click.option(
             "--cache", type=OUTPUT_FOLDER,
-            help="Folder where these states are kept.  [default: kitassist in the user's cache folder]",
+            help="Folder for the cost-to-go of solved states.  [default: kitassist in the user's cache folder]",
         ),
-        click.option("--jobs", type=JOBS, help="Processors to use; all unless given."),
-        click.option("--seed", type=SEED, default=0, show_default=True, help="Of the check of the model."),
+        click.option("--jobs", type=JOBS, help="Number of processors. All unless given."),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the model check."),
     )  # fmt: skip
     return with_options(command, options)
 

@@ -24,14 +24,23 @@ def model_options() -> tuple[Option[Any], ...]:
     """Give the options that say what the robot takes for granted, of a person or of a team."""
     return (
         domain_option,
-        click.option("--gamma", type=NUMBER, default=0.99, show_default=True, help="Discount factor per step."),
-        click.option("--c-suggest", type=NUMBER, default=1.0, show_default=True, help="Cost of a suggestion."),
-        click.option("--eta", type=NUMBER, default=0.2, show_default=True, help="Rate of the trust update."),
+        click.option("--gamma", type=NUMBER, default=0.99, show_default=True, help="Discount factor per step (gamma)."),
+        click.option(
+            "--c-suggest", type=NUMBER, default=1.0, show_default=True,
+            help="Cost of a suggestion (cost units).",
+        ),
+        click.option("--eta", type=NUMBER, default=0.2, show_default=True, help="Rate of the trust update (eta)."),
         scale_option,
         lapse_option("Weight of a uniform choice in the robot's model."),
-        click.option("--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True),
-        click.option("--execute", is_flag=True, help="The robot can also do such an action itself."),
-        click.option("--c-execute", type=NUMBER, default=1.0, show_default=True, help="What that costs."),
+        click.option(
+            "--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True,
+            help="Actions that the robot may suggest: optimal choices only, or all.",
+        ),
+        click.option("--execute", is_flag=True, help="The robot can also execute an action itself."),
+        click.option(
+            "--c-execute", type=NUMBER, default=1.0, show_default=True,
+            help="Cost of an action executed by the robot (cost units).",
+        ),
     )  # fmt: skip
 
 
@@ -43,9 +52,13 @@ def person_options(command: Command) -> Command:
         people_option,
         click.option(
             "--sigma", type=NUMBER, default=0.0, show_default=True,
-            help="Size of a misconception, drawn once and known to the robot; with 0 it knows the task only.",
+            help="Standard deviation of the person's misconception (sigma, cost units). The robot knows the "
+                 "misconception.",
         ),
-        click.option("--seed", type=SEED, default=0, show_default=True, help="Of the misconception."),
+        click.option(
+            "--seed", type=SEED, default=0, show_default=True,
+            help="Random seed of the person's misconception.",
+        ),
     )  # fmt: skip
     return with_options(command, options)
 

@@ -16,6 +16,9 @@ from ...team.state import PolicyError
 from ..terminal.console import EXIT_FAILED, fail
 from .common import Option
 
+CHOICES = f"{', '.join(POLICIES)}, or FILE.py:FUNCTION"
+"""Values of `--policy`, as the help shows them."""
+
 
 class PolicyName(click.ParamType):  # type: ignore[type-arg]
     """The name of a team policy, or the place of one's own."""
@@ -41,7 +44,7 @@ def policy_option(help_text: str) -> Option[Any]:
     """Give the option `--policy`, which may be repeated."""
     return click.option(
         "--policy", "names", type=PolicyName(), multiple=True, default=("attention",), show_default=True,
-        help=help_text,
+        help=f"Team policy: {CHOICES}. {help_text}",
     )  # fmt: skip
 
 

@@ -27,11 +27,11 @@ def population_options(whose: str = "people's", influence: str = "them") -> Call
 
     def add(command: Command) -> Command:
         options: tuple[Option[Any], ...] = (
-            range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise."),
-            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence}."),
+            range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise (beta)."),
+            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence} (theta)."),
             click.option(
                 "--population", "population_file", type=INPUT_FILE, metavar="FILE",
-                help="Draw people from what `fit --population` has written, in place of ranges.",
+                help="Draw people from a population that `fit --population` wrote, in place of ranges.",
             ),
         )  # fmt: skip
         return with_options(command, options)
@@ -41,7 +41,7 @@ def population_options(whose: str = "people's", influence: str = "them") -> Call
 
 people_option = click.option(
     "--people", metavar="FILE.py:FUNCTION",
-    help="How people choose, in place of by cost-to-go: a choice model of your own.",
+    help="Your own choice model, in place of choice by cost-to-go.",
 )  # fmt: skip
 
 

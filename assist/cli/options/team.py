@@ -38,26 +38,30 @@ if TYPE_CHECKING:
 def team_options(command: Command) -> Command:
     """Add the options that say what team it is; `team_of` takes them all."""
     options: tuple[Option[Any], ...] = (
-        click.option("--humans", type=click.IntRange(min=1), required=True, metavar="K", help="People in a team."),
-        click.option("--seed", type=SEED, default=0, show_default=True),
+        click.option(
+            "--humans", type=click.IntRange(min=1), required=True, metavar="K",
+            help="Number of people in a team.",
+        ),
+        click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed."),
         *model_options(),
         travel_options,
         click.option(
             "--knowledge", type=click.Choice(["own", "exact"]), default="own", show_default=True,
-            help="What the robot knows: everybody's perceived costs, or only the task (one policy for all).",
+            help="What the robot knows: each person's own perceived costs, or the exact costs only (one policy for "
+                 "all).",
         ),
         population_options(),
         people_option,
         click.option(
             "--prior", type=INPUT_FILE, metavar="FILE",
-            help="From whom the robot takes people to be drawn, as in --population; from those unless given.",
+            help="The robot's prior over people, as in --population. The true population unless given.",
         ),
-        range_option("--sigma", (0.1, 1.0), "Range of their misconception's size."),
+        range_option("--sigma", (0.1, 1.0), "Range of the size of people's misconceptions (sigma, cost units)."),
         megabytes_option("MB for policies.", default=4000.0),
         max_states_option("Ask for the cost-to-go of a larger task on demand."),
         region_states_option(
-            "Of a larger task work policies out on so many states, those that are met most likely. Of one of which "
-            "orbits were swept, unless given, on 3,000; of one that is asked on demand on 200."
+            "Size of the truncated problem used for policies on large tasks (states most likely to be visited). "
+            "Unless given, 3,000 where symmetries were used, and 200 where states are solved on demand."
         ),
     )  # fmt: skip
     return with_options(command, options)

@@ -18,11 +18,18 @@ if TYPE_CHECKING:
 def travel_options(command: Command) -> Command:
     """Add the options that say how far it is; two are of the setting, `travel_of` takes the third."""
     options: tuple[Option[Any], ...] = (
-        click.option("--c-move", type=NUMBER, default=0.5, show_default=True, help="Cost of a distance of 1."),
-        click.option("--travel-time", type=NUMBER, default=0.0, show_default=True, help="Steps for a distance of 1."),
+        click.option(
+            "--c-move", type=NUMBER, default=0.5, show_default=True,
+            help="Cost of moving a distance of 1 (cost units).",
+        ),
+        click.option(
+            "--travel-time", type=NUMBER, default=0.0, show_default=True,
+            help="Steps that a distance of 1 takes.",
+        ),
         click.option(
             "--distances", type=INPUT_FILE, metavar="FILE",
-            help="Distances between the K places and the base, which comes last (JSON list of lists); 1 unless given.",
+            help="Distances between the K places and the base, which comes last (JSON list of lists). All are 1 "
+                 "unless given.",
         ),
     )  # fmt: skip
     return with_options(command, options)

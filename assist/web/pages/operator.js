@@ -126,7 +126,7 @@ function show() {
   const { robot, people } = team;
   const there = people.filter((person) => person.present !== false);
   at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} done`;
-  at("pause").textContent = team.paused ? "Go on suggesting" : "Pause suggestions";
+  at("pause").textContent = team.paused ? "Resume suggestions" : "Pause suggestions";
   at("pause").setAttribute("aria-pressed", String(team.paused));
   at("where").textContent = robot.location ? `With ${robot.location}` : "At its base";
   const fault = team.fault ? `The policy fails, so nothing is suggested: ${team.fault}` : "";
@@ -134,7 +134,7 @@ function show() {
   at("fault").hidden = !fault;
   showTasks();
   if (team.paused) at("next").textContent = "Paused: nothing new is suggested.";
-  else if (!robot.person) at("next").textContent = "Nothing is worth saying to anybody right now.";
+  else if (!robot.person) at("next").textContent = "No useful suggestion right now.";
   else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
   else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
   at("why").textContent = !robot.reason || team.paused ? "" :

@@ -169,7 +169,7 @@ async def conduct(request: Request, token: str) -> Response:
 async def export_file(token: str, study: Study) -> Response:
     """Give the export to whoever has the operator's token."""
     if study.access.whose(token) != Caller(None):
-        raise HTTPException(403, "this link is nobody's here; expected it as it was given, to its last sign")
+        raise HTTPException(403, "unknown link; use the complete link")
     return await _archive(study)
 
 

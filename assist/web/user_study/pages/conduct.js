@@ -35,7 +35,7 @@ function remover(code) {
   made.setAttribute("aria-label", `Remove ${code}`);
   made.dataset.key = code;
   made.addEventListener("click", async () => {
-    if (!confirm(`Count ${code} as gone? They can come back if there is a place.`)) return;
+    if (!confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`)) return;
     try {
       await ask(`/api/team/people/${encodeURIComponent(code)}`, { method: "DELETE" });
       at("said").textContent = `${code} counts as gone.`;

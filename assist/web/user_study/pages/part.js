@@ -188,14 +188,14 @@ const STAGES = {
   instructions: () => text("What you will do", "instructions", ["Continue", null]),
   questionnaire,
   thanks: ends,
-  declined: () => plain("You do not take part", "Nothing more is recorded of you. You can close this page."),
+  declined: () => plain("You chose not to take part", "Nothing more is recorded about you. You can close this page."),
   withdrew: () => plain("You have left the study", "Thank you for the time that you gave. You can close this page."),
   gone: () => {
     plain("Welcome back", "You were away for a while. One moment, please.");
     send("return", {});
   },
   full: () => {
-    plain("All places are taken", "While you were away your place was given to somebody else. It may become free again: you can try.");
+    plain("The study is full", "While you were away, your session was reassigned. A place may become free again: you can try.");
     at("form").append(buttons(["Try again", null]));
     at("form").onsubmit = (event) => {
       event.preventDefault();

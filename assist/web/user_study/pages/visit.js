@@ -43,7 +43,7 @@ async function visit(id) {
       return await askJson("/api/study/seats", { method: "POST", body: { id } });
     } catch (error) {
       if (!passes(error)) throw error;
-      tell("The study is not reached. Trying again.");
+      tell("The study server cannot be reached. Trying again.");
       await wait(pause);
     }
   }
@@ -58,7 +58,7 @@ async function enter(id) {
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     if (error.status !== 409) tell(`This link does not lead to a study: ${error.message}.`);
-    else tell("All places are taken at the moment. Places become free again when somebody leaves: you can try again.", { begin: "Try again" });
+    else tell("The study is full at the moment. A place may become free when somebody leaves: you can try again.", { begin: "Try again" });
   }
 }
 

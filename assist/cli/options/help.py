@@ -1,0 +1,71 @@
+"""Help of the commands: an example, then the options in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import click
+from rich_click import RichCommand, RichHelpConfiguration
+from rich_click.rich_panel import RichOptionPanel
+
+from .policies import PolicyName
+
+GROUPS = {
+    "Task": ("--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format"),
+    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict"),
+    "People": (
+        "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--population", "--people",
+        "--prior", "--simulate", "--pace",
+    ),
+    "Estimates": ("--misconception", "--terms", "--compare", "--folds", "--family", "--level", "--largest-beta"),
+    "Robot": (
+        "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute", "--c-move",
+        "--travel-time", "--distances", "--lapse",
+    ),
+    "Service": ("--study", "--rehearse", "--port", "--host", "--public-url", "--tick", "--data"),
+    "Run": (
+        "--episodes", "--episode", "--repeats", "--max-steps", "--paths", "--gap", "--time-limit", "--memory-limit",
+        "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
+    ),
+    "Output": ("--out", "--trace", "--figure", "--figures", "--width", "--json", "--help"),
+}  # fmt: skip
+"""Options of all commands by what they are about, in the order in which the help shows them."""
+
+METAVARS: dict[type[click.ParamType[Any]], str] = {click.IntRange: "N", PolicyName: "POLICY"}
+"""What stands for a value in the help, where the type's own name is long."""
+
+LOOK = RichHelpConfiguration(
+    theme="nu",
+    enable_theme_env_var=False,
+    max_width=100,
+    options_table_column_types=["opt_all_metavar", "help"],
+    options_table_help_sections=["help", "default", "required"],
+)
+
+
+def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that makes a command; its help shows an example and groups the options.
+
+    Parameters
+    ----------
+    example : str
+        A call of the command, without the program's name.
+    name : str, optional
+        That of the function unless given.
+    """
+
+    def decorated(function: Callable[..., Any]) -> click.Command:
+        first, _, rest = (function.__doc__ or "").partition("\n\n")
+        made = click.command(
+            name,
+            cls=RichCommand,
+            help="\n\n".join(filter(None, (first, f"\b\nExample: kitassist {example}", rest))),
+            panels=[RichOptionPanel(title, options=list(options)) for title, options in GROUPS.items()],
+            context_settings={"rich_help_config": LOOK},
+        )(function)
+        for option in made.params:
+            option.metavar = option.metavar or METAVARS.get(type(option.type))
+        return made
+
+    return decorated
