@@ -66,15 +66,6 @@ ROOMS = {
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""
 
-LONGEST = 500
-"""Lines of a file."""
-
-COMMAND = 80
-"""Lines of a command."""
-
-LONGER = {"assist/person/hsvi.py"}
-"""The compiled search, which is one function to the compiler."""
-
 ORDER = [module for room, files in ROOMS.items() for module in (*(f"{room}.{file}" for file in files.split()), room)]
 ORDER.remove("planner")
 # With all that is in them.
@@ -156,18 +147,6 @@ def test_nothing_is_beside_the_rooms() -> None:
         files = {f"{file}.py" for file in ROOMS.get(folder, "").split()}
         beside = {file.name for file in (ROOT / folder).iterdir()} - {"__pycache__"}
         assert beside == {*rooms, *files, "__init__.py", "__init__.pyi", "py.typed"}
-
-
-def test_no_file_is_long() -> None:
-    files = [file for folder in ("planner", "assist", "tests", "bench") for file in (ROOT / folder).rglob("*.py")]
-    long = {str(file.relative_to(ROOT)) for file in files if len(file.read_text().splitlines()) > LONGEST}
-    assert long - LONGER == set()
-
-
-def test_commands_are_thin() -> None:
-    folder = ROOT / "assist" / "cli"
-    files = [folder / "__init__.py", *(folder / f"{name.replace('-', '_')}.py" for name in COMMANDS)]
-    assert [file.name for file in files if len(file.read_text().splitlines()) > COMMAND] == []
 
 
 def handed_on(package: str) -> list[tuple[str, str]]:
