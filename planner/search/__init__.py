@@ -1,1 +1,1 @@
-"""The compiled search through all reachable states. It can be skipped at a first reading."""
+"""The compiled search through all reachable states. Newcomers can skip it."""

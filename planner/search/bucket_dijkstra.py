@@ -1,7 +1,7 @@
-"""The distance of all reachable states from the goal: searches back from it, in the order of the distances.
+"""Distances of all reachable states from the goal, by a backward search in ascending order of distance.
 
-`BucketDijkstra` is for ranked states. It applies the inverse moves, so that no transition is stored, to a sorted block
-of ranks at a time, on several threads. `settled` is for states in a registry, whose transitions are stored.
+`BucketDijkstra` is for ranked states. It applies the inverse operators, so that no transitions are stored. It processes
+sorted blocks of ranks on several threads. `settled` is for states in a registry, whose transitions are stored.
 """
 
 from __future__ import annotations
@@ -29,23 +29,24 @@ from .ranked_index import RankedIndex
 from .successor_generator import STATES_AT_A_TIME
 
 MOST_CANDIDATES = 1 << 26
-"""Indices that are tried one by one as those of goal states."""
+"""Largest number of ranks that are tested one by one as goal states. Beyond it, all states are scanned."""
 
 CLOSED = 0.75
-"""Share of the memory that may be in use once the backward search has a bitmap of its own."""
+"""Share of the available memory up to which the backward search uses a bitmap of closed ranks. The bitmap saves time.
+"""
 
 
 @dataclass(frozen=True)
 class BucketDijkstra:
-    """The search back from the goal, on ranks: bucket Dijkstra (Dial 1969), or breadth first where all costs are equal.
+    """Backward search on ranks: bucket Dijkstra (Dial 1969), or breadth first if costs are equal and positive.
 
     Attributes
     ----------
     forward : ForwardSearch
-        It finds the states; its limits, threads and checkpoint are those of this search. Breadth-first searches keep
-        what they have found in the checkpoint.
-    operators : Tests
-        The inverse moves.
+        The search of the reachable states, whose limits, threads and checkpoint this search shares. Only breadth-first
+        searches write checkpoints.
+    operators : RankedOperators
+        The inverse operators.
     """
 
     forward: ForwardSearch
@@ -56,9 +57,9 @@ class BucketDijkstra:
         return self.forward.budget
 
     def solve(self, initial: int, goal: Sequence[Fact]) -> tuple[RankedIndex, int, NDArray[np.unsignedinteger]]:
-        """Return the reachable states, the number of their transitions, and the distance of each from the goal.
+        """Return the reachable states, the number of transitions, and the distance of each state from the goal.
 
-        The type's largest value marks dead ends.
+        The largest value of the distances' type marks dead ends.
         """
         checkpoint = self.forward.checkpoint
         kept = checkpoint.load("backward") if checkpoint else None
@@ -83,11 +84,11 @@ class BucketDijkstra:
         return index, transitions, distance
 
     def _with(self, index: RankedIndex, facts: Sequence[Fact]) -> Iterator[Ints]:
-        """Yield the ranks of the states in which facts hold, in blocks."""
+        """Yield, in blocks, the ranks of the states in which the facts hold."""
         coding, states, total = index.coding, index.states, len(index)
         blocks: Iterable[Ints] = index.blocks()
         candidates = coding.matching(facts, min(total, MOST_CANDIDATES))
-        if candidates is not None:  # fewer than there are states
+        if candidates is not None:  # at most as many as states
             numbers = np.empty(len(candidates), dtype=np.int64)
             ranked_states.numbers_of(states, candidates, numbers)
             blocks = [candidates[numbers >= 0]]
@@ -106,7 +107,7 @@ class BucketDijkstra:
         cost: int,
         so_far: tuple[NDArray[Any], int] | None = None,
     ) -> NDArray[Any]:
-        """Search breadth first, from the goal or from the frontier of the distance that a checkpoint has got to."""
+        """Compute the distances breadth first, from the goal or from the frontier in a checkpoint."""
         total = int(states.ranks[-1]) if len(states.bits) else len(states.members)
         dtype: type[np.unsignedinteger] = np.uint8
         in_use = sum(array.nbytes for array in states) + total
@@ -157,16 +158,16 @@ class BucketDijkstra:
         out: Ints,
         filled: int,
     ) -> tuple[int, int, int]:
-        """Give the states of a sorted block their distance, and push the predecessors that are not closed.
+        """Set the distance of the states of a sorted block, and push the predecessors that are not closed.
 
-        In this order, what is looked up of one state lies beside what is looked up of the next.
+        Since the block is sorted, memory accesses for consecutive states are close to each other.
         """
         if start == 0:
             ranked_states.label(states, distance, d, block)
         return expansion.expand_block(self.operators, self.forward.coding.decoder, closed, block, start, out, filled)
 
     def _closed(self, states: RankSet, distance: NDArray[Any], in_use: int) -> Words:
-        """Make the bitmap of the indices that the backward search need not look at; empty where memory is short."""
+        """Return the bitmap of ranks that the backward search can skip; an empty array if memory is short."""
         fits = in_use + states.bits.nbytes <= self._budget.room * CLOSED
         closed = np.empty(len(states.bits) if fits else 0, dtype=np.uint64)
         if len(closed):
@@ -174,7 +175,7 @@ class BucketDijkstra:
         return closed
 
     def _any_costs(self, states: RankSet, total: int, frontier: list[Ints], largest: int) -> NDArray[Any]:
-        """Settle the states in the order of their distance (Dial 1969), costs of zero included."""
+        """Settle the states in ascending order of distance (Dial 1969); costs may be zero."""
         work: type[np.unsignedinteger] = np.uint32 if largest * total < np.iinfo(np.uint32).max else np.uint64
         in_use = sum(array.nbytes for array in states) + total * (np.dtype(work).itemsize + 4)
         self._budget.check_memory(in_use)
@@ -191,7 +192,7 @@ class BucketDijkstra:
         self.forward.progress("cost-to-go", 0, None)
         waiting = {0: frontier} if frontier else {}
         order = [0] if frontier else []
-        held = sum(map(len, frontier))  # indices that wait
+        held = sum(map(len, frontier))  # ranks that are not yet settled
         while order:
             d = order[0]
             settling = waiting.pop(d, None)
@@ -239,9 +240,9 @@ class BucketDijkstra:
 
 
 def settled(task: Task, listing: ExploredGraph, budget: Budget, progress: Progress) -> NDArray[np.unsignedinteger]:
-    """Find the distance of all states from the goal, in the order of the distances (Dial 1969).
+    """Return the distance of all states from the goal, settled in ascending order (Dial 1969).
 
-    The type's largest value marks dead ends.
+    The largest value of the type marks dead ends.
     """
     states = len(listing.counts)
     progress("cost-to-go", 0, None)

@@ -1,7 +1,7 @@
-"""What a long sweep has found so far, in a file, so that another process can continue it.
+"""Checkpoints: the progress of a long sweep in a file, from which another process can continue.
 
-A checkpoint is a set of arrays and numbers. It belongs to one task whose states have certain indices, which its `key`
-identifies. A file that was cut off or changed is recognised by its digest, and not used.
+A checkpoint is a set of arrays and numbers. It belongs to one task and one ranking of its states, which its `key`
+identifies. A truncated or changed file is recognised by its digest, and not used.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from ..grounding.task import Task
 from ..system.files import atomic
 
 FORMAT = 2
-"""Raised where the searches, or the numbering of states, change."""
+"""Version of the file format. It must be raised when the searches or the numbering of states change."""
 
 EVERY = 600.0
-"""Seconds between two checkpoints."""
+"""Seconds between two checkpoints. Shorter loses less work at a crash, and writes more often."""
 
 DIGEST = hashlib.sha256().digest_size
-"""Bytes at the beginning of a file: the digest of all others."""
+"""Bytes of the digest at the beginning of a file, which covers all other bytes."""
 
 
 @dataclass
 class Checkpoint:
-    """Where a sweep keeps what it has found.
+    """The checkpoint file of a sweep.
 
     Attributes
     ----------
     file : Path
-        It is removed when the sweep is done.
+        The file, which is removed when the sweep is done.
     task : Task
     indices : iterable of arrays
-        They determine which state each index means.
+        Arrays that determine the state of each rank.
     last : float
-        When it was written, on `time.monotonic()`'s clock; first when the sweep began.
+        Time of the latest checkpoint on the clock of `time.monotonic()`; initially the start of the sweep.
     fault : str or None
-        Why a checkpoint could not be used, or not be written.
+        The reason if a checkpoint could not be used or written.
     """
 
     file: Path
@@ -56,7 +56,7 @@ class Checkpoint:
 
     @cached_property
     def key(self) -> str:
-        """A hash of the task and of what its indices mean."""
+        """Hash of the task and of the meaning of its ranks."""
         task = self.task
         what = (FORMAT, np.__version__, task.variables, task.operators, task.costs, task.initial, task.goal)
         found = hashlib.sha256(repr(what).encode())
@@ -66,11 +66,11 @@ class Checkpoint:
 
     @property
     def due(self) -> bool:
-        """Whether it is time for another one."""
+        """Whether the next checkpoint is due."""
         return time.monotonic() - self.last >= EVERY
 
     def save(self, stage: str, numbers: Mapping[str, int], arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write a checkpoint in place of the one before; the sweep can do without, where that fails."""
+        """Replace the checkpoint. If this fails, `fault` says so and the sweep continues."""
         about = {"key": self.key, "stage": stage, "numbers": dict(numbers), "arrays": list(arrays)}
         try:
             with atomic(self.file) as path, path.open("w+b") as stream:
@@ -86,7 +86,7 @@ class Checkpoint:
         self.last = time.monotonic()
 
     def load(self, stage: str) -> tuple[dict[str, int], dict[str, NDArray[Any]]] | None:
-        """Return the numbers and the arrays of a checkpoint of a stage; None if there is none that can be used."""
+        """Return the numbers and arrays of a checkpoint of the stage; None if there is no usable one."""
         if not self.file.is_file():
             return None
         with self.file.open("rb") as stream:
@@ -101,7 +101,7 @@ class Checkpoint:
             return about["numbers"], {name: np.load(stream, allow_pickle=False) for name in about["arrays"]}
 
     def remove(self) -> None:
-        """Remove the file: the sweep is done."""
+        """Remove the file when the sweep is done."""
         if self.file.is_file():
             try:
                 self.file.unlink()

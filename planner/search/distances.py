@@ -1,4 +1,4 @@
-"""Small arrays of distances, and the distances from a goal over stored transitions."""
+"""Arrays of distances in small integer types, and distances from a goal over stored transitions."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from ..states.packing import Ints
 
 UNREACHED = np.iinfo(np.int64).max
+"""Distance of states from which no goal state is reachable."""
 
 
 def smallest_type(largest: int) -> type[np.unsignedinteger]:
-    """Choose the type for distances; its own largest value is kept for dead ends."""
+    """Return the smallest type for distances up to `largest`; its own largest value is reserved for dead ends."""
     types: tuple[type[np.unsignedinteger], ...] = (np.uint8, np.uint16, np.uint32, np.uint64)
     return next(t for t in types if largest < np.iinfo(t).max)
 
 
 def compact(distance: Ints) -> NDArray[np.unsignedinteger]:
-    """Give distances in the smallest type that holds them, its largest value for `UNREACHED`."""
+    """Return distances in the smallest type; its largest value replaces `UNREACHED`."""
     finite = distance != UNREACHED
     dtype = smallest_type(int(distance[finite].max(initial=0)))
     result = np.full(len(distance), np.iinfo(dtype).max, dtype=dtype)
@@ -35,7 +36,7 @@ def backward(
     *,
     check: Callable[[int], None] = lambda _states: None,
 ) -> Ints:
-    """Compute the distance of every state to the goal states along given edges (Dijkstra 1959).
+    """Return the distance of every state to the goal states along the given edges (Dijkstra 1959).
 
     All states of one distance are settled at once.
 
@@ -50,7 +51,7 @@ def backward(
     Returns
     -------
     int64 array, shape (n,)
-        `UNREACHED` where there is no way.
+        `UNREACHED` where there is no path.
     """
     by_target = np.argsort(targets, kind="stable")
     into = np.concatenate([[0], np.cumsum(np.bincount(targets, minlength=len(goal)))])
@@ -63,7 +64,7 @@ def backward(
         check(len(goal))
         d = min(waiting)
         frontier = np.unique(np.concatenate(waiting.pop(d)))
-        frontier = frontier[distance[frontier] == d]  # the others are nearer, and have been settled
+        frontier = frontier[distance[frontier] == d]  # the others have a smaller distance, and are settled
         counts = into[frontier + 1] - into[frontier]
         starts = into[frontier] - np.concatenate([[0], np.cumsum(counts)[:-1]])
         rows = np.repeat(starts, counts) + np.arange(counts.sum())

@@ -1,10 +1,10 @@
 """The reachable states of a task, breadth first from the initial state.
 
-`ForwardSearch` works on ranks, a sorted block of a layer at a time, and keeps no transitions. `enumerated` does for
-every task: packed states are numbered as they are found, and what every action leads to is kept until the search back
-from the goal is done. It is for tasks with derived variables, with operators that split into very many moves, or whose
-ranks take too many bits. Blocks are expanded on several threads; their states are numbered in order, so that numbers do
-not depend on how many threads there are.
+`ForwardSearch` works on ranks. It expands sorted blocks of a layer, and stores no transitions. `enumerated` works for
+every task. It numbers packed states in the order of their discovery, and stores all transitions for the backward
+search. It serves tasks with derived variables, with operators that split into very many moves, or with too large ranks.
+Both expand blocks on several threads. `enumerated` numbers the results in order, so that the numbers do not depend on
+the number of threads.
 """
 
 from __future__ import annotations
@@ -36,38 +36,40 @@ from .state_registry import RegistryIndex, StateRegistry, _Growing
 from .successor_generator import STATES_AT_A_TIME, TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
 
 RANKS_AT_A_TIME = 1 << 16
-"""Ranks in one block of a frontier: the unit of work of a thread, and of the checks of limits."""
+"""Ranks in a block of the frontier, which is the unit of a thread's work and of checks of limits."""
 
 SMALL_BITMAP = 1 << 29
-"""Bits of a bitmap that is not worth avoiding (64 MB)."""
+"""Size in bits (64 MB) up to which a bitmap is always used if memory allows it."""
 
 SPARSE = 1 << 10
-"""Ranks per state from which on a larger bitmap gives way to a hash table; tasks with more are rare."""
+"""Ranks per state above which a larger bitmap is replaced by a hash table, which then needs less memory."""
 
 T = TypeVar("T")
 
 Push = Callable[[Ints, int, Ints, int], tuple[int, int, int]]
-"""Pushes the next states of a block: from its ranks, where to begin, the output and how much of it is in use, to
-how far it came, how much of the output is in use, and how many transitions there were."""
+"""Kernel that pushes the successors of a block.
+
+Arguments are the ranks, the first position, the output and its filled length. It returns the position reached, the
+filled length, and the number of transitions.
+"""
 
 
 @dataclass(frozen=True)
 class ForwardSearch:
-    """The breadth-first search for the reachable states of a task whose states are ranked, on several threads.
+    """Breadth-first search for the reachable states of a task with ranked states, on several threads.
 
-    The set of states is a bitmap over all ranks where that is small or well filled, a hash table of ranks where it is
-    not.
+    The set of states is a bitmap over all ranks if that is small or densely filled, otherwise a hash table of ranks.
 
     Attributes
     ----------
-    coding : Coding
-    operators : Tests
+    coding : StateRanking
+    operators : RankedOperators
     budget : Budget
     threads : int
     progress : callable
-        Called after each layer with "states", and how many states have been found.
+        Called after each layer with "states" and the number of states found.
     checkpoint : Checkpoint or None
-        Where searches of bitmaps keep what they have found.
+        Checkpoint of a search that uses a bitmap.
     """
 
     coding: StateRanking
@@ -126,7 +128,7 @@ class ForwardSearch:
         return states, transitions
 
     def ranked(self, bits: Words) -> RankSet:
-        """Return the set of states whose ranks are marked in a bitmap."""
+        """Return the set of states whose ranks are set in a bitmap."""
         self.budget.check_memory(bits.nbytes * 9 / 8)
         nothing = np.empty(0, dtype=np.int64)
         states = RankSet(bits, np.empty(len(bits) // 8 + 1, dtype=np.int64), nothing, nothing, nothing)
@@ -134,24 +136,24 @@ class ForwardSearch:
         return states
 
     def _bitmap_fits(self, words: int, found: int) -> bool:
-        """Whether the states are many enough for a bitmap, and the memory for one and its ranks."""
+        """Whether there are enough states for a bitmap, and enough memory for it and its counts."""
         bits = 64 * words
         return (bits <= SMALL_BITMAP or bits <= SPARSE * found) and 1.25 * bits / 8 <= self.budget.room
 
     def share(self, work: Callable[[Any], T], parts: Iterable[Any]) -> list[T]:
-        """Do a piece of work for each part, on all threads."""
+        """Apply a function to each part on all threads, and return the results in order."""
         return on_threads(work, parts, self.threads)
 
     def ascending(self, frontier: list[Ints], in_use: int) -> deque[Ints]:
-        """Put a layer into blocks of ascending indices; empties the list.
+        """Return a layer as blocks of ascending ranks; the given list is emptied.
 
-        In ascending order, each move's targets ascend as well: far fewer cache and page misses.
+        For ascending ranks, the targets of each operator ascend as well. This causes far fewer cache and page misses.
         """
         if len(frontier) == 1 and len(frontier[0]) <= RANKS_AT_A_TIME:
             return deque([frontier.pop()])
         indices = sum(map(len, frontier))
         self.budget.check_memory(in_use + 16 * indices)
-        if indices <= RANKS_AT_A_TIME:  # too few to start threads for
+        if indices <= RANKS_AT_A_TIME:  # too few to be worth starting threads
             layer = np.concatenate(frontier)
             frontier.clear()
             layer.sort()
@@ -165,7 +167,7 @@ class ForwardSearch:
             layer.sort()
             return np.split(layer, range(RANKS_AT_A_TIME, len(layer), RANKS_AT_A_TIME))
 
-        # Threads take blocks of different runs in turn: each run is read in its order.
+        # Blocks of different runs alternate, so that each run is processed in its order.
         mixed = zip_longest(*self.share(blocks, runs))
         return deque(block for group in mixed for block in group if block is not None)
 
@@ -174,7 +176,7 @@ class ForwardSearch:
     ) -> tuple[list[Ints], int]:
         """Return the blocks of the next layer, and the number of transitions to it; the given list is emptied.
 
-        `most` is the largest number of ranks that `push` finds for one rank.
+        `most` is the largest number of ranks that `push` yields for one rank.
         """
         size = max(RANKS_AT_A_TIME, 4 * most)
         in_use += 8 * sum(map(len, frontier))
@@ -206,7 +208,7 @@ class ForwardSearch:
         return pushed, transitions
 
     def _hashed_layer(self, frontier: list[Ints], keys: Ints, found: int) -> tuple[list[Ints], int, Ints]:
-        """Do the same with a hash table, and give it too: it is replaced as it fills up."""
+        """Return the next layer, the number of transitions, and the hash table, which is replaced when it fills up."""
         transitions = new = 0
         pushed: list[Ints] = []
         waiting = self.ascending(frontier, keys.nbytes)
@@ -245,7 +247,10 @@ class ForwardSearch:
         return pushed, transitions, keys
 
     def _grown(self, keys: Ints, held: int) -> Ints:
-        """Make a hash table at least twice as large, and large enough for one more state's successors."""
+        """Return a copy of the hash table of at least twice the size.
+
+        It has room for the successors of at least one more state per thread.
+        """
         size = 1 << (max(2 * len(keys), 8 * self.threads * self.operators.most, 1 << 12) - 1).bit_length()
         self.budget.check_memory(keys.nbytes + 8 * held + 8 * size)
         larger = np.full(size, -1, dtype=np.int64)
@@ -254,26 +259,26 @@ class ForwardSearch:
 
 
 Form = Callable[[Words], None]
-"""What puts in the place of states, shape (n, words), others that do for them."""
+"""Function that replaces states, shape (n, words), by their canonical states in place."""
 
 
 def as_they_are(_states: Words) -> None:
-    """Leave states in their place."""
+    """Leave states unchanged, for a search without symmetry reduction."""
 
 
 @dataclass(frozen=True)
 class ExploredGraph:
-    """What the search forward has found.
+    """The reachable states and their transitions.
 
     Attributes
     ----------
-    found : Found
+    found : RegistryIndex
     counts : int32 array, shape (n,)
-        Transitions of each state.
+        Number of transitions of each state.
     targets : int32 array, shape (transitions,)
-        What they lead to, in the order of the states.
+        Successors, in the order of the states.
     kinds : unsigned integer array, shape (transitions,)
-        Which of the task's different costs each has; empty where all cost the same.
+        Index of each transition's cost among the distinct costs of the task; empty if all costs are equal.
     """
 
     found: RegistryIndex
@@ -283,7 +288,7 @@ class ExploredGraph:
 
 
 class _RegistrySearch:
-    """The search forward, breadth first: the states that have been found so far."""
+    """Breadth-first search with a registry of the states found so far."""
 
     def __init__(self, task: Task, budget: Budget, form: Form = as_they_are) -> None:
         self.packing = Packing.of(task)
@@ -297,7 +302,7 @@ class _RegistrySearch:
         self.met.numbers(initial)
 
     def parts(self, threads: int) -> Generator[tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]]:
-        """Expand all states in order, some at a time: how many actions each has, which, and what they lead to."""
+        """Yield, for all states in order, the numbers of their actions, the actions and the successors, in parts."""
         waiting: deque[Future[list[Expanded]]] = deque()
         done = given = transitions = 0
         at_once = min(STATES_AT_A_TIME, 1 << 8)
@@ -325,7 +330,7 @@ class _RegistrySearch:
         return parts
 
     def check(self, per_state: int, others: int) -> None:
-        """Check the limits; given are bytes that are in use beside a state's words, for each of them and in all."""
+        """Check the limits; the arguments are the bytes per state besides its words, and all other bytes."""
         self.budget.check_states(len(self.met))
         self.budget.check_time(len(self.met))
         self.budget.check_memory(self.met.slots.nbytes + (8 * self.packing.words + per_state) * len(self.met) + others)
@@ -339,9 +344,9 @@ def enumerated(
     most: float = math.inf,
     form: Form = as_they_are,
 ) -> ExploredGraph | None:
-    """Find the states that a task can reach, breadth first; None if they have `most` transitions or more.
+    """Return the reachable states of a task, found breadth first; None once there are `most` transitions or more.
 
-    `form` puts in the place of states others that do for them, before they are looked for.
+    `form` replaces states by canonical states before they are looked up.
     """
     costs, kind_of = np.unique(task.costs, return_inverse=True)
     search, targets = _RegistrySearch(task, budget, form), _Growing(np.int32)

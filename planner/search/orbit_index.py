@@ -1,4 +1,4 @@
-"""One canonical state of each orbit, numbered: a state registry behind `canonical`."""
+"""A numbering of orbits: a state registry of canonical states."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class OrbitIndex:
     ----------
     forms : Forms
         The symmetries, as `canonical` applies them.
-    found : Found
+    found : RegistryIndex
         The canonical state of each orbit.
     """
 
@@ -33,7 +33,7 @@ class OrbitIndex:
     found: RegistryIndex
 
     def rows(self, states: Words) -> Ints:
-        """Return the numbers of the orbits of packed states, shape (n, words); -1 where none has been found."""
+        """Return the numbers of the orbits of packed states, shape (n, words); -1 for unknown orbits."""
         own = states.copy()
         canonical(self.forms, own)
         rows = np.empty(len(own), dtype=np.int64)
@@ -41,7 +41,7 @@ class OrbitIndex:
         return rows
 
     def numbers(self, values: Ints) -> Ints:
-        """Return the orbits of states with values of shape (n, variables); -1 where none has been found."""
+        """Return the orbits of states with values of shape (n, variables); -1 for unknown orbits."""
         sizes = np.diff(self.forms.first, append=len(self.forms.at))
         legal = np.all((values >= 0) & (values < sizes), axis=1)
         return np.where(legal, self.rows(self.found.packing.pack(np.where(legal[:, None], values, 0))), -1)
@@ -55,7 +55,7 @@ class OrbitIndex:
         return self.found.where(facts)
 
     def transitions(self, states: int, transitions: int) -> Transitions:  # noqa: ARG002
-        """Return the choices of all canonical states; what leads to a state leads to its orbit."""
+        """Return the transitions of all canonical states; each leads to the orbit of its successor."""
         counts, actions, after = (
             np.concatenate(parts) for parts in zip(*expanded(self.found.book, self.found.states), strict=True)
         )

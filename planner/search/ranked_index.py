@@ -1,4 +1,4 @@
-"""States numbered by their rank among all reachable ranks."""
+"""A numbering of states by the order of their ranks."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class RankedIndex:
 
     Attributes
     ----------
-    coding : Coding
-    operators : Tests
+    coding : StateRanking
+    operators : RankedOperators
     budget : Budget
-        What the choices of all states may take.
-    states : States
+        Limits for building the transitions of all states.
+    states : RankSet
         The ranks of all reachable states.
     """
 
@@ -42,19 +42,19 @@ class RankedIndex:
         return int(self.states.ranks[-1]) if len(self.states.bits) else len(self.states.members)
 
     def numbers(self, values: NDArray[np.int64]) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
+        """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
         out = np.empty(len(values), dtype=np.int64)
         ranked_states.numbers_of(self.states, self.coding.encode(values), out)
         return out
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
+        """Return the values, shape (n, variables), of states, shape (n,)."""
         index = np.empty(len(numbers), dtype=np.int64)
         ranked_states.select(self.states, numbers, index)
         return self.coding.decode(index)
 
     def blocks(self) -> Iterator[Ints]:
-        """Yield the ranks of all states in ascending order, a block at a time."""
+        """Yield the ranks of all states in ascending order, in blocks."""
         start, end = 0, len(self.states.bits) or len(self.states.members)
         while start < end:
             out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
@@ -62,7 +62,7 @@ class RankedIndex:
             yield out[:filled]
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
+        """Return whether the facts hold in each state, shape (states,)."""
         coding, parts = self.coding, [np.empty(0, dtype=bool)]
         for block in self.blocks():
             parts.append(np.empty(len(block), dtype=bool))
@@ -70,7 +70,7 @@ class RankedIndex:
         return np.concatenate(parts)
 
     def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the choices of all states; the arguments are how many there are of both."""
+        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
         needed = 8 * states + 12 * transitions
         self.budget.check_memory(needed)
         small = states <= np.iinfo(np.int32).max

@@ -1,4 +1,4 @@
-"""States numbered in the order in which they were found, by a hash table."""
+"""A numbering of states in the order of their discovery, by a hash table."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from .kernels.packed_successors import PackedOperators
 from .successor_generator import expanded
 
 FULL = 0.7
-"""Share of the slots that may be taken."""
+"""Load factor above which the hash table is enlarged. Higher saves memory, and makes lookups slower."""
 
 
 MOST = np.iinfo(np.int32).max
-"""So many states can be numbered."""
+"""Largest number of states in a registry (32-bit numbers)."""
 
 
 @dataclass(frozen=True)
 class RegistryIndex:
-    """The states that have been found, in the order in which they were.
+    """The states of a registry, numbered in the order of their discovery.
 
     Attributes
     ----------
     packing : Packing
-    book : Rulebook
+    book : PackedOperators
     states : uint64 array, shape (n, words)
     slots : uint64 array
-        The hash table from a state to its number.
+        Hash table from a state to its number.
     """
 
     packing: Packing
@@ -46,7 +46,7 @@ class RegistryIndex:
     slots: Words
 
     def numbers(self, values: Ints) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
+        """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
         sizes = np.left_shift(1, self.packing.bits)
         legal = np.all((values >= 0) & (values < sizes), axis=1)
         numbers = np.empty(len(values), dtype=np.int64)
@@ -54,15 +54,15 @@ class RegistryIndex:
         return np.where(legal, numbers, -1)
 
     def values(self, numbers: Ints) -> Ints:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
+        """Return the values, shape (n, variables), of states, shape (n,)."""
         return self.packing.unpack(self.states[numbers])
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
+        """Return whether the facts hold in each state, shape (states,)."""
         return holds(self.states, *self.packing.condition(facts))
 
     def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the choices of all states; the arguments are how many there are of both."""
+        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
         rows = Transitions(
             np.zeros(states + 1, dtype=np.int64),
             np.empty(transitions, dtype=np.int32),
@@ -78,33 +78,33 @@ class RegistryIndex:
 
 
 class _Growing:
-    """Rows that are appended to; the memory grows by a third at a time, without a second copy where the system can.
+    """An array to which rows are appended. It grows by a third, in place where the system can do so.
 
-    Where something else refers to the old rows these stay as they are, and the new ones are a copy.
+    If the old rows are referenced elsewhere, they stay unchanged and the new rows are a copy.
     """
 
     def __init__(self, dtype: Any, *width: int) -> None:
         self.rows = np.zeros((1 << 12, *width), dtype=dtype)
 
     def make_room(self, rows: int) -> None:
-        """Have at least so many rows."""
+        """Ensure that the array has at least `rows` rows."""
         if rows > len(self.rows):
             self._resize(max(rows, len(self.rows) * 4 // 3))
 
     def append(self, rows: int, more: NDArray[Any]) -> None:
-        """Write what comes after so many rows."""
+        """Write rows after the first `rows` rows."""
         self.make_room(rows + len(more))
         self.rows[rows : rows + len(more)] = more
 
     def trimmed(self, rows: int) -> NDArray[Any]:
-        """Give the rows, of which so many are in use."""
+        """Return the first `rows` rows, and release the others."""
         self._resize(rows)
         return self.rows
 
     def _resize(self, rows: int) -> None:
         shape = (rows, *self.rows.shape[1:])
         try:
-            self.rows.resize(shape)  # in place, which numpy refuses where anything else refers to the array
+            self.rows.resize(shape)  # in place; numpy refuses this if the array is referenced elsewhere
         except ValueError:
             held, self.rows = self.rows, np.zeros(shape, dtype=self.rows.dtype)
             kept = min(rows, len(held))
@@ -112,12 +112,12 @@ class _Growing:
 
 
 class StateRegistry:
-    """States that are numbered as they are met, in the order in which they are. Any thread may ask.
+    """A thread-safe registry that numbers packed states in the order of their first occurrence.
 
     Parameters
     ----------
     words : int
-        Of a packed state.
+        Words of a packed state.
     """
 
     def __init__(self, words: int) -> None:
@@ -127,7 +127,7 @@ class StateRegistry:
         self._lock = threading.Lock()
 
     def __getstate__(self) -> dict[str, Any]:
-        with self._lock:  # what is copied or written meanwhile is no longer that of this object
+        with self._lock:  # a consistent copy, which later insertions do not change
             own = {**vars(self), "_states": copy.deepcopy(self._states), "slots": self.slots.copy()}
         return {name: value for name, value in own.items() if name != "_lock"}
 
@@ -138,7 +138,7 @@ class StateRegistry:
         return self._held
 
     def numbers(self, states: Words) -> NDArray[np.int32]:
-        """Give the numbers of states, shape (n, words); those that are new get the next ones."""
+        """Return the numbers of states, shape (n, words); new states get the next numbers."""
         with self._lock:
             most = self._held + len(states)
             self._states.make_room(most)
@@ -152,10 +152,10 @@ class StateRegistry:
         return numbers
 
     def states(self, numbers: Ints | slice) -> Words:
-        """Give a copy of the states, shape (n, words), of some numbers."""
-        with self._lock:  # the rows move as they grow
+        """Return a copy of the states, shape (n, words), with the given numbers."""
+        with self._lock:  # the rows may be moved when they grow
             return self._states.rows[numbers].copy()
 
     def trimmed(self) -> Words:
-        """Give all states; no more can be met."""
+        """Return all states; no state may be added afterwards."""
         return self._states.trimmed(self._held)

@@ -1,7 +1,7 @@
-"""Which moves can be applied in a state: a trie of tests, laid out flat.
+"""The successor generator: a decision tree of tests that finds the applicable operators, laid out as arrays.
 
-Facts that many moves need are tested once, the most frequent first, and a failed test skips what is below it. Where
-many values of one variable are tested, a *switch* goes to those of the value at hand.
+Facts that many operators need are tested once, the most frequent first. A failed test skips the tests below it. Where
+many values of one variable are tested, a *switch* branches on the variable's value.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from .ranking.state_ranking import StateRanking
 from .ranking.transition_normal_form import TNFOperator
 
 FEW = 3
-"""Values of a variable that are tested one after the other; more are a switch."""
+"""Largest number of values of a variable that are tested one by one; for more, a switch is used."""
 
 
 class _DecisionTreeBuilder:
-    """Tests as they are laid out."""
+    """Builder of the arrays of a decision tree."""
 
     def __init__(self, packing: Packing, check: Check) -> None:
         self.packing, self.check = packing, check
@@ -44,7 +44,7 @@ class _DecisionTreeBuilder:
         self.order: list[int] = []
 
     def test(self, word: int, mask: int, value: int, shift: int = 0, field: int = 0) -> int:
-        """Add a test; where it leads if it fails is filled in later."""
+        """Append a test, and return its position. The target of a failed test is set later."""
         self.first.append(len(self.order))
         for column, entry in zip(
             (self.word, self.mask, self.value, self.skip, self.shift, self.field),
@@ -55,10 +55,10 @@ class _DecisionTreeBuilder:
         return len(self.word) - 1
 
     def build(self, group: Sequence[tuple[frozenset[Fact], int]]) -> int:
-        """Add tests for the facts that are left of each move; give how many moves can apply at once."""
+        """Append tests for the remaining facts of each operator. Return a bound on the operators that apply at once."""
         self.order.extend(number for facts, number in group if not facts)
         left = {place: pair for place, pair in enumerate(group) if pair[0]}
-        most: Counter[int] = Counter()  # by variable: its values exclude each other
+        most: Counter[int] = Counter()  # by variable, since its values exclude each other
         having: dict[Fact, list[int]] = {}
         for place, (facts, _) in left.items():
             for fact in facts:
@@ -69,7 +69,7 @@ class _DecisionTreeBuilder:
             values.setdefault(v, []).append(value)
 
         def taken(fact: Fact) -> list[tuple[frozenset[Fact], int]]:
-            """Take the moves out that need a fact."""
+            """Remove and return the operators that need a fact."""
             inside = [left.pop(place) for place in having[fact] if place in left]
             for facts, _ in inside:
                 for other in facts:
@@ -95,7 +95,7 @@ class _DecisionTreeBuilder:
                 self.jump[begin + value] = len(self.word)
                 inside = [(facts - {(v, value)}, number) for facts, number in taken((v, value))]
                 most[v] = max(most[v], self.below(inside))
-                ends.append(self.test(0, 0, 1))  # where a value's tests end, all end
+                ends.append(self.test(0, 0, 1))  # the tests of one value end by leaving the switch
             for end in ends:
                 self.skip[end] = len(self.word)
             for value in range(field + 1):
@@ -104,7 +104,7 @@ class _DecisionTreeBuilder:
         return sum(not facts for facts, _ in group) + most.total()
 
     def below(self, inside: Sequence[tuple[frozenset[Fact], int]]) -> int:
-        """Test what some moves have in common, and below it what is left of each."""
+        """Append a test of the common facts of some operators, and below it the tests of their other facts."""
         shared = frozenset.intersection(*(facts for facts, _ in inside))
         masks, values = self.packing.condition(sorted(shared))
         words = np.flatnonzero(masks) if shared else [0]
@@ -115,7 +115,7 @@ class _DecisionTreeBuilder:
         return most
 
     def arrays(self) -> tuple[Ints, Words, Words, Ints, Words, Words, Ints, Ints]:
-        """Give the tests as both kinds of layout begin: `word` to `first`."""
+        """Return the arrays of the tests, which both layouts share, from `word` to `first`."""
         return (
             np.array(self.word, np.int64),
             np.array(self.mask, np.uint64),
@@ -129,16 +129,16 @@ class _DecisionTreeBuilder:
 
 
 class _ChangeTables:
-    """Tables of changes, one for each cluster: a row for each of its values, an entry for each kind of change."""
+    """Tables of the changes of ranks: for each cluster, a row per value and a column per distinct change."""
 
     def __init__(self, coding: StateRanking, check: Check) -> None:
         self.coding, self.check = coding, check
-        self.kinds: dict[int, dict[bytes, int]] = {}  # by cluster, and by the hash of a column of its table
+        self.kinds: dict[int, dict[bytes, int]] = {}  # by cluster and by the hash of a column
         self.columns: dict[int, list[NDArray[np.int32]]] = {}
         self.size = 0
 
     def add(self, move: TNFOperator) -> tuple[int, list[tuple[int, int]]] | None:
-        """Return what a move adds at once, and a cluster and a kind for what it looks up; None if it is impossible."""
+        """Return the constant change of a move, and cluster and column of each lookup; None if it never applies."""
         self.check(8 * self.size)
         change = self.coding.change(move)
         if change is None:
@@ -155,7 +155,7 @@ class _ChangeTables:
         return change.constant, wanted
 
     def laid_out(self) -> tuple[NDArray[np.int32], dict[int, int]]:
-        """Return all tables one after the other, and where each cluster's begins."""
+        """Return the concatenated tables, and the offset of each cluster's table."""
         self.check(8 * self.size)
         table, begin, at = np.empty(self.size, dtype=np.int32), {}, 0
         for cluster, columns in self.columns.items():
@@ -168,7 +168,10 @@ class _ChangeTables:
 def build_tests(
     moves: Sequence[TNFOperator], coding: StateRanking, costs: Sequence[int], check: Check = unchecked
 ) -> RankedOperators:
-    """Arrange moves: by sets of candidates where these are small, else by a trie. `costs` are those of the actions."""
+    """Return the applicability tests of moves: sets of candidates if these are small, else a decision tree.
+
+    `costs` are the costs of the actions.
+    """
     tables = _ChangeTables(coding, check)
     changes = [tables.add(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
@@ -213,14 +216,14 @@ def build_tests(
 
 
 def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing, check: Check = unchecked) -> DecisionTree:
-    """Arrange operators by their preconditions, which do not contradict themselves."""
+    """Return a decision tree for operators with the given consistent preconditions."""
     return tries_of([conditions], packing, check)[0]
 
 
 def tries_of(
     groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing, check: Check = unchecked
 ) -> tuple[DecisionTree, Ints]:
-    """Arrange several groups one after the other, numbered through; tell where each begins, and where all end."""
+    """Return the decision trees of several groups, concatenated and numbered consecutively, and where each begins."""
     trie, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
     for conditions in groups:
         root = trie.test(0, 0, 0)  # it always holds
@@ -233,31 +236,32 @@ def tries_of(
 
 
 STATES_AT_A_TIME = 1 << 12
-"""States that are expanded at a time, at most."""
+"""Largest number of states in a block that is expanded at once. It bounds the memory of a block."""
 
 
 TRANSITIONS_AT_A_TIME = 1 << 15
-"""Transitions of the states that are expanded at a time, about."""
+"""Approximate number of transitions of a block that is expanded at once. It bounds the memory of a block."""
 
 
 BYTES_PER_RULE = 500
-"""Bytes that a condition and its effects take while they are laid out, beside their words, about."""
+"""Estimated bytes per rule (a condition and its effects) during construction, besides its words. Used to check memory.
+"""
 
 
 Masks = tuple[Words, Words, Words, Words]
-"""Mask and bits of what a rule needs, then the bits that it clears and those that it sets."""
+"""Mask and bits of a rule's condition, then the bits that it clears and those that it sets."""
 
 
 Rule = tuple[Sequence[Fact], Masks]
-"""Facts that it needs, and the masks."""
+"""Condition of a rule as facts, and its masks."""
 
 
 Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
-"""How many actions each of some states has, which, and what they lead to."""
+"""Number of actions of each state, the actions, and the packed successors."""
 
 
 def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> PackedOperators:
-    """Lay out a task's transition function."""
+    """Return the transition function of a task in the layout of the compiled code."""
     rules = len(task.axioms) + sum(1 + len({effect.conditions for effect in o.effects}) for o in task.operators)
     in_use = (BYTES_PER_RULE + 32 * packing.words) * rules
     check(in_use)
@@ -280,13 +284,13 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
 
 
 def _grouped(effects: Sequence[Effect], masks: Sequence[Masks]) -> list[Rule]:
-    """Give the conditions of effects beside the masks that `Successors` has of them."""
+    """Return the distinct conditions of effects with the masks that `Successors` computed for them."""
     conditions = dict.fromkeys(effect.conditions for effect in effects if can_hold(effect.conditions))
     return list(zip(conditions, masks, strict=True))
 
 
 def _axioms(task: Task, packing: Packing, successors: Successors) -> Iterator[tuple[list[Rule], bool]]:
-    """List the stages of a task's axioms: what derived variables are by default, then layer by layer."""
+    """Yield the stages of a task's axioms: the defaults of derived variables first, then layer by layer."""
     if successors.layers:
         nothing = np.zeros(packing.words, dtype=np.uint64)
         yield [((), (nothing, nothing, *successors.defaults))], False
@@ -297,7 +301,7 @@ def _axioms(task: Task, packing: Packing, successors: Successors) -> Iterator[tu
 
 
 def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
-    """Order a layer of axioms: what one needs comes before; tell of each stage whether it has circles."""
+    """Yield a layer's axioms in stages, each after the axioms that it needs, and whether the stage is cyclic."""
     left = list(layer)
     while left:
         open_ = np.bitwise_or.reduce([cleared for _, (_, _, cleared, _) in left])
@@ -310,7 +314,7 @@ def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:
 
 
 def _rules(groups: Sequence[Sequence[Rule]], packing: Packing, check: Check) -> Rules:
-    """Lay out rules, group by group."""
+    """Return the layout of rules, group by group."""
     writes = [0]
     written: list[tuple[int, int, int]] = []
     for group in groups:
@@ -323,13 +327,13 @@ def _rules(groups: Sequence[Sequence[Rule]], packing: Packing, check: Check) -> 
 
 
 def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
-    """Give the columns of rows of a word's number and two words."""
+    """Return the columns of rows that consist of a word's number and two words."""
     number, first, second = zip(*rows, strict=True) if rows else ((), (), ())
     return np.array(number, np.int64), np.array(first, np.uint64), np.array(second, np.uint64)
 
 
 def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
-    """Expand states, shape (n, words): how many actions each has, which, and what they lead to, in parts."""
+    """Expand states, shape (n, words): yield the numbers of their actions, the actions and the successors, in parts."""
     stop = 0
     room = TRANSITIONS_AT_A_TIME + book.trie.most
     while stop < len(states):
@@ -341,7 +345,7 @@ def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
 
 
 LARGEST = 1 << 21
-"""Bytes that the sets of moves may take."""
+"""Largest size in bytes of the candidate sets. Tasks with larger sets use the decision tree."""
 
 
 NO_CANDIDATES = ApplicableSets(
@@ -354,7 +358,7 @@ NO_CANDIDATES = ApplicableSets(
 
 
 def candidates(moves: Sequence[TNFOperator], coding: StateRanking, check: Check = unchecked) -> ApplicableSets | None:
-    """Tabulate the sets of moves that each row of a coding's decoder leaves; None if they are too large."""
+    """Return the sets of moves that are compatible with each row of the unranking tables; None if too large."""
     if not moves:
         return NO_CANDIDATES
     decoder, words = coding.decoder, -(-len(moves) // 64)
@@ -365,7 +369,7 @@ def candidates(moves: Sequence[TNFOperator], coding: StateRanking, check: Check 
     tables = []
     for family in _families(coding):
         table = np.ones((1, len(moves)), dtype=bool)
-        for number in family:  # the first digit runs fastest, as in the decoder's rows
+        for number in family:  # the first digit varies fastest, as in the decoder's rows
             cluster = coding.clusters[number]
             own = np.ones((len(cluster), len(moves)), dtype=bool)
             for v, values in zip(cluster.variables, cluster.values.T, strict=True):
@@ -392,7 +396,7 @@ def candidates(moves: Sequence[TNFOperator], coding: StateRanking, check: Check 
 
 
 def _families(coding: StateRanking) -> list[list[int]]:
-    """Name the clusters that each of the decoder's tables stands for: of chunks of digits, then of steps."""
+    """Return the clusters behind each table of the decoder: first the chunks of digits, then the steps."""
     digits = iter(sorted(np.flatnonzero(coding.stride).tolist(), key=lambda number: int(coding.stride[number])))
     families = []
     for radix in coding.decoder.radix.tolist():
@@ -405,7 +409,7 @@ def _families(coding: StateRanking) -> list[list[int]]:
 
 
 def _allowed(moves: Sequence[TNFOperator], coding: StateRanking) -> tuple[list[NDArray[np.bool_]], list[list[Fact]]]:
-    """Tell which values of each variable, shape (n, moves), moves allow, and which facts of each are told by none."""
+    """Return the values of each variable, shape (n, moves), that moves allow, and the facts that these do not cover."""
     digits = {v for family in _families(coding) for number in family for v in coding.clusters[number].variables}
     needed: list[tuple[int, int, int]] = []  # variable, value, move
     excluded: list[tuple[int, int, int]] = []
