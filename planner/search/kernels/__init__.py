@@ -1,1 +1,1 @@
-"""Compiled loops of the search, and nothing else."""
+"""Compiled loops of the search. This folder contains nothing else."""

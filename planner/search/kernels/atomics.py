@@ -1,6 +1,7 @@
-"""Machine instructions that compiled code needs and numba does not offer: atomic steps, and prefetching.
+"""Machine instructions that numba does not offer: atomic operations and prefetching.
 
-Several threads may apply an atomic step to the same entry of an array: each sees what stood there before its own.
+Several threads may apply an atomic operation to the same entry of an array. Each receives the entry before its own
+operation.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numba.extending import intrinsic
 
 @intrinsic
 def fetch_or(typing: Any, array: Any, place: Any, bits: Any) -> Any:  # noqa: ARG001
-    """`array[place] |= bits` as one atomic step; gives the word before."""
+    """Execute `array[place] |= bits` atomically; return the previous word."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -26,7 +27,7 @@ def fetch_or(typing: Any, array: Any, place: Any, bits: Any) -> Any:  # noqa: AR
 
 @intrinsic
 def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
-    """`array[place] = min(array[place], value)` as one atomic step; gives the entry before."""
+    """Execute `array[place] = min(array[place], value)` atomically; return the previous entry."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -39,7 +40,7 @@ def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: 
 
 @intrinsic
 def exchange_free(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
-    """Put a value where -1 stands, as one atomic step; gives the entry before."""
+    """Replace the entry by `value` if it is -1, atomically; return the previous entry."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -51,7 +52,7 @@ def exchange_free(typing: Any, array: Any, place: Any, value: Any) -> Any:  # no
 
 @intrinsic
 def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
-    """Ask for the memory of an entry, which is not waited for."""
+    """Start to load an entry into the cache, without waiting."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
@@ -67,7 +68,7 @@ def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
 
 @intrinsic
 def lowest_bit(typing: Any, word: Any) -> Any:  # noqa: ARG001
-    """Give the place of the lowest bit that is set in a word that is not 0."""
+    """Return the position of the lowest set bit of a nonzero word."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))

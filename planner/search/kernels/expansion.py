@@ -1,4 +1,4 @@
-"""The new successors of a block of ranked states, and their predecessors, compiled."""
+"""Compiled expansion of a block of ranked states: new successors and predecessors."""
 
 from __future__ import annotations
 
@@ -10,23 +10,26 @@ from .ranked_states import ask_for, find_slot, first_slot, number_of
 from .ranked_successors import after, applicable, start_cursor
 
 PENDING = 256
-"""Successors that are collected before they are looked up."""
+"""Successors that are collected before they are looked up, so that memory is prefetched. More hides more latency, and
+needs more cache.
+"""
 
 
 @njit(nogil=True, error_model="numpy")
 def expand_block(tests, decoder, closed, block, start, out, filled):
-    """Push the successors that are not closed yet, and close them.
+    """Push the successors that are not closed, and close them.
 
-    Several threads may work on one bitmap: which of them pushes a successor is left open, but one does. The words of
-    many successors are asked for before the first is looked at, since the memory takes long to answer.
+    Several threads may share a bitmap. Exactly one of them pushes each new successor. The words of many successors are
+    prefetched before the first one is read, since memory latency is high.
 
     Returns
     -------
     stop : int
-        `block[start:stop]` is done.
+        `block[start:stop]` has been expanded.
     filled : int
         `out[:filled]` is in use.
     transitions : int
+        Number of transitions of the expanded states.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)
@@ -57,9 +60,9 @@ def expand_block(tests, decoder, closed, block, start, out, filled):
 
 @njit(nogil=True, error_model="numpy")
 def expand_block_hashed(tests, decoder, block, start, keys, room, out, filled):
-    """Push the successors that are not in a hash table yet, at most `room`, and put them there.
+    """Push the successors that are not in a hash table, at most `room`, and insert them.
 
-    Returns as `expand_block` does. Several threads may work on one table.
+    The return values are those of `expand_block`. Several threads may share a table.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)
@@ -88,17 +91,17 @@ def expand_block_hashed(tests, decoder, block, start, keys, room, out, filled):
                 if before == -1:
                     out[filled] = target
                     filled += 1
-                elif before != target:  # another thread took the place
+                elif before != target:  # another thread has taken the slot
                     slot = find_slot(keys, target)
     return i, filled, transitions
 
 
 @njit(nogil=True, error_model="numpy")
 def expand_block_back(tests, decoder, states, distance, d, block, start, out, filled):
-    """Push the predecessors that are states and have no distance yet, and give them the distance `d`.
+    """Push the predecessors that are states of larger distance than `d`, and set their distance to `d`.
 
-    Returns what `expand_block` returns. Several threads may work on one array of distances. It is for sets of states
-    without a bitmap, and for tasks where memory is short of a second bitmap.
+    The return values are those of `expand_block`. Several threads may share the distances. It is used for sets of
+    states without a bitmap, and if memory does not suffice for a second bitmap.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)
@@ -133,7 +136,7 @@ def expand_block_back(tests, decoder, states, distance, d, block, start, out, fi
 
 @njit(nogil=True, error_model="numpy")
 def fill_transitions(tests, decoder, states, block, number, offsets, actions, targets):
-    """Write the rows of the transitions of the states of a block, numbered from `number`."""
+    """Write the transitions of the states of a block, which are numbered from `number`."""
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     row = offsets[number]
     for i in range(len(block)):

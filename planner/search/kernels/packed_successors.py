@@ -1,6 +1,6 @@
-"""Compiled loops over packed states: what operators lead to, and a hash table of the states found.
+"""Compiled expansion of packed states.
 
-They do for every task: any number of words, conditional effects, derived variables. Kernels work on one block at a
+It works for every task: any number of words, conditional effects and derived variables. Kernels process one block at a
 time, so that limits are checked between calls.
 """
 
@@ -16,7 +16,7 @@ from ...system.jit import njit
 
 
 class DecisionTree(NamedTuple):
-    """Which operators can be applied, or which rules: tests in depth-first order, as in `kernels.Tests`.
+    """Tests that find the applicable operators or rules, in depth-first order as in `RankedOperators`.
 
     Attributes
     ----------
@@ -25,9 +25,9 @@ class DecisionTree(NamedTuple):
     jump : int64 array
     first : int64 array, shape (tests + 1,)
     operator : int64 array, shape (operators,)
-        In the order of the tests; or rules.
+        Operators, or rules, in the order of the tests.
     most : int
-        No more of them than this can be applied in one state, of one group.
+        Bound on the number of them, within one group, that apply in one state.
     """
 
     word: Ints
@@ -43,16 +43,16 @@ class DecisionTree(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What follows where facts hold, of operators or of stages of axioms.
+    """Conditional effects of operators, or of stages of axioms.
 
     Attributes
     ----------
-    trie : Trie
-        Which rules apply.
+    trie : DecisionTree
+        Finds the rules that apply.
     begin : int64 array, shape (n + 1,)
         Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
     writes : int64 array, shape (rules + 1,)
-        Rows `writes[r]:writes[r + 1]` of the next three are what rule `r` writes: `s[word] & keep | value`.
+        Rows `writes[r]:writes[r + 1]` of the next three arrays are the writes of rule `r`: `s[word] & keep | value`.
     write_word : int64 array
     write_keep, write_value : uint64 arrays
     """
@@ -66,18 +66,18 @@ class Rules(NamedTuple):
 
 
 class PackedOperators(NamedTuple):
-    """A task's transition function; operators are in the order of their actions.
+    """The transition function of a task; operators are in the order of their actions.
 
     Attributes
     ----------
-    trie : Trie
+    trie : DecisionTree
     action : int64 array, shape (operators,)
     effects : Rules
-        Of each operator.
+        Effects of each operator.
     axioms : Rules
-        In stages; the first sets all derived variables to what they are by default.
+        Axioms in stages; the first sets all derived variables to their defaults.
     again : bool array, shape (stages,)
-        Whether axioms of a stage lead to others of it, so that it is gone through until nothing changes.
+        Whether the axioms of a stage are cyclic, so that it is repeated until nothing changes.
     """
 
     trie: DecisionTree
@@ -89,7 +89,7 @@ class PackedOperators(NamedTuple):
 
 @njit(nogil=True, error_model="numpy")
 def write(rules, rule, state):
-    """Write what a rule writes; tell whether that has changed anything."""
+    """Apply a rule to a state; return whether the state has changed."""
     changed = False
     for row in range(rules.writes[rule], rules.writes[rule + 1]):
         word = rules.write_word[row]
@@ -101,7 +101,7 @@ def write(rules, rule, state):
 
 @njit(nogil=True, error_model="numpy")
 def derive(axioms, again, states):
-    """Set the derived variables of states, shape (n, words): stage by stage, each to its least fixed point."""
+    """Set the derived variables of states, shape (n, words), stage by stage to the least fixed point."""
     trie = axioms.trie
     for stage in range(len(again)):
         for i in range(len(states)):
@@ -125,7 +125,7 @@ def derive(axioms, again, states):
 
 @njit(nogil=True, error_model="numpy")
 def applicable(book, state, operators):
-    """List the operators that count in a state, in ascending order: the first of each action."""
+    """Write the applicable operators in ascending order, the first of each action; return their number."""
     trie = book.trie
     count = 0
     t = np.int64(0)
@@ -156,19 +156,20 @@ def applicable(book, state, operators):
 
 @njit(nogil=True, error_model="numpy")
 def expand(book, states, start, counts, actions, after):
-    """Write what each action leads to, for `states[start:]` as far as the output holds it.
+    """Write the successors of `states[start:]`, as far as they fit the output.
 
-    `counts` gets the number of actions of each state, `actions` and `after`, shape (m, words), a row for each action.
+    `counts` receives the number of actions of each state. `actions` and `after`, shape (m, words), receive a row per
+    action.
 
     Returns
     -------
     stop : int
-        `states[start:stop]` is done.
+        `states[start:stop]` has been expanded.
     filled : int
-        So many rows are in use.
+        Number of rows in use.
     """
     operators, due = np.empty(book.trie.most, dtype=np.int64), np.empty(book.effects.trie.most, dtype=np.int64)
-    effects, tests = book.effects, book.effects.trie  # taken apart once, which takes longer than to use them
+    effects, tests = book.effects, book.effects.trie  # unpacked once, since unpacking takes longer than use
     begin, writes, write_word, keep, value = (
         effects.begin, effects.writes, effects.write_word, effects.write_keep, effects.write_value,
     )  # fmt: skip

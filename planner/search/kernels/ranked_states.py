@@ -1,6 +1,6 @@
-"""The set of reachable states, compiled: by index as a bitmap or a hash table, and each state's number.
+"""Compiled set of reachable ranks, as a bitmap or a hash table, and the number of each state.
 
-The number of a state is its rank among the indices of all states.
+The number of a state is the position of its rank among the ranks of all reachable states.
 """
 
 from __future__ import annotations
@@ -14,26 +14,26 @@ from ...system.jit import njit
 from .atomics import fetch_or, prefetch
 
 AHEAD = 16
-"""How many entries before its turn the memory of one is asked for."""
+"""Distance in entries between prefetching an entry and using it."""
 
 
 @njit(nogil=True, error_model="numpy")
 def set_bits(bits, indices):
-    """Set the bits of indices."""
+    """Set the bits of the given ranks."""
     for i in range(len(indices)):
         bits[indices[i] >> 6] |= np.uint64(1) << np.uint64(indices[i] & 63)
 
 
 @njit(nogil=True, error_model="numpy")
 def first_slot(keys, index):
-    """Give the place in a hash table from which an index is looked for."""
+    """Return the slot of a hash table at which the probe for a rank begins."""
     mixed = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
     return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(len(keys) - 1))
 
 
 @njit(nogil=True, error_model="numpy")
 def find_slot(keys, index):
-    """Find where an index stands in a hash table, or the free place (-1) where it belongs."""
+    """Return the slot of a rank in a hash table, or the free slot (-1) where it belongs."""
     at = first_slot(keys, index)
     while keys[at] != index and keys[at] != -1:
         at = (at + 1) & (len(keys) - 1)
@@ -42,7 +42,7 @@ def find_slot(keys, index):
 
 @njit(nogil=True, error_model="numpy")
 def insert_all(keys, indices):
-    """Put distinct indices into a hash table that has room for them."""
+    """Insert distinct ranks into a hash table that has room for them."""
     for i in range(len(indices)):
         if i + AHEAD < len(indices):
             prefetch(keys, first_slot(keys, indices[i + AHEAD]))
@@ -51,7 +51,7 @@ def insert_all(keys, indices):
 
 @njit(nogil=True, error_model="numpy")
 def number_members(keys, members, start, numbers):
-    """Write the number of each member, from `start` on, beside its place in the hash table."""
+    """Write the number of each member, from `start` on, into the slot of the member."""
     for i in range(len(members)):
         if i + AHEAD < len(members):
             prefetch(keys, first_slot(keys, members[i + AHEAD]))
@@ -59,18 +59,18 @@ def number_members(keys, members, start, numbers):
 
 
 class RankSet(NamedTuple):
-    """The set of reachable indices: as a bitmap, or as a sorted list and a hash table.
+    """The set of reachable ranks: a bitmap, or a sorted list with a hash table.
 
     Attributes
     ----------
     bits : uint64 array, shape (8 * blocks,)
-        The bitmap; empty where the others are used.
+        The bitmap; empty if the list is used.
     ranks : int64 array, shape (blocks + 1,)
-        How many states come before each 512 bits of it.
+        Number of states before each block of 512 bits.
     members : int64 array, shape (n,)
-        The indices in ascending order; empty where the bitmap is used.
+        The ranks in ascending order; empty if the bitmap is used.
     keys, numbers : int64 arrays
-        The hash table from an index (or -1) to its place among the members.
+        Hash table from a rank (or -1) to its position among the members.
     """
 
     bits: Words
@@ -82,7 +82,7 @@ class RankSet(NamedTuple):
 
 @njit(nogil=True, error_model="numpy")
 def count_ones(word):
-    """Count the bits of a word (the compiler has an instruction for this pattern)."""
+    """Return the number of set bits of a word (compilers have an instruction for this pattern)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -91,7 +91,7 @@ def count_ones(word):
 
 @njit(nogil=True, error_model="numpy")
 def fill_ranks(bits, ranks):
-    """Fill in the ranks of a bitmap."""
+    """Compute the `ranks` of a bitmap."""
     total = 0
     for block in range(len(ranks) - 1):
         ranks[block] = total
@@ -102,7 +102,7 @@ def fill_ranks(bits, ranks):
 
 @njit(nogil=True, error_model="numpy")
 def ask_for(states, index):
-    """Ask for the memory that tells the number of an index."""
+    """Prefetch the memory that `number_of` reads for a rank."""
     if len(states.bits):
         prefetch(states.bits, index >> 6)
         prefetch(states.ranks, index >> 9)
@@ -114,7 +114,7 @@ def ask_for(states, index):
 
 @njit(nogil=True, error_model="numpy")
 def number_of(states, index):
-    """Give the number of the state with an index, or -1."""
+    """Return the number of the state with a rank; -1 if there is none."""
     if len(states.bits) == 0:
         slot = find_slot(states.keys, index)
         return states.numbers[slot] if states.keys[slot] == index else np.int64(-1)
@@ -130,14 +130,14 @@ def number_of(states, index):
 
 @njit(nogil=True, error_model="numpy")
 def numbers_of(states, indices, out):
-    """Write the number of each index to `out`, -1 where there is no such state."""
+    """Write the number of each rank to `out`; -1 where there is no such state."""
     for i in range(len(indices)):
         out[i] = number_of(states, indices[i]) if indices[i] >= 0 else -1
 
 
 @njit(nogil=True, error_model="numpy")
 def select(states, numbers, out):
-    """Write the index of each numbered state to `out`."""
+    """Write the rank of each numbered state to `out`."""
     for i in range(len(numbers)):
         if len(states.bits) == 0:
             out[i] = states.members[numbers[i]]
@@ -162,12 +162,12 @@ def select(states, numbers, out):
 
 @njit(nogil=True, error_model="numpy")
 def list_members(states, start, out):
-    """Write the next indices in ascending order to `out`, beginning after a bitmap's first `start` words.
+    """Write the next ranks in ascending order to `out`, from position `start` on.
 
     Returns
     -------
     stop : int
-        Words seen; where the states are listed, members seen.
+        Number of words of the bitmap, or of members, that have been processed.
     filled : int
     """
     filled = 0
@@ -192,7 +192,7 @@ def list_members(states, start, out):
 
 @njit(nogil=True, error_model="numpy")
 def label(states, distance, d, block):
-    """Set the distance of all states of a block."""
+    """Set the distance of all states of a block to `d`."""
     for i in range(len(block)):
         if i + AHEAD < len(block):
             ask_for(states, block[i + AHEAD])
@@ -201,7 +201,7 @@ def label(states, distance, d, block):
 
 @njit(nogil=True, error_model="numpy")
 def close(states, distance, unreached, closed):
-    """Fill a bitmap of the indices that no search has to look at: of no state, or of one that has a distance."""
+    """Fill a bitmap of the ranks that no search needs to visit: those of no state, or of a state with a distance."""
     number = 0
     for word in range(len(states.bits)):
         rest = states.bits[word]
@@ -217,12 +217,12 @@ def close(states, distance, unreached, closed):
 
 @njit(nogil=True, error_model="numpy")
 def is_closed(closed, index):
-    """Tell whether an index is closed; where there is no bitmap, none is."""
+    """Return whether a rank is closed; without a bitmap, none is."""
     return len(closed) != 0 and closed[index >> 6] & (np.uint64(1) << np.uint64(index & 63)) != 0
 
 
 @njit(nogil=True, error_model="numpy")
 def close_one(closed, index):
-    """Close an index, where there is a bitmap; several threads may do so."""
+    """Close a rank if there is a bitmap; thread-safe."""
     if len(closed):
         fetch_or(closed, index >> 6, np.uint64(1) << np.uint64(index & 63))

@@ -1,8 +1,8 @@
-"""Compiled loops of the sweep.
+"""Compiled successor generator on ranks.
 
-Kernels work on one block of indices, so that limits are checked between calls. Those that push stop where the
-output may not hold the successors of one more state, and say how far they came. `coding` explains indices,
-`UnrankingTables` and `RankedOperators`.
+Kernels process one block of ranks, so that limits are checked between calls. Those that push stop when the output may
+not hold the successors of one more state, and return the position reached. `state_ranking` explains ranks and
+`UnrankingTables`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from .unranking import CLUSTER, NOWHERE, PRIME
 
 
 class ApplicableSets(NamedTuple):
-    """The sets of moves that rows leave, and what is to be tested of them.
+    """The sets of moves that are compatible with each row of the unranking tables, and the remaining tests.
 
     Attributes
     ----------
     sets : uint64 array, shape (rows, words)
-        Bit `m & 63` of word `m >> 6` tells whether the values that a row stands for allow the move `m`.
+        Bit `m & 63` of word `m >> 6` is set if the values of the row allow the move `m`.
     begin : int64 array, shape (moves + 1,)
         Tests `begin[m]:begin[m + 1]` are those of move `m`.
     word : int64 array, shape (tests,)
@@ -40,34 +40,34 @@ class ApplicableSets(NamedTuple):
 
 
 class RankedOperators(NamedTuple):
-    """The moves of a task: the candidates of each row, or a trie of tests in depth-first order; the other is empty.
+    """The moves of a task: candidate sets, or a decision tree in depth-first order; the other one is empty.
 
     Attributes
     ----------
-    candidates : Candidates
+    candidates : ApplicableSets
     word : int64 array, shape (tests,)
     mask, value : uint64 arrays, shape (tests,)
         A test holds in a packed state `s` where `s[word] & mask == value`.
     skip : int64 array, shape (tests,)
-        The test to go on with after a failed one: the next that is not below it. If negative, a *switch* (a test that
-        never holds): `jump[(s[word] >> shift & field) - skip - 1]` is the test to go on with.
+        Next test after a failed one: the first that is not below it. A negative entry denotes a *switch*, a test that
+        never holds; the next test is then `jump[(s[word] >> shift & field) - skip - 1]`.
     shift, field : uint64 arrays, shape (tests,)
     jump : int64 array
     first : int64 array, shape (tests + 1,)
-        Moves `first[t]:first[t + 1]` can be applied where `t` and all tests above it hold.
+        Moves `first[t]:first[t + 1]` are applicable if `t` and all tests above it hold.
     delta : int64 array, shape (moves,)
-        What a move adds to the index, but for its lookups.
+        Constant part of the change of the rank by each move.
     looks : int64 array, shape (moves + 1,)
         Lookups `looks[m]:looks[m + 1]` are those of move `m`.
     lookups : int64 array, shape (lookups, 5)
-        Of each: the word and the shift of a cluster's value, how many entries of the table each value has, the
-        entry of value 0, and what to multiply the entry with before adding it to the index.
+        Columns: the word and the shift of a cluster's value, the number of table entries per value, the entry of
+        value 0, and the factor of the entry in the change of the rank.
     table : int32 array
-        By how much a cluster's value changes; `NOWHERE` where the move leads to none.
+        Changes of clusters' values; `NOWHERE` where the move has no successor.
     action : int32 array, shape (moves,)
     cost : int64 array, shape (moves,)
     most : int
-        No more moves than this can be applied in one state.
+        Bound on the number of moves that are applicable in one state.
     """
 
     candidates: ApplicableSets
@@ -89,14 +89,14 @@ class RankedOperators(NamedTuple):
 
 
 class Cursor(NamedTuple):
-    """The state of the index at hand, and what it shares with others whose upper digits are the same.
+    """The state of the current rank, and the part that it shares with ranks of the same upper digits.
 
     Attributes
     ----------
     words, sets : uint64 arrays
-        The packed state, and the moves that are left.
+        The packed state, and the set of compatible moves.
     upper_words, upper_sets : uint64 arrays
-        What the upper digits contribute to them.
+        Contribution of the upper digits to them.
     upper : uint64 array, shape (1,)
         The upper digits.
     """
@@ -110,7 +110,7 @@ class Cursor(NamedTuple):
 
 @njit(nogil=True, error_model="numpy")
 def start_cursor(tests, decoder):
-    """Give a cursor, at no index."""
+    """Return a cursor without a rank."""
     width, sets = decoder.rows.shape[1], tests.candidates.sets.shape[1]
     cursor = Cursor(
         np.empty(width, dtype=np.uint64),
@@ -125,10 +125,10 @@ def start_cursor(tests, decoder):
 
 @njit(nogil=True, error_model="numpy")
 def applicable(tests, decoder, index, cursor, moves):
-    """List the moves that can be applied in the state of an index, and leave that state in `cursor.words`."""
+    """Write the moves that are applicable in the state of a rank; leave that state in `cursor.words`."""
     words, sets = cursor.words, cursor.sets
     above = np.uint64(index) // decoder.radix[0]
-    if above != cursor.upper[0]:  # blocks come in ascending order: the upper digits change seldom
+    if above != cursor.upper[0]:  # blocks are sorted, so the upper digits change rarely
         cursor.upper[0] = above
         for w in range(len(words)):
             cursor.upper_words[w] = 0
@@ -186,7 +186,7 @@ def applicable(tests, decoder, index, cursor, moves):
 
 @njit(nogil=True, error_model="numpy")
 def after(tests, words, move, index):
-    """Give the index that a move leads to, negative if there is none."""
+    """Return the rank after a move; negative if there is no successor."""
     target = index + tests.delta[move]
     for look in range(tests.looks[move], tests.looks[move + 1]):
         value = words[tests.lookups[look, 0]] >> np.uint64(tests.lookups[look, 1]) & np.uint64(CLUSTER)

@@ -1,6 +1,6 @@
-"""Compiled loops of the search back from the goal where costs differ.
+"""Compiled relaxation for the backward search with different costs.
 
-A *kind* is one of the different costs of a task's actions.
+A *kind* is the index of a cost among the distinct costs of a task.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from .ranked_successors import after, applicable, start_cursor
 
 @njit(nogil=True, error_model="numpy")
 def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
-    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kinds of those moves.
+    """Relax the predecessors of the states of distance `d`: push those whose distance decreases, with their kinds.
 
-    Several threads may work on one array of distances. `closed` is a bitmap as `reached.close` fills it, in which
-    states are closed as they are settled, so that most of what leads to them is not looked up; or it is empty. `kinds`
-    are those of the moves, `through` are those pushed.
+    Several threads may share the distances. `closed` is a bitmap from `ranked_states.close`, or empty. States are
+    closed in it as they are settled, so that most predecessors need no lookup. `kinds` are those of the moves, and
+    `through` receives those of the pushed predecessors.
 
     Returns
     -------
     stop : int
-        `block[start:stop]` is done.
+        `block[start:stop]` has been processed.
     filled : int
+        Number of pushed predecessors.
     """
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
     pending = np.empty(PENDING + tests.most, dtype=np.int64)
@@ -52,7 +53,7 @@ def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, s
         if i == begun:
             break
         asked = 0
-        for j in range(waiting):  # without a branch, which nobody could predict
+        for j in range(waiting):  # without a branch, which the processor could not predict
             open_, pending[asked], by[asked] = not is_closed(closed, pending[j]), pending[j], by[j]
             asked += open_
         for j in range(asked):
@@ -71,9 +72,9 @@ def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, s
 
 @njit(nogil=True, error_model="numpy")
 def by_kind(out, through, begin, ordered):
-    """Put what was pushed in the order of its kinds: that of kind `k` is `ordered[begin[k]:begin[k + 1]]`.
+    """Sort pushed predecessors by kind: those of kind `k` are `ordered[begin[k]:begin[k + 1]]`.
 
-    `begin` is zeros before, two entries more than there are kinds.
+    `begin` must be zero, with two entries more than there are kinds.
     """
     for kind in through:
         begin[kind + 2] += 1
@@ -86,9 +87,9 @@ def by_kind(out, through, begin, ordered):
 
 @njit(nogil=True, error_model="numpy")
 def transpose(counts, targets, kinds, into, sources, source_kinds):
-    """Sort transitions by what they lead to: those that lead to `s` are `into[s]:into[s + 1]`; `into` is zeros before.
+    """Sort transitions by target: those into state `s` are `into[s]:into[s + 1]`.
 
-    `into` has two entries more than there are states.
+    `into` must be zero, with two entries more than there are states.
     """
     for row in range(len(targets)):
         into[targets[row] + 2] += 1
@@ -107,13 +108,9 @@ def transpose(counts, targets, kinds, into, sources, source_kinds):
 
 @njit(nogil=True, error_model="numpy")
 def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
-    """Push the predecessors whose distance falls by way of the states of distance `d`, and the kind of its cost.
+    """Relax the stored transitions into the states of distance `d`.
 
-    Returns
-    -------
-    stop : int
-        `block[start:stop]` is done.
-    filled : int
+    The sources whose distance decreases are pushed, with their kinds.
     """
     i, filled = start, 0
     while i < len(block) and filled + into[block[i] + 1] - into[block[i]] <= len(out):

@@ -1,4 +1,4 @@
-"""A hash table of packed states, compiled."""
+"""Compiled hash table of packed states."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ from ...system.jit import njit
 from .atomics import prefetch
 
 AHEAD = 256
-"""States that are looked up at a time: the memory of all is asked for before the first is compared."""
+"""States that are looked up at a time; the memory of all of them is prefetched before the first comparison."""
 
 
 NUMBER = 40
-"""Bits of a state's number in its slot; the other bits are some of its hash, so that few others are compared."""
+"""Bits of a state's number in its slot. The other 24 bits hold a part of its hash, which avoids most comparisons."""
 
 
 @njit(nogil=True, error_model="numpy")
 def hash_of(state):
-    """Mix the words of a state."""
+    """Return the hash of a state's words."""
     mixed = np.uint64(0)
     for w in range(len(state)):
-        mixed = (mixed ^ state[w]) * np.uint64(0x9E3779B97F4A7C15)  # as in `reached.first_slot`, word by word
+        mixed = (mixed ^ state[w]) * np.uint64(0x9E3779B97F4A7C15)  # as in `ranked_states.first_slot`, word by word
         mixed ^= mixed >> np.uint64(32)
     return mixed * np.uint64(0xD6E8FEB86659FD93)
 
 
 @njit(nogil=True, error_model="numpy")
 def place_of(slots, mixed):
-    """Give the slot from which a state is looked for."""
+    """Return the slot at which the probe for a state begins."""
     return np.int64(mixed >> np.uint64(20) & np.uint64(len(slots) - 1))
 
 
 @njit(nogil=True, error_model="numpy")
 def entry_of(mixed, number):
-    """Give what a slot has of a state."""
+    """Return the slot entry of a state: a part of its hash, and its number plus one."""
     return mixed >> np.uint64(NUMBER) << np.uint64(NUMBER) | np.uint64(number + 1)
 
 
 @njit(nogil=True, error_model="numpy")
 def find(slots, states, state, mixed):
-    """Find the slot in which a state stands, or the free one (0) where it belongs."""
+    """Return the slot of a state, or the free slot (0) where it belongs."""
     at = place_of(slots, mixed)
     while slots[at] != 0:
         if (slots[at] ^ mixed) >> np.uint64(NUMBER) == 0:
@@ -55,12 +55,12 @@ def find(slots, states, state, mixed):
 
 @njit(nogil=True, error_model="numpy")
 def insert(slots, states, held, block, numbers):
-    """Give the number of each state of a block; those that are new are written to `states[held:]`, which has room.
+    """Write the number of each state of a block; new states are appended to `states[held:]`, which has room.
 
     Returns
     -------
     int
-        How many states are held now.
+        Number of states in the table afterwards.
     """
     mixed = np.empty(AHEAD, dtype=np.uint64)
     for start in range(0, len(block), AHEAD):
@@ -87,7 +87,7 @@ def insert(slots, states, held, block, numbers):
 
 @njit(nogil=True, error_model="numpy")
 def look_up(slots, states, block, numbers):
-    """Give the number of each state of a block, -1 where it is not held."""
+    """Write the number of each state of a block; -1 for unknown states."""
     for i in range(len(block)):
         entry = slots[find(slots, states, block[i], hash_of(block[i]))]
         numbers[i] = np.int64(entry & np.uint64((1 << NUMBER) - 1)) - 1
@@ -95,7 +95,7 @@ def look_up(slots, states, block, numbers):
 
 @njit(nogil=True, error_model="numpy")
 def fill_slots(slots, states, first, stop):
-    """Put `states[first:stop]`, which are distinct, into the slots, which have room."""
+    """Insert the distinct states `states[first:stop]` into the slots, which have room."""
     for number in range(first, stop):
         mixed = hash_of(states[number])
         at = place_of(slots, mixed)

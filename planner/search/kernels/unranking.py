@@ -1,4 +1,4 @@
-"""From the rank of a state to its packed form, compiled."""
+"""Compiled unranking: from the rank of a state to its packed form."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from ...system.jit import njit
 
 
 class UnrankingTables(NamedTuple):
-    """Tables that give the packed state of an index (a namedtuple: numba takes it apart).
+    """Tables for unranking, as a named tuple, which numba supports.
 
-    The digits of an index fall into chunks, the lowest first. A packed state is the sum, modulo 2**64, of
-    one row for each chunk. Then come steps, each for a variable that the others determine: a field of the sum, modulo
-    the invariants' prime, tells its value, and that tells a row to be added.
+    The digits of a rank are grouped into chunks, the lowest first. A packed state is the sum, modulo 2**64, of one row
+    per chunk. Then follow steps, one for each variable that the others determine. A field of the sum, modulo the prime
+    of the invariants, determines the variable's value, whose row is added.
 
     Attributes
     ----------
     radix : uint64 array, shape (chunks,)
-        Values of each chunk.
+        Number of values of each chunk.
     first : int64 array, shape (chunks,)
-        The row of each chunk's value 0.
+        Row of value 0 of each chunk.
     rows : uint64 array, shape (rows, words)
-        The words of `successors.Packing` come first.
+        Contributions to the words; those of `Packing` are first.
     steps : int64 array, shape (steps, 3)
         The word and the shift of each step's field, and the row of its value 0.
     told : int32 array, shape (steps, prime)
-        The value that each sum tells; 0 where no value has that sum, which is so in no reachable state.
+        Value for each sum; 0 for sums that belong to no value, which do not occur in reachable states.
     """
 
     radix: Words
@@ -40,20 +40,23 @@ class UnrankingTables(NamedTuple):
 
 
 NOWHERE = -(1 << 31)
-"""In a table of changes: the move leads to no value of the cluster."""
+"""Entry of a table of changes for a move without a successor in the cluster."""
 
 
 CLUSTER = (1 << 21) - 1
-"""Fields of a packed state that hold a cluster's value, or a sum that tells one, have 21 bits."""
+"""Mask of a 21-bit field of a packed state, which holds the value of a cluster or a sum. A word has three such fields.
+"""
 
 
 PRIME = 8191
-"""Sums that tell the value of a variable are taken modulo this prime."""
+"""Prime modulus of the sums that determine variables. Larger distinguishes more values, and needs wider fields and
+tables.
+"""
 
 
 @njit(nogil=True, error_model="numpy")
 def decode(decoder, index, words):
-    """Write the packed state of an index into `words`."""
+    """Write the packed state of a rank into `words`."""
     rest = np.uint64(index)
     words[:] = 0
     for chunk in range(len(decoder.radix)):
@@ -71,14 +74,14 @@ def decode(decoder, index, words):
 
 @njit(nogil=True, error_model="numpy")
 def decode_all(decoder, indices, states):
-    """Write the packed state of each index into a row of `states`."""
+    """Write the packed state of each rank into a row of `states`."""
     for i in range(len(indices)):
         decode(decoder, indices[i], states[i])
 
 
 @njit(nogil=True, error_model="numpy")
 def mark(decoder, block, masks, values, marks):
-    """Write to `marks` in which states of a block a condition holds."""
+    """Write to `marks` whether a condition holds in each state of a block."""
     words = np.empty(decoder.rows.shape[1], dtype=np.uint64)
     for i in range(len(block)):
         decode(decoder, block[i], words)
