@@ -1,1 +1,1 @@
-"""States as integers: invariants and mutexes of a task, and the ranking made of them."""
+"""States as integers: the invariants and mutexes of a task, and the ranking that is built from them."""

@@ -1,12 +1,12 @@
-"""Linear invariants: weighted numbers of facts that never change, and the variables that they determine.
+"""Linear invariants: weighted sums of facts that never change, and the variables that they determine.
 
-A weight for every fact is an *invariant* if no move changes the sum of the weights of the facts that hold: then the
-sum is the same in all reachable states. Counters are the usual case (what lies in the box, on the tray and in the
-kit is as much as there was), groups of which exactly one fact holds another. All of them together are the left null
-space of the matrix of facts and moves. Sums are taken modulo a prime, in which all arithmetic is exact and small; an
-invariant modulo a prime is a theorem as much as one of integers.
+Definition: weights of all facts are an *invariant* if every move preserves the sum of the weights of the facts that
+hold. The sum is then the same in all reachable states, by induction over the moves. Counters are the usual example: the
+numbers of items in the box, on the tray and in the kit have a constant sum. Groups of which exactly one fact holds are
+another. All invariants together are the left null space of the matrix of facts and moves. Sums are taken modulo a
+prime, where arithmetic is exact and numbers stay small. The induction holds modulo a prime as well.
 
-A variable whose values have different weights in an invariant follows from the other variables of that invariant.
+A variable whose values have distinct weights in an invariant is determined by the other variables of that invariant.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from ..kernels.unranking import PRIME
 from .transition_normal_form import TNFOperator
 
 MOST_WORK = 1 << 32
-"""Steps of elimination (facts^2 times distinct changes), beyond which invariants are not looked for."""
+"""Limit on the steps of elimination (facts^2 times distinct changes), above which invariants are not computed."""
 
 AT_ONCE = 1 << 28
-"""Products of two numbers between two checks of the limits."""
+"""Multiplications between two checks of the limits."""
 
 TRIES = 20
-"""Combinations of invariants that are tried before a variable is taken as not determined."""
+"""Random combinations of invariants that are tried before a variable counts as not determined."""
 
 
 @dataclass(frozen=True)
 class Determined:
-    """A variable that follows from the others.
+    """A variable that the others determine.
 
     Attributes
     ----------
     variable : int
     weights : int64 array, shape (facts,)
-        The invariant's weights, 0 to `PRIME` - 1; all values of the variable have different ones.
+        Weights of the invariant, 0 to `PRIME` - 1; they are distinct for all values of the variable.
     total : int
-        The sum of the weights of the facts that hold, modulo `PRIME`.
+        Sum of the weights of the facts that hold, modulo `PRIME`.
     """
 
     variable: int
@@ -52,15 +52,15 @@ class Determined:
 
 
 def determined(task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> list[Determined]:
-    """Choose variables that the others determine.
+    """Return variables that the others determine.
 
-    Large variables that take few invariants are preferred. Each depends on variables that are not among those chosen
-    or that come before it in the result. The bytes that are checked are those of the invariants.
+    Variables with many values that use up few invariants are preferred. Each one depends only on variables that are not
+    in the result, or that precede it. `check` is called with the bytes of the invariants.
     """
     sizes = np.array([len(variable.facts) for variable in task.variables])
     first = np.concatenate([[0], np.cumsum(sizes)])
     space = invariants(task, moves, check)
-    in_use = 4 * space.nbytes  # the next space, and both of them in floating point
+    in_use = 4 * space.nbytes  # the next space, and both in floating point
     rng = np.random.default_rng(0)
     found: list[Determined] = []
     waiting = sorted({v for move in moves for v in move.after})
@@ -79,7 +79,7 @@ def determined(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
             continue
         initial = int(weights[first[:-1] + np.asarray(task.initial)].sum() % PRIME)
         found.append(Determined(best, weights, initial))
-        # Those that are chosen later come before it, so that they may not depend on it.
+        # Variables that are chosen later precede it in the result, so they must not depend on it.
         space = _without(space, first, best, lambda: check(in_use))
         if not len(space):
             break
@@ -88,9 +88,9 @@ def determined(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
 
 
 def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> Ints:
-    """Give a basis of the invariants modulo `PRIME`, shape (n, facts), each checked against every move.
+    """Return a basis of the invariants modulo `PRIME`, shape (n, facts), verified on every move.
 
-    Variables that no move changes weigh nothing in them.
+    Variables that no move changes have weight zero.
     """
     sizes = np.array([len(variable.facts) for variable in task.variables])
     first = np.concatenate([[0], np.cumsum(sizes)])
@@ -101,7 +101,7 @@ def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
     different = {tuple((v, move.facts[v], value) for v, value in sorted(move.after.items())) for move in moves}
     if len(different) * facts**2 > MOST_WORK:
         return np.zeros((0, int(first[-1])), dtype=np.int64)
-    in_use = 8 * int(first[-1]) * (3 * len(different) + 4 * facts)  # the basis may have a row for each column
+    in_use = 8 * int(first[-1]) * (3 * len(different) + 4 * facts)  # the basis has at most one row per column
     check(in_use)
     changes = np.zeros((len(different), int(first[-1])), dtype=np.int64)
     for row, changed in zip(changes, different, strict=True):
@@ -115,7 +115,7 @@ def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
 
 
 def _ranks(space: Ints, first: Ints, variables: Sequence[int], check: Callable[[], None]) -> dict[int, int]:
-    """Return how many invariants it takes to determine each of some variables: the rank of its facts' weights."""
+    """Return how many invariants each variable would use up: the rank of its facts' relative weights."""
     ranks = {}
     for v in variables:
         check()
@@ -124,15 +124,15 @@ def _ranks(space: Ints, first: Ints, variables: Sequence[int], check: Callable[[
 
 
 def _relative(space: Ints, first: Ints, variable: int) -> Ints:
-    """Weights of a variable's facts but the first, less the first's, shape (invariants, values - 1)."""
+    """Return the weights of a variable's other facts minus that of its first, shape (invariants, values - 1)."""
     own = space[:, first[variable] : first[variable + 1]]
     return (own[:, 1:] - own[:, :1]) % PRIME
 
 
 def _telling(space: Ints, first: Ints, variable: int, rng: np.random.Generator) -> Ints | None:
-    """Find an invariant in which all values of a variable have different weights; None if none was found.
+    """Return an invariant with distinct weights for all values of a variable; None if none was found.
 
-    Of single invariants that do, the one with the fewest variables is taken; otherwise combinations are tried.
+    Among suitable basis vectors, the one with the fewest variables is chosen. Otherwise random combinations are tried.
     """
     own = np.sort(space[:, first[variable] : first[variable + 1]], axis=1)
     telling = space[(np.diff(own, axis=1) > 0).all(axis=1)]
@@ -150,14 +150,15 @@ def _telling(space: Ints, first: Ints, variable: int, rng: np.random.Generator) 
 
 
 def _without(space: Ints, first: Ints, variable: int, check: Callable[[], None]) -> Ints:
-    """Combine invariants to those in which all values of a variable have the same weight."""
+    """Return a basis of the invariants in which all values of a variable have the same weight."""
     return _product(_null_space(_relative(space, first, variable).T, check), space, check)
 
 
 def _product(a: Ints, b: Ints, check: Callable[[], None]) -> Ints:
     """Return the product of two matrices modulo the prime.
 
-    It is taken in floating point, where that is fast: exact, as sums stay below 2^53 for 10^8 invariants.
+    It is computed in floating point, which is fast. The result is exact, as sums stay below 2^53 for up to 10^8
+    invariants.
     """
     product, factor = np.empty((len(a), b.shape[1]), dtype=np.int64), b.astype(np.float64)
     step = AT_ONCE // (b.size + 1) + 1
@@ -168,7 +169,7 @@ def _product(a: Ints, b: Ints, check: Callable[[], None]) -> Ints:
 
 
 def _null_space(matrix: Ints, check: Callable[[], None]) -> Ints:
-    """Give a basis of all x with matrix @ x = 0 modulo the prime, shape (n, columns)."""
+    """Return a basis of all x with matrix @ x = 0 modulo the prime, shape (n, columns)."""
     reduced = np.ascontiguousarray(matrix % PRIME)
     pivots = _reduced(reduced, check)
     rows = np.flatnonzero(pivots >= 0)
@@ -180,7 +181,7 @@ def _null_space(matrix: Ints, check: Callable[[], None]) -> Ints:
 
 
 def _reduced(matrix: Ints, check: Callable[[], None]) -> Ints:
-    """Bring a matrix to reduced row echelon form modulo the prime, in place; give each row's pivot column or -1."""
+    """Reduce a matrix to row echelon form modulo the prime, in place; return each row's pivot column or -1."""
     pivots = np.full(len(matrix), -1, dtype=np.int64)
     step, top = AT_ONCE // (8 * matrix.size + 1) + 1, 0
     for column in range(0, matrix.shape[1], step):
@@ -193,7 +194,7 @@ def _reduced(matrix: Ints, check: Callable[[], None]) -> Ints:
 
 @njit(nogil=True)
 def _reduce(matrix, pivots, top, begin, stop):
-    """Clear the columns `begin` to `stop` but for their pivots; `top` rows have one before, and so many after."""
+    """Eliminate the columns `begin` to `stop`. `top` is the number of rows with a pivot before; return it after."""
     rows, columns = matrix.shape
     for column in range(begin, stop):
         if top == rows:

@@ -1,9 +1,10 @@
-"""Facts that never hold together, and what they say of a task's moves.
+"""Mutexes: pairs of facts that never hold together, and their consequences for a task's moves.
 
-`Mutexes.of` computes which pairs of facts may hold together: the least set of pairs that has those of the initial
-state and that no move leaves (h^2 of Haslum and Geffner 2000, run to its end). All other pairs are *mutex*. That is a
-theorem, by induction: where a state has no mutex pair, the states after it have none. A move that needs two mutex
-facts can never be applied, and where a move is applied no fact holds that is mutex with one that it needs.
+`Mutexes.of` computes the pairs of facts that may hold together. This is the least set of pairs that contains those of
+the initial state and is closed under all moves (h^2 of Haslum and Geffner 2000, run to its fixed point). All other
+pairs are *mutex*. Theorem: no reachable state contains a mutex pair. Proof: by induction, as the initial state contains
+none, and the successors of a state without mutex pairs contain none. Consequently, a move that needs two mutex facts is
+never applicable. Where a move is applicable, no fact holds that is mutex with a fact that it needs.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ...system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
 
 MOST_WORK = 1 << 26
-"""Moves times facts, beyond which mutexes are not looked for."""
+"""Limit on moves times facts, above which mutexes are not computed."""
 
 AT_ONCE = 1 << 21
 """Moves times facts between two checks of the limits."""
@@ -29,19 +30,19 @@ AT_ONCE = 1 << 21
 
 @dataclass(frozen=True)
 class Mutexes:
-    """Pairs of facts that may hold together, and moves that may be applied.
+    """Pairs of facts that may hold together, and moves that may be applicable.
 
-    Facts are numbered through all variables.
+    Facts are numbered across all variables.
 
     Attributes
     ----------
     first : int64 array, shape (variables + 1,)
-        The number of each variable's fact 0.
+        Number of each variable's fact 0.
     together : bool array, shape (facts, facts)
-        Which pairs may hold together; a fact and itself, whether the fact may hold.
+        Whether a pair may hold together; on the diagonal, whether the fact may hold.
     moves : list of TNFOperator
     barred : bool array, shape (moves, facts)
-        Facts that do not hold where a move is applied, since they are mutex with one that it needs.
+        Facts that cannot hold where a move is applied, since they are mutex with a fact that it needs.
     """
 
     first: Ints
@@ -51,7 +52,10 @@ class Mutexes:
 
     @classmethod
     def of(cls, task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> Mutexes | None:
-        """Compute them; None if that would take long. The bytes that are checked are those of the pairs and moves."""
+        """Return the mutexes of a task; None if there are too many moves and facts.
+
+        `check` is called with the bytes of the pairs and moves.
+        """
         first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
         facts = int(first[-1])
         if len(moves) * facts > MOST_WORK:
@@ -88,7 +92,7 @@ class Mutexes:
 
 
 def _rows(lists: Sequence[Sequence[int]]) -> Ints:
-    """Lists as the rows of an array, shape (n, most); -1 where they are shorter."""
+    """Return lists as the rows of an array, shape (n, most), padded with -1."""
     rows = np.full((len(lists), max(map(len, lists), default=0)), -1, dtype=np.int64)
     for row, entries in zip(rows, lists, strict=True):
         row[: len(entries)] = entries
@@ -97,7 +101,7 @@ def _rows(lists: Sequence[Sequence[int]]) -> Ints:
 
 @njit(nogil=True)
 def _close(needs, gains, keeps, variable, together, possible, begin, stop):
-    """Add the pairs that the moves `begin` to `stop` lead to; tell whether there were any."""
+    """Add the pairs that the moves `begin` to `stop` make possible; return whether anything was added."""
     facts = len(variable)
     fixed = np.zeros(variable.max() + 1 if facts else 0, dtype=np.bool_)
     change = False
@@ -161,7 +165,7 @@ def _close(needs, gains, keeps, variable, together, possible, begin, stop):
 
 @njit(nogil=True)
 def _bar(needs, variable, together, barred):
-    """Mark facts that are mutex with one that a move needs."""
+    """Mark the facts that are mutex with a fact that a move needs."""
     for m in range(len(needs)):
         for i in range(needs.shape[1]):
             if needs[m, i] < 0:

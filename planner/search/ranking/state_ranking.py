@@ -1,15 +1,15 @@
-"""States as numbers on which a move is an addition.
+"""Ranking of states: states as integers, on which a move is an addition.
 
-A *rank* is a mixed-radix number whose digits are clusters of variables: a cluster's digit is the place of its
-variables' values in the list of those that they can take together. Variables that follow from the others are left out.
-There are two rankings. `StateRanking.of` takes every variable as a cluster of its own and leaves out what follows from
-groups of facts of which exactly one holds for ever; on these ranks a move adds a constant. Where that gives very many
-ranks, `StateRanking.dense` looks deeper: for variables that any linear invariant determines (`linear_invariants`), and
-for clusters of variables that take few values together (`variable_clusters`). There a move adds what it finds in a
-table, by the cluster's digit.
+A *rank* is a mixed-radix number whose digits belong to clusters of variables. A digit is the position of the variables'
+values in the list of their possible joint values. Variables that the others determine are left out. There are two
+rankings. In `StateRanking.of`, every variable is a cluster of its own. It leaves out what follows from groups of facts
+of which exactly one always holds. A move then adds a constant to the rank. If this gives very many ranks,
+`StateRanking.dense` is tried. It leaves out variables that any linear invariant determines (`linear_invariants`), and
+uses clusters of variables with few joint values (`variable_clusters`). A move then adds an entry of a table, which
+depends on the cluster's digit.
 
-A state is decoded by adding up table entries. Which moves can be applied in it is found by intersecting sets, one for
-each entry (`candidates`), or by a trie of tests (`trie`).
+A state is unranked by adding up table entries. Its applicable moves are found by intersecting one set per entry
+(`candidates`), or by a decision tree (`trie_of`).
 """
 
 from __future__ import annotations
@@ -33,33 +33,35 @@ from .transition_normal_form import TNFOperator, exactly_one
 from .variable_clusters import Cluster, clusters
 
 CHUNK = 1 << 11
-"""Most entries in one of the tables that decode an index: all of them together should fit the cache."""
+"""Largest number of entries in one unranking table. Larger tables need fewer additions, but should fit the cache
+together.
+"""
 
 ENCODED = 1 << 11
-"""States whose indices are worked out at a time, so that what that takes fits the cache, too."""
+"""States that are ranked at a time, so that intermediate arrays fit the cache."""
 
 PHASE = "an index was looked for"
-"""What is going on, for the messages of limits."""
+"""Description of the construction of a ranking, for messages about limits."""
 
 MANY = 1 << 33
-"""Indices beyond which the dense coding is looked for: a bitmap of them takes a GB."""
+"""Number of ranks above which the dense ranking is tried: a bitmap of this size takes 1 GB."""
 
 FIELDS = 3
-"""Fields of a cluster's value or of a sum in a word."""
+"""Number of fields in a word, each of which holds a cluster's value or a sum."""
 
 Sum = tuple[int, dict[Fact, int]]
-"""A constant and coefficients: the number of facts that hold among some, each counted so many times."""
+"""An affine sum over facts: a constant, and the coefficient of each fact (1 where it holds, else 0)."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What a move adds to the index.
+    """The change of the rank by a move.
 
     Attributes
     ----------
     constant : int
     lookups : tuple of (int, int32 array)
-        A cluster, and for each of its values by how much the move changes it, or `NOWHERE`.
+        Clusters, each with the change of its digit for every value, or `NOWHERE`.
     """
 
     constant: int
@@ -68,25 +70,25 @@ class Change:
 
 @dataclass(frozen=True)
 class StateRanking:
-    """Reachable states as indices.
+    """A ranking of the reachable states.
 
     Attributes
     ----------
     packing : Packing
-        Of all variables into 64-bit words.
+        Layout of all variables in 64-bit words.
     sizes : int64 array, shape (variables,)
-        Values of each variable.
+        Number of values of each variable.
     clusters : tuple of Cluster
-        Every variable is in one.
+        Clusters, which partition the variables.
     stride : int64 array, shape (clusters,)
-        What one more in a cluster's digit adds to the index; 0 for the clusters left out.
+        Factor of each cluster's digit in the rank; 0 for clusters that are left out.
     size : int
-        Every index is below this.
+        Upper bound on all ranks, exclusive.
     field : dict of int to (int, int)
-        The word and the shift of the value of each cluster whose changes are looked up.
+        Word and shift of the value of each cluster whose changes are looked up.
     decoder : UnrankingTables
     implied : dict of Fact to Sum
-        Facts of the variables left out, where each follows from facts of the digits by a sum.
+        Facts of variables that are left out, as sums over facts of the digits.
     """
 
     packing: Packing
@@ -102,10 +104,10 @@ class StateRanking:
     def of(
         cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator], check: Check = unchecked
     ) -> StateRanking | None:
-        """Number the states by single variables, but those that the groups imply; None if 63 bits do not do."""
+        """Return the ranking by single variables, without those that the groups imply; None if 62 bits are too few."""
         sizes = [len(variable.facts) for variable in task.variables]
         sums = _implied(sizes, groups, check)
-        # Blocks of states come in ascending order: what is tested most often should change least often.
+        # Blocks of states are sorted by rank. Variables that are tested often should change rarely, so they come last.
         uses = Counter(v for move in moves for v in move.facts)
         digits = sorted((v for v in range(len(sizes)) if (v, 0) not in sums), key=lambda v: (uses[v], v))
         size = math.prod(sizes[v] for v in digits)
@@ -119,9 +121,10 @@ class StateRanking:
 
     @classmethod
     def dense(cls, task: Task, mutexes: Mutexes, check: Check = unchecked) -> StateRanking | None:
-        """Number the states by clusters, but for the variables that invariants determine; None as above.
+        """Return the ranking by clusters without the variables that invariants determine; None if there is none.
 
-        The moves are those of the mutexes.
+        It is a ranking for the moves in `mutexes`. There is none if 62 bits do not suffice for the ranks, or if the
+        sums do not fit their fields.
         """
         sizes = [len(variable.facts) for variable in task.variables]
         left_out = determined(task, mutexes.moves, check)
@@ -135,7 +138,7 @@ class StateRanking:
             return None
         own = (*merged, *clusters(mutexes, task.initial, [d.variable for d in left_out], alone=True, check=check))
         if (sum(len(c) > 1 for c in own) + 1) * PRIME >= 1 << 64 // FIELDS:
-            return None  # sums that tell the variables that are left out would not fit their fields
+            return None  # the sums that determine variables would not fit their fields
         packing = Packing.of(task)
         varying = {v for move in mutexes.moves for v in move.after}
         changed = [number for number, cluster in enumerate(own) if not varying.isdisjoint(cluster.variables)]
@@ -146,14 +149,14 @@ class StateRanking:
         return cls(packing, np.array(sizes, dtype=np.int64), own, _strides(own, digits), size, field, decoder, {})
 
     def change(self, move: TNFOperator) -> Change | None:
-        """Say what a move adds to the index; None if it can never be applied."""
+        """Return the change of the rank by a move; None if the move is never applicable."""
         constant = 0
         lookups = []
         for number in sorted({self._cluster_of[v] for v in move.after}):
             cluster = self.clusters[number]
             after = [move.after.get(v) for v in cluster.variables]
             if number not in self.field:
-                # The cluster has all values, and those that change are known.
+                # The cluster has all joint values, and the move fixes the old values, so the change is constant.
                 steps = [self._step(cluster, place) for place in range(len(cluster.variables))]
                 constant += int(self.stride[number]) * sum(
                     step * (value - move.facts[v])
@@ -181,18 +184,18 @@ class StateRanking:
 
     @cached_property
     def _cluster_of(self) -> dict[int, int]:
-        """The number of each variable's cluster."""
+        """Number of each variable's cluster."""
         return {v: number for number, cluster in enumerate(self.clusters) for v in cluster.variables}
 
     def _step(self, cluster: Cluster, place: int) -> int:
-        """What one more in one of a cluster's variables adds to its digit, where it has all values."""
+        """Return the factor of a variable in its cluster's digit, for a cluster with all joint values."""
         return math.prod(int(self.sizes[v]) for v in cluster.variables[place + 1 :])
 
     def _places(self, number: int, values: Ints) -> Ints:
-        """Return the digits of a cluster with values, shape (n, variables); -1 where it cannot take them.
+        """Return the digits of a cluster for values of shape (n, variables); -1 for impossible values.
 
-        Rows are compared as numbers in mixed radix. Where these would not fit 62 bits, the leading columns are replaced
-        by their rank among those of the cluster: a cluster of many variables that determine each other has few rows.
+        Rows are compared as mixed-radix numbers. If these would exceed 62 bits, the leading columns are replaced by
+        their position among those of the cluster. A cluster of many variables that determine each other has few rows.
         """
         cluster = self.clusters[number]
         own, wanted = np.zeros(len(cluster), dtype=np.int64), np.zeros(len(values), dtype=np.int64)
@@ -210,7 +213,7 @@ class StateRanking:
         return np.where(known & (own[at] == wanted), at, -1)
 
     def matching(self, facts: Sequence[Fact], most: int) -> Ints | None:
-        """List the indices with some facts about their digits; None if there are more than `most`."""
+        """Return the ranks whose digits agree with the facts; None if there are more than `most`."""
         wanted = dict(facts)
         digits: list[Ints] = []
         for number, cluster in enumerate(self.clusters):
@@ -228,7 +231,7 @@ class StateRanking:
         return index
 
     def encode(self, values: ArrayLike) -> Ints:
-        """Give the indices of states with values of shape (n, variables); -1 where they fit no index."""
+        """Return the ranks of states with values of shape (n, variables); -1 for states without a rank."""
         array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
         if len(array) > ENCODED:
             return np.concatenate([self.encode(array[at : at + ENCODED]) for at in range(0, len(array), ENCODED)])
@@ -243,16 +246,16 @@ class StateRanking:
         return np.where(consistent, index, -1)
 
     def decode(self, index: Ints) -> Ints:
-        """Give the values, shape (n, variables), of indices, shape (n,)."""
+        """Return the values, shape (n, variables), of ranks, shape (n,)."""
         words = np.empty((len(index), self.decoder.rows.shape[1]), dtype=np.uint64)
         decode_all(self.decoder, index, words)
         return self.packing.unpack(words)
 
 
 def plain(task: Task, moves: list[TNFOperator], budget: Budget) -> tuple[StateRanking | None, list[TNFOperator]]:
-    """Give the coding by single variables, if 62 bits do, and leave out moves that can never be applied.
+    """Return the ranking by single variables, if 62 bits suffice, and the moves that may be applicable.
 
-    Where there is none, or one of more than `MANY` indices, `denser` may find a better one.
+    If there is no such ranking, or it has more than `MANY` ranks, `denser` may find a better one.
     """
     check = budget.during(PHASE)
     groups, possible = exactly_one(task, moves, check)
@@ -262,7 +265,7 @@ def plain(task: Task, moves: list[TNFOperator], budget: Budget) -> tuple[StateRa
 def denser(
     task: Task, coding: StateRanking | None, moves: list[TNFOperator], budget: Budget
 ) -> tuple[StateRanking | None, list[TNFOperator]]:
-    """Look for a coding of fewer indices than one that is there, and leave out more moves."""
+    """Return a ranking with fewer ranks and its moves, or the given ones if none is found."""
     mutexes = Mutexes.of(task, moves, budget.during(PHASE))
     if mutexes is None:
         return coding, moves
@@ -276,7 +279,7 @@ def denser(
 def _joined(
     left_out: Sequence[Determined], merged: Sequence[Cluster], first: Ints, check: Check
 ) -> tuple[list[Determined], list[Cluster]]:
-    """Let variables that a single cluster determines join it; give those that are left, and the clusters."""
+    """Add variables that a single cluster determines to this cluster; return the other variables and all clusters."""
     whole = list(merged)
     left = []
     for own in left_out:
@@ -299,7 +302,7 @@ def _joined(
 
 
 def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
-    """What one more in each cluster's digit adds to the index; 0 for those that are no digits."""
+    """Return the factor of each cluster's digit in the rank; 0 for clusters without a digit."""
     stride = np.zeros(len(clusters), dtype=np.int64)
     step = 1
     for number in digits:
@@ -309,13 +312,13 @@ def _strides(clusters: Sequence[Cluster], digits: Sequence[int]) -> Ints:
 
 
 def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Check) -> dict[Fact, Sum]:
-    """Choose variables to leave out, and express each of their facts by those of the remaining variables.
+    """Choose variables to leave out, and express each of their facts by facts of the other variables.
 
-    A fact is 1 where it holds and 0 elsewhere. A variable takes a group for each of its values but one, so
-    small variables are tried first.
+    A fact has the value 1 where it holds and 0 elsewhere. A variable needs one group for all but one of its values, so
+    that variables with few values are tried first.
     """
     sums: dict[Fact, Sum] = {}
-    needed: set[int] = set()  # variables that a chosen one is expressed by
+    needed: set[int] = set()  # variables that occur in the sums of chosen ones
     by_fact: dict[Fact, list[frozenset[Fact]]] = {}
     for group in groups:
         variables = Counter(v for v, _ in group)
@@ -327,7 +330,7 @@ def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Che
         if variable in needed:
             continue
         own: dict[Fact, Sum] = {}
-        price: dict[Fact, int] = {}  # variables that would be needed in addition
+        price: dict[Fact, int] = {}  # number of additional variables that would be needed
         for fact in ((variable, value) for value in range(sizes[variable])):
             for group in by_fact.get(fact, ()):
                 candidate = _one_minus([sums.get(f, (0, {f: 1})) for f in group - {fact}])
@@ -336,7 +339,7 @@ def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Che
                     own[fact], price[fact] = candidate, more
         if len(own) < sizes[variable] - 1:
             continue
-        if len(own) == sizes[variable]:  # one of them is too many
+        if len(own) == sizes[variable]:  # one sum is superfluous
             del own[max(price, key=lambda fact: (price[fact], fact))]
         rest = next(value for value in range(sizes[variable]) if (variable, value) not in own)
         own[variable, rest] = _one_minus(list(own.values()))
@@ -346,7 +349,7 @@ def _implied(sizes: Sequence[int], groups: Iterable[frozenset[Fact]], check: Che
 
 
 def _one_minus(sums: Sequence[Sum]) -> Sum:
-    """One minus the sum of sums."""
+    """Return one minus the sum of the given sums."""
     terms: Counter[Fact] = Counter()
     for _, own in sums:
         terms.subtract(own)
@@ -354,7 +357,7 @@ def _one_minus(sums: Sequence[Sum]) -> Sum:
 
 
 def _parts(packing: Packing, sizes: Sequence[int], sums: dict[Fact, Sum]) -> tuple[Words, dict[int, Words]]:
-    """Tabulate what each value of a variable contributes to the packed state, and what is always there."""
+    """Return the constant part of packed states, and the contribution of each value of each variable."""
     parts = {v: np.zeros((sizes[v], packing.words), dtype=np.uint64) for v in range(len(sizes))}
     constant = np.zeros(packing.words, dtype=np.uint64)
     wrap = (1 << 64) - 1
@@ -377,7 +380,7 @@ def _dense_decoder(
     field: dict[int, tuple[int, int]],
     check: Check,
 ) -> UnrankingTables:
-    """Tabulate what each cluster's values contribute to the packed state and to the sums that tell the others."""
+    """Return the unranking tables of the dense ranking, with the sums that determine the variables left out."""
     first = np.concatenate([[0], np.cumsum(sizes)])
     words = packing.words + -(-len(field) // FIELDS)
     places = [_field(words, place) for place in range(len(left_out))]
@@ -387,7 +390,7 @@ def _dense_decoder(
     constant = np.zeros(words, dtype=np.uint64)
     for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
         check(in_use)
-        # Clusters with a single row are constant; they take nothing of the field's room.
+        # Clusters with a single row are constant, and need no room in the field.
         single = [c for number, c in enumerate(clusters) if len(c) == 1 and number - len(digits) != step]
         fixed = sum(int(own.weights[first[list(c.variables)] + c.values[0]].sum()) for c in single)
         constant[word] += np.uint64((own.total - fixed) % PRIME << shift)
@@ -401,14 +404,14 @@ def _dense_decoder(
             word, shift = field[number]
             part[:, word] += np.arange(len(cluster), dtype=np.uint64) << np.uint64(shift)
         for step, ((word, shift), own) in enumerate(zip(places, left_out, strict=True)):
-            # What is determined before a sum is used is part of it; what comes after has equal weights in it.
+            # Variables determined in earlier steps are part of the sum; later ones have equal weights in it.
             if len(cluster) > 1 and number - len(digits) != step:
                 weights = own.weights[first[list(cluster.variables)] + cluster.values].sum(axis=1)
                 part[:, word] += (-weights % PRIME).astype(np.uint64) << np.uint64(shift)
         parts.append(part)
     for step in range(len(left_out)):
         check(in_use)
-        # A variable that is determined later has the same weight whatever its value: it counts from the start.
+        # A variable that is determined later contributes the same for all its values: a constant.
         word, shift = places[step]
         for later in range(step + 1, len(left_out)):
             number = len(digits) + later
@@ -425,7 +428,7 @@ def _dense_decoder(
 
 
 def _field(first: int, place: int) -> tuple[int, int]:
-    """The word and the shift of a field, where those before it begin in the word `first`."""
+    """Return the word and the shift of a field, where the fields begin in the word `first`."""
     return first + place // FIELDS, 64 // FIELDS * (place % FIELDS)
 
 
@@ -435,7 +438,7 @@ def _decoder(
     steps: Sequence[tuple[tuple[int, int], Words]],
     told: ArrayLike,
 ) -> UnrankingTables:
-    """Put the digits' tables together, those of several small digits into one."""
+    """Return the unranking tables; the tables of several small digits are combined into one."""
     chunks: list[list[Words]] = [[]]
     for part in parts:
         if math.prod(map(len, (*chunks[-1], part))) > CHUNK and chunks[-1]:
@@ -446,7 +449,7 @@ def _decoder(
     tables: list[Words] = []
     for number, chunk in enumerate(chunks):
         table = constant[None] if number == 0 else np.zeros((1, len(constant)), dtype=np.uint64)
-        for part in chunk:  # the digit of the first variable runs fastest
+        for part in chunk:  # the first digit varies fastest
             table = (part[:, None] + table[None]).reshape(-1, len(constant))
         radix.append(len(table))
         first.append(sum(radix[:-1]))

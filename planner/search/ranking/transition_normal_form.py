@@ -1,9 +1,9 @@
-"""Operators as invertible moves, and what never changes under them.
+"""Operators split into invertible moves (transition normal form), and groups of facts that they preserve.
 
-Every operator is split by the old values of what it changes, and by the conditions of its effects, into
-*moves*: facts that must hold, and for each changed variable its old and its new value. So a move can be
-taken back, and the backward search needs no stored transitions. `exactly_one` proves of groups of facts that
-exactly one of them holds in every reachable state.
+Every operator is split by the old values of the variables that it changes, and by the conditions of its effects, into
+*moves*. A move consists of facts that must hold, and the old and new value of each changed variable. It can therefore
+be inverted, and the backward search needs no stored transitions. `exactly_one` proves for groups of facts that exactly
+one of them holds in every reachable state.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from ...system.limits import Check, unchecked
 
 MOST_MOVES = 1 << 12
 MANY_EACH = 4
-"""Operators that split into more moves than this, and into more than so many each, are swept in another way."""
+"""Limits on the number of moves: in total, and per operator on average. A task that exceeds both is not ranked."""
 
 
 MOVE = 200
-"""Bytes that a move takes beside its facts, about."""
+"""Estimated bytes of a move, besides its facts. Used to check memory."""
 
 
 @dataclass(frozen=True)
 class TNFOperator:
-    """A ground action in all states in which `facts` hold.
+    """A ground action, restricted to the states in which `facts` hold.
 
     Attributes
     ----------
     action : int
     facts : dict of int to int
-        Values that variables must have; every changed variable is among them.
+        Required values of variables, including every changed variable.
     after : dict of int to int
-        New values, of those variables that change.
+        New values of the changed variables.
     """
 
     action: int
@@ -43,15 +43,14 @@ class TNFOperator:
     after: dict[int, int]
 
     def inverse(self) -> TNFOperator:
-        """The move that leads back."""
+        """Return the move in the opposite direction."""
         return TNFOperator(self.action, {**self.facts, **self.after}, {v: self.facts[v] for v in self.after})
 
 
 def split_operators(task: Task, check: Check = unchecked) -> list[TNFOperator] | None:
-    """Split all operators of a task into moves, or none if they would be too many.
+    """Return the operators of a task, split into moves; None if there are too many moves.
 
-    The moves of one action exclude each other: where two operators of an action are applicable, the first
-    counts.
+    The moves of an action are mutually exclusive: if several of its operators are applicable, the first one counts.
     """
     sizes = [len(variable.facts) for variable in task.variables]
     most = max(MOST_MOVES, MANY_EACH * len(task.operators))
@@ -73,7 +72,7 @@ def split_operators(task: Task, check: Check = unchecked) -> list[TNFOperator] |
 def _split(
     operator: Operator, excluded: Sequence[Sequence[Fact]], sizes: Sequence[int], check: Check
 ) -> Iterator[TNFOperator]:
-    """Split one operator, but for the states in which one of the excluded conditions holds."""
+    """Yield the moves of an operator, except for states in which one of the excluded conditions holds."""
     facts = dict(operator.preconditions)
     if any(facts[variable] != value for variable, value in operator.preconditions):
         return  # contradictory
@@ -96,7 +95,7 @@ def _split(
 
 
 def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: dict[int, int]) -> int | None:
-    """Name a variable to split by; -1 if there is nothing left to decide, None if an exclusion holds."""
+    """Return the next variable to split by; -1 if all is decided, None if an excluded condition holds."""
     for conditions in excluded:
         if all(known.get(variable, value) == value for variable, value in conditions):
             return next((variable for variable, _ in conditions if variable not in known), None)
@@ -111,17 +110,17 @@ def _undecided(operator: Operator, excluded: Sequence[Sequence[Fact]], known: di
 def exactly_one(
     task: Task, moves: list[TNFOperator], check: Check = unchecked
 ) -> tuple[list[frozenset[Fact]], list[TNFOperator]]:
-    """Prove that of certain groups of facts exactly one holds in every reachable state.
+    """Return groups of facts of which exactly one holds in every reachable state, and the remaining moves.
 
-    ApplicableSets are the translator's mutex groups. Proven by induction are those of which one fact holds
-    initially and whose number of facts is left alone by all moves that can ever be applied; a move that
-    needs two facts of such a group cannot.
+    The candidates are the translator's mutex groups. A group is kept if exactly one of its facts holds initially, and
+    no applicable move changes the number of its facts that hold. A move that needs two facts of a kept group is never
+    applicable. Both conditions together prove the claim by induction over the moves.
 
     Returns
     -------
     groups : list of frozenset of Fact
     moves : list of TNFOperator
-        Those that the groups do not rule out.
+        The moves that the groups do not exclude.
     """
     groups = list(dict.fromkeys(map(frozenset, task.mutexes)))
     initial = set(enumerate(task.initial))

@@ -1,10 +1,10 @@
-"""Clusters: variables that together take few of the values that each can take.
+"""Clusters: sets of variables with few possible joint values.
 
-A *projection* looks at some variables only. Exploring it from the initial state, with every move that changes one of
-them, gives all values that they can take together, and perhaps some more: a superset that is closed under the task's
-moves, which makes it a theorem. Mutexes sharpen it: what is mutex with something that a move needs outside of the
-projection cannot hold where the move is applied. `clusters` merges variables as long as that lowers the product of
-the numbers of values.
+A *projection* considers some variables only. It is explored from the initial state, with every move that changes one of
+them. The result contains all their joint values in reachable states, and possibly more. Proof: it contains those of the
+initial state and is closed under the projected moves. Mutexes reduce it: a value cannot hold where a move is applied if
+it is mutex with a fact that the move needs outside of the projection. `clusters` merges variables as long as this
+reduces the product of the numbers of joint values.
 """
 
 from __future__ import annotations
@@ -24,24 +24,26 @@ from ..kernels.ranked_states import find_slot, insert_all
 from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16
-"""Joint values of one cluster at most."""
+"""Largest number of joint values of a cluster. Larger gives fewer ranks, but larger tables."""
 
 AT_ONCE = 1 << 24
-"""Values of variables that are compared between two checks of the limits."""
+"""Comparisons of values between two checks of the limits."""
 
 MOST_WORK = 1 << 31
-"""Moves that are tried on projected values, some five seconds' worth, before clusters stay as they are."""
+"""Limit on the moves that are applied to projected values, about five seconds of work. Then clusters are no longer
+merged.
+"""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Variables and the values that they can take together.
+    """Variables and their possible joint values.
 
     Attributes
     ----------
     variables : tuple of int
     values : int64 array, shape (n, variables)
-        In ascending order, the first variable first.
+        Joint values in lexicographic order.
     """
 
     variables: tuple[int, ...]
@@ -51,19 +53,22 @@ class Cluster:
         return len(self.values)
 
     def joined(self, variable: int, values: Ints) -> Cluster:
-        """Give the cluster with one more variable, of which it tells the values, shape (n,); none where negative."""
+        """Return the cluster with an additional variable, which has the given value in each row, shape (n,).
+
+        Rows with a negative value are dropped.
+        """
         table = np.column_stack([self.values, values])[values >= 0]
         return Cluster((*self.variables, variable), table)
 
 
 class Projections:
-    """The moves of a task as arrays from which projections are cut."""
+    """The moves of a task as arrays, from which projections are extracted."""
 
     def __init__(self, mutexes: Mutexes, initial: Sequence[int], check: Check) -> None:
         first, moves = mutexes.first, mutexes.moves
         self.sizes = np.diff(first)
         self.initial = np.asarray(initial, dtype=np.int64)
-        self.work = 0  # moves that have been tried on projected values
+        self.work = 0  # moves that were applied to projected values
         words = (int(self.sizes.max(initial=1)) + 63) // 64
         self.in_use = 8 * len(moves) * len(self.sizes) * (1 + words) + 2 * mutexes.barred.size
         self.check = check
@@ -85,20 +90,20 @@ class Projections:
                 self.allowed[:, v, value >> 6] |= bit
 
     def explore(self, variables: Sequence[int], most: int) -> Ints | None:
-        """Give the values that variables can take together, shape (n, variables); None if more than `most`."""
+        """Return the joint values of variables, shape (n, variables); None if there are more than `most`."""
         columns = list(variables)
         touching: NDArray[np.bool_] = np.any(self.after[:, columns] >= 0, axis=1)
         after = self.after[touching][:, columns]
         allowed = self.allowed[touching][:, columns]
         self.check(self.in_use + 3 * (after.nbytes + allowed.nbytes))
-        # To cut the projection, and to sort its rows, in the same measure.
+        # The work of extracting the projection and of sorting its rows, in the same unit.
         self.work += 2 * len(touching) + 300 * (after.size + allowed.size)
         if len(after):
             table = np.concatenate([after.view(np.uint64), allowed.reshape(len(after), -1)], axis=1)
             order = np.lexsort(table.T)
             kept = order[np.insert((np.diff(table[order], axis=0) != 0).any(axis=1), 0, True)]
             after, allowed = after[kept], allowed[kept]
-        # The first variable counts most, so that the order of the numbers is that of the values.
+        # The first variable is the most significant, so that keys are ordered like values.
         factors = np.ones(len(columns), dtype=np.int64)
         factors[:-1] = np.cumprod(self.sizes[columns[:0:-1]])[::-1]
         keys = self._explored(np.ascontiguousarray(after), np.ascontiguousarray(allowed), columns, factors, most)
@@ -109,7 +114,7 @@ class Projections:
         return np.sort(keys)[:, None] // factors % self.sizes[columns]
 
     def _explored(self, after: Ints, allowed: Words, columns: list[int], factors: Ints, most: int) -> Ints:
-        """List the keys (values times factors) that can be reached in a projection; none if they are more than most."""
+        """Return the reachable keys (values times factors) of a projection; empty if there are more than `most`."""
         sizes = self.sizes[columns]
         keys, queue = np.full(1 << 10, -1, dtype=np.int64), np.empty(1 << 9, dtype=np.int64)
         queue[0] = self.initial[columns] @ factors
@@ -136,9 +141,9 @@ def clusters(
     alone: bool = False,
     check: Check = unchecked,
 ) -> list[Cluster]:
-    """Merge some of the variables into clusters; unless `alone`, one that is left is a cluster of its own.
+    """Return the variables merged into clusters; with `alone`, each variable is a cluster of its own.
 
-    The bytes that are checked are those of the moves and of what is explored.
+    `check` is called with the bytes of the moves and of the explored values.
     """
     projections = Projections(mutexes, initial, check)
     found: dict[int, Cluster] = {}
@@ -162,7 +167,7 @@ def clusters(
             break
         best = max(gains, key=lambda pair: (gains[pair], -pair[0], -pair[1]))
         gains = {pair: gain for pair, gain in gains.items() if not set(pair) & set(best)}
-        # It is explored again, as the values of all pairs would take much memory.
+        # It is explored again, since storing the values of all pairs would take much memory.
         merged = _merged(projections, found.pop(best[0]), found.pop(best[1]))
         assert merged is not None
         found[number] = merged
@@ -174,7 +179,7 @@ def clusters(
 
 
 def _links(mutexes: Mutexes, projections: Projections) -> NDArray[np.bool_]:
-    """Tell of pairs of variables, shape (variables, variables), whether they share a mutex or are changed together."""
+    """Return whether pairs of variables, shape (variables, variables), share a mutex or are changed together."""
     first = mutexes.first
     projections.check(projections.in_use + 3 * mutexes.together.nbytes)
     held = mutexes.together.diagonal()
@@ -187,7 +192,7 @@ def _links(mutexes: Mutexes, projections: Projections) -> NDArray[np.bool_]:
 
 
 def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
-    """Merge two clusters; None where that gives no fewer values than the product of theirs, or too many."""
+    """Return two clusters merged; None if there are too many joint values, or no fewer than in their product."""
     variables = tuple(sorted(a.variables + b.variables))
     if math.prod(int(projections.sizes[v]) for v in variables) >= 1 << 62:
         return None
@@ -197,14 +202,14 @@ def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
 
 @njit(nogil=True)
 def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, most):
-    """Put what `queue[begin:stop]` leads to into the queue, of which `seen` places are taken, and into the hash table.
+    """Append the successors of `queue[begin:stop]` to the queue, which has `seen` entries, and to the hash table.
 
     Returns
     -------
     done : int
-        It ends before `stop` where the queue is full.
+        Number of expanded entries; less than `stop` if the queue is full.
     seen : int
-        `most + 1` if there are more than that.
+        Number of entries; `most + 1` if there are more than `most`.
     """
     width = len(factors)
     values = np.empty(width, dtype=np.int64)
