@@ -1,1 +1,1 @@
-"""Symmetries of a task, and one canonical state of each orbit."""
+"""Symmetries of a task, and the canonical state of each orbit."""

@@ -1,18 +1,19 @@
-"""Symmetries of a task: what can be interchanged in it without changing what anything costs.
+"""Symmetries of a task: permutations of its facts that preserve operators, costs and the goal.
 
-A *symmetry* is a permutation of the facts of a grounded task that takes the facts of a variable to those of a variable,
-operators to operators of the same cost, and the goal to itself. States that it takes to each other have the same
-cost-to-go, so that one of each *orbit* does for all (Pochter, Zohar and Rosenschein, "Exploiting problem symmetries in
-state-based planners", 2011; Domshlak, Katz and Shleyfman, "Enhanced symmetry breaking in cost-optimal planning as
-forward search", 2012). The initial state need not stay where it is.
+A *symmetry* is a permutation of the facts of a grounded task. It maps the facts of each variable to those of one
+variable, operators to operators of the same cost, and the goal to itself. It need not preserve the initial state.
+States that it maps to each other have the same cost-to-go, since it maps plans to plans of equal cost. One state of
+each *orbit* therefore suffices (Pochter, Zohar and Rosenschein, "Exploiting problem symmetries in state-based
+planners", 2011; Domshlak, Katz and Shleyfman, "Enhanced symmetry breaking in cost-optimal planning as forward search",
+2012).
 
-They are found as automorphisms of a graph of facts, variables and operators: colours that tell vertices apart by what
-they are joined to are refined, some fact is told apart in one copy of the graph and another one in its place in a
-second copy, and so on until a permutation is left. What is found so is a guess, as colours are hashes. Each guess is
-proven on the task, operator by operator, before it counts.
+Symmetries are found as automorphisms of a graph of facts, variables and operators. Vertex colours are refined by the
+colours of the neighbours. Then a fact is individualised in one copy of the graph, and a candidate image in a second
+copy, until a permutation remains. The result is a conjecture only, since colours are hashes. Each one is verified on
+the task, operator by operator, before it is used.
 
-The group is kept as a chain (Sims 1970): some facts are held fixed one after the other, and for each of them there is
-a symmetry for all places to which it can be taken while those before it stay.
+The group is represented by a stabiliser chain (Sims 1970). Facts are fixed one after another. For each of them, the
+chain contains a symmetry for every image that the fact has while the earlier ones are fixed.
 """
 
 from __future__ import annotations
@@ -28,30 +29,32 @@ from ...grounding.task import Fact, Task
 from ...states.packing import Ints
 
 WORK = 200_000_000
-"""So many edges are looked at, each once in every round of refinement, before the search for symmetries is given up."""
+"""Limit on the edges that are processed in all rounds of refinement, after which the search is given up."""
 
 DEEP = 200
-"""Facts that are held fixed, at most."""
+"""Largest number of facts that the chain fixes."""
 
 LARGE = 20_000_000
-"""Numbers that the chain may consist of."""
+"""Largest number of entries in the arrays of the chain. It bounds the memory."""
 
 TRIES = 20
-"""Places that are tried for facts before it is taken that no symmetry takes the first to where it was to go."""
+"""Images tried per search before it is assumed that no symmetry maps the fact to the wanted image. More may find more
+symmetries.
+"""
 
 Colors = NDArray[np.uint64]
 
 
 @dataclass(frozen=True)
 class Level:
-    """The symmetries that hold the facts of the levels before fixed: how they move one fact more.
+    """One level of the stabiliser chain: the symmetries that fix the facts of the earlier levels.
 
     Attributes
     ----------
     moves : int64 array, shape (k, facts)
-        For each place to which the fact can be taken, a symmetry that takes what is there to the fact's own place.
+        For each image of the level's fact, a symmetry that maps this image back to the fact.
     orbits : int64 array, shape (facts,)
-        The orbit of each fact under the symmetries that hold this level's fixed, too.
+        Orbit of each fact under the symmetries that also fix this level's fact.
     """
 
     moves: Ints
@@ -60,7 +63,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Symmetries:
-    """The symmetries of a task that have been found: a group, or a part of one.
+    """The symmetries of a task that were found: the whole group or a subgroup.
 
     Fact `(v, value)` of the task has number `first[v] + value`.
 
@@ -69,7 +72,7 @@ class Symmetries:
     first : int64 array, shape (variables + 1,)
     levels : tuple of Level
     generators : tuple of int64 array, shape (facts,)
-        Each gives the fact to which every fact is taken.
+        Image of every fact under each generator.
     """
 
     first: Ints
@@ -78,11 +81,11 @@ class Symmetries:
 
     @property
     def order(self) -> int:
-        """How many there are, the identity among them."""
+        """Order of the group, including the identity."""
         return prod(len(level.moves) for level in self.levels)
 
     def apply(self, symmetry: Ints, values: Ints) -> Ints:
-        """Give the states, shape (n, variables), to which a symmetry takes states."""
+        """Return the images of states, shape (n, variables), under a symmetry."""
         facts = symmetry[self.first[:-1] + values]
         variable = np.searchsorted(self.first, facts, side="right") - 1
         images = np.empty_like(values)
@@ -91,12 +94,12 @@ class Symmetries:
 
 
 def symmetries(task: Task, work: int = WORK, check: Callable[[], None] = lambda: None) -> Symmetries | None:
-    """Find symmetries of a task; None if there are none but the identity.
+    """Return symmetries of a task; None if only the identity is found.
 
-    `check` is called now and then, and may raise `LimitError`.
+    `check` is called regularly, and may raise `LimitError`.
 
-    Derived variables and effects under conditions are not looked at: of a task that has any, nothing is found. Nor is
-    it where that takes more than so much work, or where an operator sets a variable twice.
+    Derived variables and conditional effects are not supported: for tasks with these, the result is None. It is also
+    None if the search needs more than `work`, or if an operator sets a variable twice.
     """
     plain = not task.axioms and all(not effect.conditions for operator in task.operators for effect in operator.effects)
     once = all(len({effect.variable for effect in o.effects}) == len(set(o.effects)) for o in task.operators)
@@ -108,19 +111,19 @@ def symmetries(task: Task, work: int = WORK, check: Callable[[], None] = lambda:
         return None
 
 
-class _TooMuchWork(Exception):  # noqa: N818  it is no fault
+class _TooMuchWork(Exception):  # noqa: N818  not an error
     pass
 
 
 def _mix(words: Colors) -> Colors:
-    """Mix words, so that sums of them tell multisets apart (Steele, Lea and Flood 2014)."""
+    """Return the mixed words, whose sums distinguish multisets with high probability (Steele, Lea and Flood 2014)."""
     words = (words ^ words >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
     words = (words ^ words >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
     return words ^ words >> np.uint64(31)
 
 
 class _Search:
-    """A task as a graph, and as rows of numbers on which permutations are proven."""
+    """A task as a coloured graph, and as sorted rows for the verification of permutations."""
 
     def __init__(self, task: Task, work: int, check: Callable[[], None]) -> None:
         self.work, self.check = work, check
@@ -139,7 +142,7 @@ class _Search:
         self.needed, self.made = _rows(needed, facts), _rows(made, facts)
         self.proof = self._sorted(np.arange(facts))
         operators = facts + len(task.variables) + np.arange(len(task.operators))
-        joined = [  # from one vertex to another, and as what
+        joined = [  # source, target, kind of edge
             (np.arange(facts), facts + self.variable, 1),
             (*_edges(operators, self.needed, facts), 2),
             (*_edges(operators, self.made, facts), 3),
@@ -161,7 +164,7 @@ class _Search:
         self.colors = self._refined(_mix(kinds.astype(np.uint64)))
 
     def _refined(self, colors: Colors) -> Colors:
-        """Tell vertices apart by what they are joined to, until that tells no more of them apart."""
+        """Return the colours after refinement by the neighbours' colours, until the number of colours is stable."""
         classes = len(np.unique(colors))
         while True:
             self.work -= len(self.target)
@@ -174,13 +177,13 @@ class _Search:
                 return colors
 
     def _marked(self, colors: Colors, fact: int) -> Colors:
-        """Tell one fact apart from all others."""
+        """Return the refined colours after individualising a fact."""
         marked = colors.copy()
         marked[fact] = _mix(marked[fact : fact + 1] + np.uint64(1))[0]
         return self._refined(marked)
 
     def _open(self, colors: Colors) -> Ints:
-        """Give the smallest set of facts of one colour, the first of these; empty if all colours are different."""
+        """Return the facts of the smallest colour class with several facts; empty if all colours differ."""
         _, cell, sizes = np.unique(colors[: self.facts], return_inverse=True, return_counts=True)
         own = sizes[cell]
         if own.max() == 1:
@@ -189,18 +192,18 @@ class _Search:
         return np.flatnonzero(cell == cell[at])
 
     def _sorted(self, symmetry: Ints) -> Ints:
-        """Give the operators after a permutation of the facts, as rows in order; two sets of operators compare so."""
-        taken = np.append(symmetry, self.facts)  # where a row has ended nothing follows
+        """Return the operators under a permutation of the facts, as sorted rows that can be compared."""
+        taken = np.append(symmetry, self.facts)  # the filler is mapped to itself
         needed, made = np.sort(taken[self.needed], axis=1), np.sort(taken[self.made], axis=1)
         rows = np.concatenate([self.costs[:, None], needed, made], axis=1)
         return rows[np.lexsort(rows.T)]
 
     def proven(self, symmetry: Ints) -> bool:
-        """Whether a map of facts to facts is a symmetry."""
+        """Return whether a map of facts is a symmetry."""
         if not np.array_equal(np.sort(symmetry), np.arange(self.facts)):
             return False
         variable = self.variable[symmetry]
-        if (variable != variable[self.first[:-1]][self.variable]).any():  # facts of one variable have come apart
+        if (variable != variable[self.first[:-1]][self.variable]).any():  # the map separates facts of one variable
             return False
         sizes = np.diff(self.first)
         if (sizes[variable] != sizes[self.variable]).any() or (self.goal[symmetry] != self.goal).any():
@@ -208,7 +211,7 @@ class _Search:
         return np.array_equal(self._sorted(symmetry), self.proof)
 
     def _match(self, colors: Colors, others: Colors, tries: list[int]) -> Ints | None:
-        """Find a symmetry that takes each fact to one of its colour in another copy of the graph."""
+        """Return a symmetry that maps each fact to a fact of its colour in the other copy; None if none was found."""
         if not np.array_equal(np.sort(colors), np.sort(others)):
             return None
         cell = self._open(colors)
@@ -219,7 +222,7 @@ class _Search:
         at = int(cell[0])
         places = np.flatnonzero(others[: self.facts] == colors[at])
         marked = self._marked(colors, at)
-        for place in sorted(places.tolist(), key=lambda place: place != at):  # better nothing moves
+        for place in sorted(places.tolist(), key=lambda place: place != at):  # prefer to fix the fact
             if tries[0] == 0:
                 break
             tries[0] -= 1
@@ -230,7 +233,7 @@ class _Search:
         return None
 
     def chain(self) -> Symmetries | None:
-        """Find the group: from the level on which all but one fact are fixed up to that on which none is."""
+        """Return the group, built from the deepest level of the chain upwards; None if it is trivial."""
         colors = [self.colors]
         cells: list[Ints] = []
         while len(cell := self._open(colors[-1])):
@@ -254,7 +257,7 @@ class _Search:
                     tried.add(int(together[place]))
                 else:
                     own.append(found)
-                    tried.clear()  # orbits have other names
+                    tried.clear()  # the representatives of orbits have changed
             if len(own) > len(generators):
                 generators = own
                 levels.append(Level(_moves(generators, fact, self.facts), orbits))
@@ -266,7 +269,7 @@ class _Search:
 
 
 def _rows(lists: Sequence[Sequence[int]], filler: int) -> Ints:
-    """Put lists into rows of one length."""
+    """Return lists as rows of equal length, padded with `filler`."""
     rows = np.full((len(lists), max(map(len, lists), default=0)), filler, dtype=np.int64)
     for row, entries in zip(rows, lists, strict=True):
         row[: len(entries)] = entries
@@ -274,13 +277,13 @@ def _rows(lists: Sequence[Sequence[int]], filler: int) -> Ints:
 
 
 def _edges(vertices: Ints, rows: Ints, filler: int) -> tuple[Ints, Ints]:
-    """Give the edges from vertices to the entries of their rows."""
+    """Return the edges from vertices to the entries of their rows."""
     at, place = np.nonzero(rows != filler)
     return vertices[at], rows[at, place]
 
 
 def _orbits(generators: Sequence[Ints], facts: int) -> Ints:
-    """Give the orbit of each fact, named by its least one."""
+    """Return the orbit of each fact, represented by its least fact."""
     orbits = np.arange(facts)
     while True:
         before = orbits
@@ -294,7 +297,7 @@ def _orbits(generators: Sequence[Ints], facts: int) -> Ints:
 
 
 def _moves(generators: Sequence[Ints], fact: int, facts: int) -> Ints:
-    """Give symmetries that take everything in a fact's orbit to it, itself first (by the identity)."""
+    """Return symmetries that map each fact of a fact's orbit to the fact, the identity first."""
     to = {fact: np.arange(facts)}
     waiting = [fact]
     for at in waiting:
@@ -303,6 +306,6 @@ def _moves(generators: Sequence[Ints], fact: int, facts: int) -> Ints:
             if place not in to:
                 back = np.empty(facts, dtype=np.int64)
                 back[generator] = np.arange(facts)
-                to[place] = to[at][back]  # first back to where it came from, then on from there
+                to[place] = to[at][back]  # first to the previous fact, then from there
                 waiting.append(place)
     return np.array([to[place] for place in waiting])

@@ -1,11 +1,10 @@
-"""Compiled: one state of each orbit under a task's symmetries, the same for all states of it.
+"""Compiled computation of the canonical state of each orbit under the symmetries of a task.
 
-The form of a state is sought along the chain of symmetries (as smallest images are: Linton 2004; Jefferson et al.
-2019): on each level all places are tried for the fact that is fixed there, and those images are kept of which a number
-is smallest that no later level changes, a sum of weights of the orbits in which its facts are then. Images that are
-equal, as where a state is symmetric itself, are kept once. Where more are left than `WIDE`, some are dropped: then
-states of one orbit may get different forms, which makes more of them and nothing wrong, since a form is always an image
-of the state.
+The canonical state is computed along the stabiliser chain, as in minimal images (Linton 2004; Jefferson et al. 2019).
+Each level applies all of its symmetries to the current images. It keeps the images with the smallest key. The key is a
+sum of weights of orbits that later levels preserve. Equal images, which occur for symmetric states, are kept once. If
+more than `WIDE` images remain, some are dropped. States of one orbit may then get different canonical states. This
+increases the number of states, but it is still correct, since the result is always an image of the state.
 """
 
 from __future__ import annotations
@@ -20,30 +19,31 @@ from ...system.jit import njit
 from .automorphisms import Symmetries
 
 WIDE = 64
-"""Images of a state that are kept on a level."""
+"""Largest number of images kept per level. More reduces the number of orbits that are counted twice, and takes longer.
+"""
 
 
 class Forms(NamedTuple):
-    """Symmetries as compiled code reads them. Facts are numbered through the variables.
+    """Symmetries in the layout of the compiled code. Facts are numbered across the variables.
 
     Attributes
     ----------
     word, first : int64 arrays, shape (variables,)
-        Where a variable is in a packed state, and its first fact.
+        Word of each variable in a packed state, and its first fact.
     shift, field : uint64 arrays, shape (variables,)
     at : int64 array, shape (facts,)
-        The word that a fact is written to.
+        Word in which each fact is stored.
     bits : uint64 array, shape (facts,)
-        What is written.
+        Bits that represent each fact in its word.
     begin : int64 array, shape (levels + 1,)
         The symmetries of level `l` are the rows `begin[l]:begin[l + 1]` of `moves`.
     moves : int32 array, shape (rows, facts)
-        The fact to which each takes every fact.
+        Image of every fact under each symmetry.
     weight : uint64 array, shape (facts * rows,)
-        From `facts * begin[l]` on, for each fact what it adds to the number of its images, one for each of the
-        level's symmetries.
+        From `facts * begin[l]` on, the contribution of each fact to the key of its image, one entry for each
+        symmetry of level `l`.
     own : uint64 array, shape (facts,)
-        What it adds to a number that tells images apart.
+        Contribution of each fact to the hash that distinguishes images.
     """
 
     word: Ints
@@ -59,7 +59,7 @@ class Forms(NamedTuple):
 
     @classmethod
     def of(cls, symmetries: Symmetries, packing: Packing) -> Forms:
-        """Lay out the symmetries of a task whose states are packed."""
+        """Return the layout of the symmetries of a task with packed states."""
         facts = int(symmetries.first[-1])
         variable = np.repeat(np.arange(len(packing.word)), np.diff(symmetries.first))
         value = np.arange(facts) - symmetries.first[variable]
@@ -84,7 +84,7 @@ class Forms(NamedTuple):
 
 @njit(nogil=True, error_model="numpy")
 def canonical(forms, states):
-    """Put the form of each state in its place; states of shape (n, words)."""
+    """Replace each state by its canonical state, in place; states have shape (n, words)."""
     variables, levels = len(forms.word), len(forms.begin) - 1
     facts = len(forms.at)
     images = np.empty((2, WIDE, variables), dtype=np.int64)
