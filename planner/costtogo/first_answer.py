@@ -43,12 +43,12 @@ class Early:
     limits : Limits
         Limits of the search; `memory_mb` is that of the whole process and the search together.
     tell : callable
-        Called in a thread with the answer, as soon as it is known.
+        Called in a thread with the answer, once it is known.
 
     Attributes
     ----------
     answer : Answer or None
-        The answer, or None as long as it is unknown.
+        The answer; None while it is unknown.
     """
 
     def __init__(self, task: Task, limits: Limits, tell: Callable[[Answer], None]) -> None:
