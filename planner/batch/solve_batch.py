@@ -1,7 +1,7 @@
 """Solving many instances in parallel, on this machine or on a cluster.
 
-`solve_batch` runs `solve_instance` on each instance, and adds each record to a folder of results as soon as it is
-known. A run can be resumed. The records do not depend on where they were computed.
+`solve_batch` runs `solve_instance` on each instance, and adds each record to a folder of results at once. A run can be
+resumed. The records do not depend on where they were computed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def solve_batch(
     instances : sequence of Instance
     options : SolveOptions, optional
     out : Path, optional
-        Folder for tables, plans and `results.jsonl`, to which each record is added as soon as it is known.
+        Folder for tables, plans and `results.jsonl`, to which each record is added at once.
     jobs : int
         Largest number of worker processes, which share the machine's memory and processors.
     resume : bool
