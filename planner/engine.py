@@ -74,7 +74,7 @@ class Engine(engines.Engine, OneshotPlannerMixin):
 
     @property
     def name(self) -> str:
-        """Name under which the engine is registered."""
+        """Identifier under which the engine is registered."""
         return "kitassist"
 
     @staticmethod
