@@ -32,7 +32,7 @@ PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
 def made(price: np.ndarray, workers: int = 1, pool: Pool | None = None) -> InformationRelaxation:
     pool = pool or pool_of(*COSTS[0])
     lattices = []
-    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), around=pool.wide):
+    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), around=pool.truncated):
         visits = kind.at(price)
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
     return InformationRelaxation(lattices, price, workers=workers)

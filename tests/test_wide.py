@@ -156,7 +156,7 @@ def test_prices_on_a_region(tiny: Table, monkeypatch: pytest.MonkeyPatch) -> Non
     values = []
     for pool in pools:
         kinds = kinds_of(pool, team, setting.travel(3), len(price), around=True)
-        assert all((kind.between is not None) == pool.wide for kind in kinds)
+        assert all((kind.between is not None) == pool.truncated for kind in kinds)
         parts = [(visits := kind.at(price), kind.best(visits)) for kind in kinds]
         solved = [solve(visits.pomdp, gap=1e-4, best=best) for visits, best in parts]
         assert all(one.lower <= one.upper for one in solved)

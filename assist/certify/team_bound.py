@@ -137,7 +137,7 @@ class TeamBound:
         The best policies there get no less and the bound no more than `upper`: what of a certificate's gap is below
         this mean is not the solver's but the relaxation's and the policy's.
         """
-        if self.pool.wide:
+        if self.pool.truncated:
             raise ValueError("relaxed: expected a task that is looked at whole")
         episodes, luck = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
@@ -256,23 +256,23 @@ def upper_bound(
             until=start + FOR_REGIONS * for_people, tell=progress,
         )  # fmt: skip
 
-    priced = window is not None or not pool.wide or _worth_prices(pool, members, memory_limit_mb)
+    priced = window is not None or not pool.truncated or _worth_prices(pool, members, memory_limit_mb)
     if window is not None:
         together = whole("window", window)
     else:
         together = window_of(pool, members, luck) if priced or paths else 0
-    if pool.wide:
+    if pool.truncated:
         most = together if window is not None else min(together, LONG)
         kinds, steps = _timed(kinds_with, most if priced and len(members) > 1 else 0, window is not None, paths > 0)
     else:
         kinds, steps = kinds_with(together, False), together
     price = np.zeros(0)
     if len(members) > 1 and steps:
-        for_prices = FOR_REGIONS + FOR_PRICES_THERE if pool.wide else FOR_PRICES
+        for_prices = FOR_REGIONS + FOR_PRICES_THERE if pool.truncated else FOR_PRICES
         price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=progress)
-        if pool.wide and not len(price):
+        if pool.truncated and not len(price):
             kinds = kinds_with(0, paths > 0)
-    met = _met(pool, members, travel, kinds, price, together + AFTER, luck) if paths and not pool.wide else None
+    met = _met(pool, members, travel, kinds, price, together + AFTER, luck) if paths and not pool.truncated else None
     relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, progress, met)
     sampled = None
     if paths and len(members) > 1:

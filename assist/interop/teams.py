@@ -64,7 +64,7 @@ class Teams:
         world: World = "people",
         filters: bool = True,
     ) -> None:
-        if pool.wide:
+        if pool.truncated:
             raise ValueError("pool: expected people on a task that is looked at whole (Pool.sample, `states`)")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)

@@ -182,8 +182,8 @@ class LocalProblem:
 
     Attributes
     ----------
-    wide : TruncatedPolicy
-        Where it is from.
+    source : TruncatedPolicy
+        The policy that this problem is a part of.
     pomdp : AssistPOMDP
         Its first `count` states are those in which people are, and what it says of others is for their sake.
     region : TruncatedTask
@@ -195,7 +195,7 @@ class LocalProblem:
         The problems with a robot that comes and goes that have been asked for, by the arguments of `visits`.
     """
 
-    wide: TruncatedPolicy
+    source: TruncatedPolicy
     pomdp: AssistPOMDP
     region: TruncatedTask
     count: int
@@ -205,7 +205,7 @@ class LocalProblem:
 
     @cached_property
     def _policy(self) -> QMDP:
-        estimates = self.wide.prepare()
+        estimates = self.source.prepare()
         value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
         return self._ahead(self.pomdp, value, np.arange(self.count))
 
@@ -213,7 +213,7 @@ class LocalProblem:
         """Return the problem with a robot that comes and goes, and its policy; arguments as in `TruncatedPolicy`."""
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
-            estimates = self.wide.prepare_visits(*key)
+            estimates = self.source.prepare_visits(*key)
             visits = AttentionSubproblem.of(self.pomdp, entry, entry_steps, longest=longest)
             layout = visits.layout
             value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]

@@ -22,6 +22,7 @@ from ..person.pomdp import AssistPOMDP, Later, Policy
 from ..person.qmdp import qmdp
 from ..team.attention_subproblem import policy_bytes
 from ..team.policies import named
+from ..team.policy_on_part import is_on_part
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
@@ -158,10 +159,10 @@ class Pool:
             everybody = population.sample(None, size, rng)
             ground = SharedTask(table, prior, region)
             anybody = TruncatedPolicy(ground, setting)
-            wide = tuple(TruncatedPolicy(ground, setting, human, anybody) for human in everybody)
+            own = tuple(TruncatedPolicy(ground, setting, human, anybody) for human in everybody)
             if setting.knowledge == "exact":
-                wide = (anybody,)
-            return cls(setting, tuple(everybody), wide, np.arange(size) if models > 1 else np.zeros(size, np.int64))
+                own = (anybody,)
+            return cls(setting, tuple(everybody), own, np.arange(size) if models > 1 else np.zeros(size, np.int64))
         _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
         choices = choices_of(table, (*population.weights, *prior.weights))
         require_goal(choices.h[choices.initial])
@@ -214,11 +215,11 @@ class Pool:
         return replace(self, setting=replace(self.setting, c_suggest=c_suggest), policies=policies)
 
     @property
-    def wide(self) -> bool:
-        """Whether the task is not looked at whole."""
-        kinds = {isinstance(policy, TruncatedPolicy) for policy in self.policies}
+    def truncated(self) -> bool:
+        """Whether policies are for truncated tasks, in place of enumerated ones."""
+        kinds = {is_on_part(policy) for policy in self.policies}
         if len(kinds) > 1:
-            raise ValueError("pools of tasks that are looked at whole and of others: expected one kind")
+            raise ValueError("pools of enumerated tasks and of truncated ones: expected one kind")
         return kinds.pop()
 
     def choices(self, person: int) -> Choices:

@@ -128,7 +128,7 @@ def simulate(
     together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
     jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace is in order
     luck = entropy(seed)
-    if pool.wide:
+    if pool.truncated:
         jobs = 1  # what has been met grows under one hand
         ground: Callable[..., TaskView] = partial(TruncatedTaskView, pool, world, {})
     else:
@@ -183,7 +183,7 @@ class _UntilFirstSuggestion:
 def _few(pool: Pool, episodes: Episodes) -> int:
     """Return how many of the first episodes have people whose problems have at most `LARGEST` states in all."""
     count = min(len(episodes), BLOCK)
-    if pool.wide:
+    if pool.truncated:
         return 0
     while (
         count

@@ -91,7 +91,7 @@ class TruncatedTaskView:
             x, choices = view.x.reshape(-1)[flat], around.pomdp.model.choices
             slot = around.pomdp.suggested[x, robot.reshape(-1)[flat]]
             then = around.region.states[choices.targets[x, slot][slot != NOTHING]]
-            again = around.wide.around(around.region.states[: around.count], then=then)
+            again = around.source.around(around.region.states[: around.count], then=then)
             own = groups[number].people
             groups[number] = ModelGroup.of(self.pool, again.pomdp, own, self.world, again.region.states)
             policies[number] = again
