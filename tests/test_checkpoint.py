@@ -45,7 +45,7 @@ def test_what_is_of_something_else_is_not_loaded(tmp_path: Path, task: Task) -> 
     first = task.operators[0]
     others = [
         replace(task, goal=task.goal[:1]),
-        replace(task, initial=(1 - task.initial[0], *task.initial[1:])),
+        replace(task, initial=((task.initial[0] + 1) % len(task.variables[0].facts), *task.initial[1:])),
         replace(task, costs=(task.costs[0] + 1, *task.costs[1:])),
         replace(task, operators=(replace(first, effects=(*first.effects, Effect((), 0, 0))), *task.operators[1:])),
     ]

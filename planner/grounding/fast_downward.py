@@ -39,7 +39,12 @@ EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
 EXIT_NOT_LOADED = 127  # the system's loader could not start the program
-NO_ROOM_TO_LOAD = ("failed to map", "cannot allocate memory", "Cannot allocate memory")  # its messages then
+NO_ROOM_TO_LOAD = (
+    "failed to map",
+    "cannot map",
+    "cannot allocate memory",
+    "Cannot allocate memory",
+)  # its messages then
 
 
 class FastDownwardError(RuntimeError):
