@@ -90,7 +90,7 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
             assert abs(value - joint.never) <= 4 * error
     bound = upper_bound(pool, jobs=1).upper
     assert joint.lower <= bound + 1e-9
-    # What the relaxation gives away where two people share a robot (docs/teams.md has other people).
+    # What the relaxation gives away where two people share a robot (docs/results/teams.md has other people).
     assert 100 * (bound - joint.upper) / abs(joint.upper) == pytest.approx(RELAXED[costs], abs=0.1)
 
 
@@ -101,7 +101,7 @@ def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, floa
     assert bound.sampled is not None
     assert bound.sampled.mean + 4 * bound.sampled.stderr >= joint.lower
     assert bound.sampled.mean < bound.upper < bound.proven
-    # More than half of what the prices leave open; two thirds in docs/teams.md.
+    # More than half of what the prices leave open; two thirds in docs/results/teams.md.
     assert bound.proven - bound.sampled.mean > 0.5 * (bound.proven - joint.upper)
 
 
