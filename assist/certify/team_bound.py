@@ -74,8 +74,8 @@ FOR_FREE = 0.3
 
 
 MEETINGS = 10_000
-"""Episodes of priority from which it is known with what beliefs a robot is met that has others to see to, and each kind
-of people; with 1,000 it is still told much of those who are left alone for long (`docs/teams.md`)."""
+"""Episodes of priority whose beliefs are recorded for the sample-path bound. With 1,000, people who are left alone for
+long are still told apart too well, which loosens the bound."""
 
 ALIKE = 1 / 200
 """Beliefs that differ by less than this share, in each type, count as one there."""
