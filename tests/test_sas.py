@@ -89,10 +89,10 @@ def test_what_is_replaced_is_replaced_for_everybody() -> None:
         ({"costs": (0.5, 1)}, "costs (0.5, 1): expected whole numbers of 0 or more"),
         ({"costs": (1,)}, "1 costs; expected one for each of the 2 actions"),
         ({"initial": (0,)}, "an initial state of 1 values; expected 2"),
-        ({"initial": (0, 2)}, "the initial state has value 2 of variable 1, which is none of the task's"),
-        ({"initial": (-1, 0)}, "the initial state has value -1 of variable 0, which is none of the task's"),
-        ({"goal": ((0, 2),)}, "the goal has value 2 of variable 0, which is none of the task's"),
-        ({"goal": ((9, 0),)}, "the goal has value 0 of variable 9, which is none of the task's"),
+        ({"initial": (0, 2)}, "initial state: value 2 of variable 1; expected 0 to 1"),
+        ({"initial": (-1, 0)}, "initial state: value -1 of variable 0; expected 0 to 1"),
+        ({"goal": ((0, 2),)}, "goal: value 2 of variable 0; expected 0 to 1"),
+        ({"goal": ((9, 0),)}, "goal: variable 9; expected 0 to 1"),
     ],
 )
 def test_what_no_task_has_is_refused(changed: dict[str, Any], message: str) -> None:

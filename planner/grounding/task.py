@@ -14,7 +14,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from operator import index
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,6 +80,11 @@ class Operator:
     effects: tuple[Effect, ...]
 
 
+def _is_cost(cost: object) -> bool:
+    """Return whether something is a cost: a whole number of 0 or more."""
+    return isinstance(cost, Integral) and int(cost) >= 0
+
+
 @dataclass(frozen=True)
 class Task:
     """A grounded planning task.
@@ -120,20 +125,19 @@ class Task:
 
     def __post_init__(self) -> None:
         """Check the costs, the initial state and the goal."""
-        try:
-            costs = tuple(map(index, self.costs))
-        except TypeError:
-            costs = (-1,)
-        if min(costs, default=0) < 0:
+        if not all(map(_is_cost, self.costs)):
             raise ValueError(f"costs {self.costs!r:.40}: expected whole numbers of 0 or more")
-        if len(costs) != len(self.actions):
-            raise ValueError(f"{len(costs)} costs; expected one for each of the {len(self.actions)} actions")
+        if len(self.costs) != len(self.actions):
+            raise ValueError(f"{len(self.costs)} costs; expected one for each of the {len(self.actions)} actions")
         if len(self.initial) != len(self.variables):
             raise ValueError(f"an initial state of {len(self.initial)} values; expected {len(self.variables)}")
-        for of, facts in (("initial state", enumerate(self.initial)), ("goal", self.goal)):
+        for where, facts in (("initial state", enumerate(self.initial)), ("goal", self.goal)):
             for variable, value in facts:
-                if not (0 <= variable < len(self.variables) and 0 <= value < len(self.variables[variable].facts)):
-                    raise ValueError(f"the {of} has value {value} of variable {variable}, which is none of the task's")
+                if not 0 <= variable < len(self.variables):
+                    raise ValueError(f"{where}: variable {variable}; expected 0 to {len(self.variables) - 1}")
+                size = len(self.variables[variable].facts)
+                if not 0 <= value < size:
+                    raise ValueError(f"{where}: value {value} of variable {variable}; expected 0 to {size - 1}")
 
     @property
     def name(self) -> str:
