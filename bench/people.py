@@ -32,7 +32,7 @@ from assist.learning import Log, Method, observe, replay
 from assist.learning.comparison import Fold, held_out, summed_up
 from assist.learning.hierarchy import fit_hierarchy, fit_terms
 from assist.learning.logit_likelihood import Likelihood
-from assist.learning.observations import Evaluated, Observations
+from assist.learning.observations import EvaluatedStates, Observations
 from assist.learning.replay import Recording, situation
 from assist.people import TERMS, Situation, Term, features
 from planner import Instance, Table, cost_to_go, load
@@ -151,7 +151,7 @@ def observations_of(problem: int, every: list[Solved], folder: Path) -> list[Obs
         values |= {f"{one} x {name}": values[one] * weight[:, None] for one in CROSSED[name]}
     del values["cost"]
     every = np.arange(len(table))
-    known = Evaluated.of(table, every, h, every, len(table))
+    known = EvaluatedStates.of(table, every, h, every, len(table))
     return observe(recording, known, table.space.goal, tuple(values), np.stack([*values.values()], axis=2))
 
 

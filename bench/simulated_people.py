@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from assist.learning import Evaluated, Log, Observations, observe, replay
+from assist.learning import EvaluatedStates, Log, Observations, observe, replay
 from assist.learning.replay import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
@@ -168,7 +168,7 @@ def observed(answers: CostToGo, rows: list[dict], terms: Mapping[str, Term] | No
     recording, faults = replay(Log.of(rows), answers)
     assert not faults
     wanted, goal = recording.wanted(), np.zeros(len(answers), dtype=bool)
-    known = Evaluated.of(answers, wanted, answers.lookup(wanted), wanted, len(answers))
+    known = EvaluatedStates.of(answers, wanted, answers.lookup(wanted), wanted, len(answers))
     goal[wanted] = answers.is_goal(wanted)
     if terms is None:
         return observe(recording, known, goal)

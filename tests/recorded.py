@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from assist.learning.log import Entry, Log
-from assist.learning.observations import Evaluated, Observations, observe
+from assist.learning.observations import EvaluatedStates, Observations, observe
 from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, perceived_cost, perceived_value, trust
@@ -33,7 +33,7 @@ def observed(table: Table, rows: list[dict]) -> list[Observations]:
     recording, faults = replay(log_of(rows), table)
     assert faults == []
     states = np.arange(len(table))
-    return observe(recording, Evaluated.of(table, states, table.h, states, len(table)), table.is_goal(states))
+    return observe(recording, EvaluatedStates.of(table, states, table.h, states, len(table)), table.is_goal(states))
 
 
 def people_at_work(

@@ -1,4 +1,4 @@
-"""Limits are kept before a state is found: operators are split and laid out, an index is looked for."""
+"""Limits hold before the first state is found: while operators are split and laid out, and a ranking is computed."""
 
 from __future__ import annotations
 
@@ -91,15 +91,15 @@ SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
 
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Check as often as it goes."""
+    """Check the limits after every step."""
     for name in SEARCHED:
-        monkeypatch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "AT_ONCE", 0)
+        monkeypatch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "STEPS_PER_CHECK", 0)
 
 
 @pytest.mark.usefixtures("often")
 @pytest.mark.parametrize("name", SEARCHES)
 def test_what_takes_long_asks_again_and_again(name: str) -> None:
-    """Once a variable or move at least, so that none of it goes on for long."""
+    """Each phase checks its limits at least once per variable."""
     task, asked = tied(4, 3, 6), 0
 
     def counting(_needed: float) -> None:
@@ -126,7 +126,7 @@ def test_what_is_found_does_not_depend_on_how_often_is_asked(seed: int) -> None:
     piecewise = found(task)
     with pytest.MonkeyPatch.context() as patch:
         for name in SEARCHED:
-            patch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "AT_ONCE", 1 << 30)
+            patch.setattr(importlib.import_module(f"planner.search.ranking.{name}"), "STEPS_PER_CHECK", 1 << 30)
         at_once = found(task)
     for one, other in zip(piecewise, at_once, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -167,7 +167,7 @@ def test_messages_say_in_which_phase_time_ended() -> None:
 
 @pytest.mark.parametrize("name", sorted(SEARCHES.keys() - {"proven", "plain"}))
 def test_memory_is_checked(name: str) -> None:
-    """A byte is allowed."""
+    """One byte is allowed."""
     with pytest.raises(MemoryLimitError, match=r"^\d+ MB of memory needed, 0 MB allowed$"):
         SEARCHES[name](tied(4, 3, 6), NARROW.during("it was looked for"))
 
@@ -181,7 +181,7 @@ def test_what_is_in_use_all_the_time_counts() -> None:
 
 
 def test_where_looking_for_an_index_takes_too_much_memory_states_are_listed() -> None:
-    """Matrices of 160 facts take more than 1,681 states."""
+    """Matrices of 160 facts need more memory than 1,681 states do."""
     task = chains(2, 40)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "FEW", -1)  # else they are listed before it is looked for
@@ -194,7 +194,7 @@ def test_where_looking_for_an_index_takes_too_much_memory_states_are_listed() ->
 
 
 def test_where_an_index_takes_too_much_memory_states_are_listed() -> None:
-    """Sets of 400 moves for each of 4,096 rows take more than two states."""
+    """Sets of 400 moves for each of 4,096 rows need more memory than two states do."""
     task = turning([{}, *({3: 1} if a % 22 == 2 else {2: 1} for a in range(1, 400))], 22)
     plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=2)
     assert plenty.note is None

@@ -19,7 +19,7 @@ from assist.cli import main
 from assist.learning.likelihood import Method
 from assist.learning.log import Log, read_log, told
 from assist.learning.maximum_likelihood import maximum_likelihood
-from assist.learning.observations import Evaluated, observe
+from assist.learning.observations import EvaluatedStates, observe
 from assist.learning.replay import replay
 from assist.people.choices import Choices
 from assist.people.human import Population
@@ -379,7 +379,7 @@ def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
         assert any(row["action"] is None for row in trace) == execute
         covered = []
         for found in maximum_likelihood(
-            observe(recording, Evaluated(PAPER.h, None), PAPER.is_goal(np.arange(len(PAPER)))), Method(eta=0.2)
+            observe(recording, EvaluatedStates(PAPER.h, None), PAPER.is_goal(np.arange(len(PAPER)))), Method(eta=0.2)
         ):
             human = pool.people[int(found.observations.person.removeprefix("human-")) - 1]
             assert found.theta is not None

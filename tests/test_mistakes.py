@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from recorded import lines, log_of, observed, people_at_work
 
-from assist.learning import Evaluated, Observations, fit, observe, replay
+from assist.learning import EvaluatedStates, Observations, fit, observe, replay
 from assist.live import Assistant
 from assist.people.choices import Choices
 from planner import CostToGo, OnDemand, Table, cost_to_go, load
@@ -37,7 +37,7 @@ def on(known: CostToGo, rows: list[dict]) -> list[Observations]:
     assert faults == []
     wanted, goal = recording.wanted(), np.zeros(len(known), dtype=bool)
     goal[wanted] = known.is_goal(wanted)
-    return observe(recording, Evaluated.of(known, wanted, known.lookup(wanted), wanted, len(known)), goal)
+    return observe(recording, EvaluatedStates.of(known, wanted, known.lookup(wanted), wanted, len(known)), goal)
 
 
 @pytest.mark.parametrize("name", DELIVERIES)

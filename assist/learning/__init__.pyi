@@ -20,7 +20,7 @@ from .maximum_likelihood import Fit as Fit
 from .maximum_likelihood import maximum_likelihood as maximum_likelihood
 from .misconception_fit import MisconceptionFit as MisconceptionFit
 from .misconception_fit import fit_misconception as fit_misconception
-from .observations import Evaluated as Evaluated
+from .observations import EvaluatedStates as EvaluatedStates
 from .observations import Observations as Observations
 from .observations import observe as observe
 from .person_estimate import PersonEstimate as PersonEstimate

@@ -27,7 +27,7 @@ from .likelihood import Method
 from .log import Fault, Log, in_order
 from .maximum_likelihood import largest_beta, maximum_likelihood
 from .misconception_fit import fit_misconception, require_memory
-from .observations import Evaluated, Ints, Observations, observe
+from .observations import EvaluatedStates, Ints, Observations, observe
 from .person_estimate import PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
 from .replay import Recording, replay, situation
@@ -208,7 +208,7 @@ def replayed(
     drop: Sequence[str] = (),
     rename: Mapping[str, str] | None = None,
     strict: bool = False,
-) -> tuple[Recording, Evaluated, tuple[Fault, ...]]:
+) -> tuple[Recording, EvaluatedStates, tuple[Fault, ...]]:
     """Follow a log through its task, and look up the cost-to-go of what was met; parameters as of `fit`."""
     recording, found = replay(log, costs, drop=drop, rename=rename)
     faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
@@ -228,7 +228,7 @@ def replayed(
             raise
         warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=WHO_ASKED)
         h = known(wanted)
-    return recording, Evaluated.of(costs, wanted, h, wanted, len(costs)), faults
+    return recording, EvaluatedStates.of(costs, wanted, h, wanted, len(costs)), faults
 
 
 def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
@@ -247,7 +247,7 @@ def learn(
     log: Log,
     costs: CostToGo,
     recording: Recording,
-    known: Evaluated,
+    known: EvaluatedStates,
     *,
     faults: tuple[Fault, ...] = (),
     method: Method | None = None,
@@ -265,7 +265,7 @@ def learn(
     ----------
     costs : CostToGo
         Of the task, as it was replayed on; it is not asked for costs.
-    known : Evaluated
+    known : EvaluatedStates
         Of the states that `recording.wanted()` names.
     faults, method, misconceptions, terms, chooses, seed, jobs
         As for `fit`; faults are all that was found.
@@ -318,7 +318,7 @@ def learn(
 
 
 def observed(
-    log: Log, costs: CostToGo, recording: Recording, known: Evaluated, terms: Terms = False
+    log: Log, costs: CostToGo, recording: Recording, known: EvaluatedStates, terms: Terms = False
 ) -> tuple[list[Observations], dict[str, int]]:
     """Give what each person could choose from and what they chose, and how many actions of whom are left out.
 

@@ -43,7 +43,7 @@ class Chances:
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class EvaluatedStates:
     """What is known of the states that choices lead to; n states.
 
     Attributes
@@ -64,7 +64,7 @@ class Evaluated:
         read_only(self)
 
     @classmethod
-    def of(cls, costs: CostToGo, states: Ints, h: Floats, at: Ints, size: int) -> Evaluated:
+    def of(cls, costs: CostToGo, states: Ints, h: Floats, at: Ints, size: int) -> EvaluatedStates:
         """Take in h* of some states, shape (N,), NaN where it is not known; `at` are their places among all."""
         known = ~np.isnan(h)
         own, lengths = np.full(size, np.nan), None
@@ -158,7 +158,7 @@ class Observations:
 
 def observe(
     recording: Recording,
-    known: Evaluated,
+    known: EvaluatedStates,
     goal: NDArray[np.bool_],
     terms: tuple[str, ...] = (),
     features: Floats | None = None,
@@ -168,7 +168,7 @@ def observe(
     Parameters
     ----------
     recording : Recording
-    known : Evaluated
+    known : EvaluatedStates
         Of the states that `recording.wanted()` names; others are not read.
     goal : bool array, shape (states,)
         Which of them are goal states.

@@ -92,8 +92,8 @@ def sweep(
         A limit is reached, or a cost is larger than `LARGEST_COST`.
     """
     assert callable(progress)
-    if (dearest := max(task.costs, default=0)) > LARGEST_COST:
-        raise CostLimitError(f"{task.instance}: a cost of {dearest} is too large; expected at most {LARGEST_COST}")
+    if (largest := max(task.costs, default=0)) > LARGEST_COST:
+        raise CostLimitError(f"{task.instance}: a cost of {largest} is too large; expected at most {LARGEST_COST}")
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
     search = _search(task, budget, threads, progress, None if checkpoint is None else Path(checkpoint))

@@ -9,8 +9,6 @@ import click
 from rich_click import RichCommand, RichHelpConfiguration
 from rich_click.rich_panel import RichOptionPanel
 
-from .policies import PolicyName
-
 GROUPS = {
     "Task": ("--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format"),
     "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict"),
@@ -30,10 +28,7 @@ GROUPS = {
     ),
     "Output": ("--out", "--trace", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
-"""Options of all commands by what they are about, in the order in which the help shows them."""
-
-METAVARS: dict[type[click.ParamType[Any]], str] = {click.IntRange: "N", PolicyName: "POLICY"}
-"""What stands for a value in the help, where the type's own name is long."""
+"""Options of all commands by topic, in the order in which the help shows them."""
 
 LOOK = RichHelpConfiguration(
     theme="nu",
@@ -45,14 +40,14 @@ LOOK = RichHelpConfiguration(
 
 
 def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return a decorator that makes a command; its help shows an example and groups the options.
+    """Return a decorator that makes a command, whose help shows an example and groups the options.
 
     Parameters
     ----------
     example : str
         A call of the command, without the program's name.
     name : str, optional
-        That of the function unless given.
+        Name of the command; the function's name unless given.
     """
 
     def decorated(function: Callable[..., Any]) -> click.Command:
@@ -65,7 +60,8 @@ def command(example: str, name: str | None = None) -> Callable[[Callable[..., An
             context_settings={"rich_help_config": LOOK},
         )(function)
         for option in made.params:
-            option.metavar = option.metavar or METAVARS.get(type(option.type))
+            if option.metavar is None and isinstance(option.type, click.IntRange):
+                option.metavar = "N"  # click's own placeholder is INTEGER RANGE
         return made
 
     return decorated

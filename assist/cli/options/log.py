@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ...learning.fit import FittedPeople
     from ...learning.likelihood import Method
     from ...learning.log import Fault, Log
-    from ...learning.observations import Evaluated
+    from ...learning.observations import EvaluatedStates
     from ...learning.replay import Recording
 
 
@@ -103,7 +103,7 @@ class Replayed(NamedTuple):
     log: Log
     walked: OnDemand
     recording: Recording
-    known: Evaluated
+    evaluated: EvaluatedStates
     faults: tuple[Fault, ...]
     method: Method
     jobs: int
@@ -165,8 +165,8 @@ def replayed(
         require_actions(log, recording, walked)
     except LogError as error:
         fail(str(error), EXIT_FAILED)
-    known = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
-    return Replayed(log, walked, recording, known, faults, method, jobs)
+    evaluated = _evaluate(walked, recording.wanted(), max_states, time_limit, cache, jobs, strict=strict)
+    return Replayed(log, walked, recording, evaluated, faults, method, jobs)
 
 
 def people_of(
@@ -191,7 +191,7 @@ def people_of(
     try:
         with progress_bar("fitting people", len(known.recording.people)) as advance:
             return learn(
-                known.log, known.walked, known.recording, known.known, faults=known.faults, method=known.method,
+                known.log, known.walked, known.recording, known.evaluated, faults=known.faults, method=known.method,
                 misconceptions=misconceptions, terms=terms, chooses=chooses, table=table, seed=seed, jobs=known.jobs,
                 progress=advance,
             )  # fmt: skip
@@ -206,7 +206,7 @@ def comparison_of(known: Replayed, folds: int) -> Comparison:
     from ...people.terms import TERMS
 
     try:
-        observations, _ = observed(known.log, known.walked, known.recording, known.known, TERMS)
+        observations, _ = observed(known.log, known.walked, known.recording, known.evaluated, TERMS)
         with progress_bar("comparing models", len(TERMS) + 2) as advance:
             return compare_observed(observations, known.method, folds=folds, name=str(known.log.name), progress=advance)
     except LogError as error:
@@ -239,12 +239,12 @@ def _columns(given: tuple[str, ...]) -> dict[str, str]:
 def _evaluate(
     walked: OnDemand, wanted: NDArray[np.int64], max_states: int, time_limit: float | None, cache: Path | None,
     jobs: int, *, strict: bool,
-) -> Evaluated:  # fmt: skip
+) -> EvaluatedStates:  # fmt: skip
     """Evaluate the wanted ones of the states that were met: from a sweep, or one by one on demand.
 
     States that took too long have NaN unless `strict`, where they are an error.
     """
-    from ...learning.observations import Evaluated
+    from ...learning.observations import EvaluatedStates
 
     values, limits = walked.values(wanted), Limits(seconds=time_limit)
     kept = Cache(walked.task, cache)
@@ -257,7 +257,7 @@ def _evaluate(
         )  # fmt: skip
     numbers = costs.numbers(values)
     if not isinstance(costs, OnDemand):
-        return Evaluated.of(costs, numbers, costs.lookup(numbers), wanted, len(walked))
+        return EvaluatedStates.of(costs, numbers, costs.lookup(numbers), wanted, len(walked))
     if np.isnan(costs.known(numbers)).any():
         click.echo(f"evaluating {len(wanted)} states on demand: {costs.reason}", err=True)
     with progress_bar("evaluating states", len(wanted)) as advance:
@@ -268,4 +268,4 @@ def _evaluate(
                 raise
             h = costs.known(numbers)
             click.echo(f"{error}; actions that depend on them are left out", err=True)
-    return Evaluated.of(costs, numbers, h, wanted, len(walked))
+    return EvaluatedStates.of(costs, numbers, h, wanted, len(walked))

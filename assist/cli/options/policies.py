@@ -26,8 +26,8 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
     name = "policy"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
-        """Show what there is."""
-        return f"[{'|'.join(POLICIES)}|FILE.py:FUNCTION]"
+        """Return the placeholder; the option's text lists the values."""
+        return "POLICY"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Read it; what is in the file is looked at later."""

@@ -26,7 +26,7 @@ from .transition_normal_form import TNFOperator
 MOST_WORK = 1 << 32
 """Limit on the steps of elimination (facts^2 times distinct changes), above which invariants are not computed."""
 
-AT_ONCE = 1 << 28
+STEPS_PER_CHECK = 1 << 28
 """Multiplications between two checks of the limits."""
 
 TRIES = 20
@@ -161,7 +161,7 @@ def _product(a: Ints, b: Ints, check: Callable[[], None]) -> Ints:
     invariants.
     """
     product, factor = np.empty((len(a), b.shape[1]), dtype=np.int64), b.astype(np.float64)
-    step = AT_ONCE // (b.size + 1) + 1
+    step = STEPS_PER_CHECK // (b.size + 1) + 1
     for begin in range(0, len(a), step):
         check()
         product[begin : begin + step] = a[begin : begin + step].astype(np.float64) @ factor % PRIME
@@ -183,7 +183,7 @@ def _null_space(matrix: Ints, check: Callable[[], None]) -> Ints:
 def _reduced(matrix: Ints, check: Callable[[], None]) -> Ints:
     """Reduce a matrix to row echelon form modulo the prime, in place; return each row's pivot column or -1."""
     pivots = np.full(len(matrix), -1, dtype=np.int64)
-    step, top = AT_ONCE // (8 * matrix.size + 1) + 1, 0
+    step, top = STEPS_PER_CHECK // (8 * matrix.size + 1) + 1, 0
     for column in range(0, matrix.shape[1], step):
         check()
         top = _reduce(matrix, pivots, top, column, min(column + step, matrix.shape[1]))

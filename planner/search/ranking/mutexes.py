@@ -24,7 +24,7 @@ from .transition_normal_form import TNFOperator
 MOST_WORK = 1 << 26
 """Limit on moves times facts, above which mutexes are not computed."""
 
-AT_ONCE = 1 << 21
+STEPS_PER_CHECK = 1 << 21
 """Moves times facts between two checks of the limits."""
 
 
@@ -76,7 +76,7 @@ class Mutexes:
         together[np.ix_(initial, initial)] = True
         possible = np.zeros(len(moves), dtype=bool)
         barred = np.zeros((len(moves), first[-1]), dtype=bool)
-        step = AT_ONCE // max(1, facts) + 1
+        step = STEPS_PER_CHECK // max(1, facts) + 1
         change = True
         while change:
             change = False

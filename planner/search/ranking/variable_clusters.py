@@ -26,7 +26,7 @@ from .mutexes import Mutexes
 MOST_VALUES = 1 << 16
 """Largest number of joint values of a cluster. Larger gives fewer ranks, but larger tables."""
 
-AT_ONCE = 1 << 24
+STEPS_PER_CHECK = 1 << 24
 """Comparisons of values between two checks of the limits."""
 
 MOST_WORK = 1 << 31
@@ -120,7 +120,7 @@ class Projections:
         queue[0] = self.initial[columns] @ factors
         insert_all(keys, queue[:1])
         done, seen = 0, 1
-        step = AT_ONCE // (after.size + 1) + 1
+        step = STEPS_PER_CHECK // (after.size + 1) + 1
         while done < seen:
             if seen == len(queue):
                 keys = np.full(2 * len(keys), -1, dtype=np.int64)
