@@ -4,6 +4,7 @@ from .costtogo.cost_to_go import CostToGo as CostToGo
 from .costtogo.cost_to_go import optimal_choices as optimal_choices
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
+from .costtogo.sweep import SweepOptions as SweepOptions
 from .costtogo.sweep import sweep as sweep
 from .costtogo.table import Table as Table
 from .costtogo.table_file import SavedTable as SavedTable

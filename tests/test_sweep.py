@@ -1,4 +1,4 @@
-"""The sweep against the plain search that keeps all transitions, state by state, on every kind of task."""
+"""The sweep compared, state by state, with a plain search that stores all transitions, on every kind of task."""
 
 from __future__ import annotations
 
@@ -7,38 +7,39 @@ import random
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from conftest import KITTING
+from conftest import KITTING, thinned
 from plain import explore
 
 from planner import Effect, LimitError, Operator, Table, Task, Variable, instance, load, open_table, save_table
 from planner.search.distances import backward, compact
+from planner.search.ranked_index import RankedIndex
 from planner.search.ranking.state_ranking import StateRanking
 from planner.search.ranking.transition_normal_form import exactly_one, split_operators
+from planner.search.state_registry import RegistryIndex
 from planner.system.errors import DamagedFileError
 
 module = importlib.import_module("planner.costtogo.sweep")
-candidates = importlib.import_module("planner.search.successor_generator")
-bucket_dijkstra = importlib.import_module("planner.search.bucket_dijkstra")
-forward_search = importlib.import_module("planner.search.forward_search")
-moves_module = importlib.import_module("planner.search.ranking.transition_normal_form")
-sweep = module.sweep
+successor_generator = importlib.import_module("planner.search.successor_generator")
+ranked_index = importlib.import_module("planner.search.ranked_index")
+sweep, SweepOptions = module.sweep, module.SweepOptions
+UNLISTED = SweepOptions(transitions_per_move=-1)  # a denser ranking is sought before any state is listed
 
 
 def with_blocks_of(ranks: int, patch: pytest.MonkeyPatch) -> None:
-    """Let blocks of a frontier have so many ranks."""
-    for name in ("forward_search", "ranked_index", "bucket_dijkstra"):
-        patch.setattr(f"planner.search.{name}.RANKS_AT_A_TIME", ranks)
+    """Let blocks of a frontier have `ranks` ranks."""
+    patch.setattr(ranked_index, "RANKS_AT_A_TIME", ranks)
 
 
-def check(task: Task) -> Table:
+def check(task: Task, options: SweepOptions | None = None) -> Table:
     """Compare everything that a table says with the reference."""
     space = explore(task)
     rows = space.transitions
     h = Table(space, compact(backward(rows.targets, space.sources, space.costs, space.goal)))
-    table = sweep(task)
+    table = sweep(task, options=options)
     assert len(table) == len(space)
     assert table.space.transition_count == len(rows.actions)
     values = space.values(np.arange(len(space)))
@@ -71,7 +72,7 @@ def check(task: Task) -> Table:
 
 
 def random_task(rng: random.Random, *, axioms: bool = False, costs: range = range(1, 2)) -> Task:
-    """A task with exactly-one groups among its variables, and operators of every kind."""
+    """Return a task with exactly-one groups among its variables, and operators of every kind."""
     sizes = [rng.randint(2, 4) for _ in range(rng.randint(1, 6))]
     initial = [rng.randrange(size) for size in sizes]
     groups = []
@@ -97,7 +98,7 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
     for _ in range(rng.choice([0, 5, 20, 40])):
         conditions = facts(len(sizes), 2)
         changed = dict(facts(primary, 2)) or {0: 0}
-        if tidy or rng.random() < 0.8:  # repair the groups, so that many are kept
+        if tidy or rng.random() < 0.8:  # repair the groups, so that many are preserved
             known = dict(conditions)
             for group in groups:
                 for v, _ in group:
@@ -137,14 +138,10 @@ def random_task(rng: random.Random, *, axioms: bool = False, costs: range = rang
     )
 
 
-@pytest.mark.parametrize("hashed", [False, True], ids=["bitmap", "hashed"])
-@pytest.mark.parametrize("costs", [range(1, 2), range(3), range(5, 100_000, 7), range(1)], ids=str)
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 5))])
-def test_random_tasks(seed, costs, hashed, monkeypatch):
-    with_blocks_of(64, monkeypatch)  # what is less is left to one thread
-    if hashed:
-        monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
-        monkeypatch.setattr(forward_search, "SPARSE", 0)
+@pytest.mark.parametrize("costs", thinned([range(3), range(1, 2), range(5, 100_000, 7), range(1)]), ids=str)
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 5))])
+def test_random_tasks(seed, costs, monkeypatch):
+    with_blocks_of(64, monkeypatch)  # smaller blocks are left to one thread
     rng = random.Random(f"{seed} {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -152,7 +149,7 @@ def test_random_tasks(seed, costs, hashed, monkeypatch):
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatch):
-    monkeypatch.setattr(candidates, "LARGEST", 0)
+    monkeypatch.setattr(successor_generator, "candidates", partial(successor_generator.candidates, max_bytes=0))
     rng = random.Random(f"trie {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
@@ -160,13 +157,13 @@ def test_random_tasks_whose_sets_of_moves_do_not_fit_the_cache(costs, monkeypatc
 
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_where_memory_is_short(costs, monkeypatch):
-    monkeypatch.setattr(bucket_dijkstra, "CLOSED", 0)
+    monkeypatch.setattr(ranked_index, "CLOSED", 0)
     rng = random.Random(f"short {costs}")
     for _ in range(25):
         check(random_task(rng, costs=costs))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", thinned(range(4)))
 def test_random_tasks_with_axioms(seed):
     rng = random.Random(seed)
     for _ in range(20):
@@ -198,21 +195,21 @@ def test_the_plain_sweep_can_be_stopped():
 
 @pytest.fixture
 def listed(monkeypatch):
-    """Tasks have no index."""
-    monkeypatch.setattr(moves_module, "MOST_MOVES", 0)
-    monkeypatch.setattr(moves_module, "MANY_EACH", 0)
+    """Disable the index of states, so that the sweep stores them."""
+    monkeypatch.setattr(module, "split_operators", lambda *_: None)
 
 
 @pytest.mark.usefixtures("listed")
 @pytest.mark.parametrize("costs", [range(1, 2), range(3)], ids=str)
 def test_random_tasks_without_an_index(costs, monkeypatch):
-    monkeypatch.setattr("planner.search.successor_generator.STATES_AT_A_TIME", 3)
+    monkeypatch.setattr("planner.search.state_registry.STATES_AT_A_TIME", 3)
     rng = random.Random(f"listed {costs}")
     for _ in range(20):
         check(random_task(rng, costs=costs))
 
 
 @pytest.mark.usefixtures("listed")
+@pytest.mark.slow
 def test_a_list_of_states_grows():
     table = sweep(counter(15))
     numbers = np.arange(len(table))
@@ -220,12 +217,12 @@ def test_a_list_of_states_grows():
     np.testing.assert_array_equal(table.numbers(table.values(numbers)), numbers)
 
 
-def test_random_tasks_turn_from_hash_table_to_bitmap(monkeypatch):
-    monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
-    monkeypatch.setattr(forward_search, "SPARSE", 40)
-    rng = random.Random(1)
-    for _ in range(100):
-        check(random_task(rng, costs=range(1, 3)))
+def test_tasks_of_few_states_take_no_large_bitmap():
+    sparse = SweepOptions(small_bitmap=0, ranks_per_transition=2)
+    rng, kinds = random.Random(1), set()
+    for _ in range(60):
+        kinds.add(type(check(random_task(rng, costs=range(1, 3)), sparse).space.numbering))
+    assert kinds == {RankedIndex, RegistryIndex}
 
 
 def test_random_tasks_leave_variables_out():
@@ -261,23 +258,14 @@ def test_the_number_of_threads_does_not_matter(kitting):
         np.testing.assert_array_equal(table.distance, tables[0].distance)
 
 
+@pytest.mark.slow
 def test_a_task_of_many_blocks(smaller, monkeypatch):
     with_blocks_of(256, monkeypatch)
     check(smaller)
 
 
-def test_kitting_hashed(kitting, monkeypatch):
-    monkeypatch.setattr(forward_search, "SMALL_BITMAP", 0)
-    expected = sweep(kitting)
-    monkeypatch.setattr(forward_search, "SPARSE", 0)
-    table = sweep(kitting)
-    assert not len(table.space.numbering.states.bits)
-    assert len(expected.space.numbering.states.bits)
-    np.testing.assert_array_equal(table.distance, expected.distance)
-
-
 def counter(bits: int, *, costs: tuple[int, ...] = ()) -> Task:
-    """A binary counter: it passes through all its states one after the other."""
+    """Return a binary counter, which passes through all its states in turn."""
     variables = tuple(Variable(f"var{v}", (f"Atom zero({v})", f"Atom one({v})"), -1) for v in range(bits))
     operators = tuple(
         Operator(
@@ -344,7 +332,7 @@ def test_few_states_of_many_bits(bits):
 
 
 def test_two_words_with_implied_variables():
-    """A token moves through 50 places, each with a variable of its own and the opposite of it."""
+    """A token moves through 50 places, each with a variable of its own and its negation."""
     places = 50
     variables = (
         Variable("at", tuple(f"Atom at({p})" for p in range(places)), -1),
@@ -413,37 +401,6 @@ def test_numbers_outside_the_table():
         table.numbers([(0, 1)])
 
 
-@pytest.mark.parametrize("what", ["states", "cost-to-go"])
-def test_a_sweep_that_was_broken_off_goes_on(smaller, what, tmp_path, monkeypatch):
-    expected = sweep(smaller)
-    monkeypatch.setattr("planner.search.checkpoint.EVERY", 0.0)
-    layers = 0
-
-    def broken_off(now: str, *_: int | None) -> None:
-        nonlocal layers
-        layers += now == what
-        if layers == 5:
-            raise LimitError("broken off")
-
-    with pytest.raises(LimitError, match="broken off"):
-        sweep(smaller, progress=broken_off, checkpoint=tmp_path / "kept")
-    assert (tmp_path / "kept").is_file()
-    seen: list[tuple[str, int, int | None]] = []
-    other = sweep(counter(5), checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
-    assert len(other) == 32  # a checkpoint of another task is nothing to go on from
-    layers = 0
-    with pytest.raises(LimitError, match="broken off"):
-        sweep(smaller, progress=broken_off, checkpoint=tmp_path / "kept")
-    seen.clear()
-    table = sweep(smaller, checkpoint=tmp_path / "kept", progress=lambda *now: seen.append(now))
-    assert seen[0][0] == what
-    assert seen[0][1] > 5
-    assert seen[-1] == ("cost-to-go", len(table), len(table))
-    np.testing.assert_array_equal(table.distance, expected.distance)
-    assert table.space.transition_count == expected.space.transition_count
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_saved_table_is_opened_without_being_read(tmp_path):
     task = counter(9, costs=(3, 1, 0, 2, 1, 1, 5, 1, 1))
     table = sweep(task)
@@ -466,7 +423,7 @@ def test_a_saved_table_is_opened_without_being_read(tmp_path):
 
 
 def test_a_table_whose_arrays_do_not_belong_together_is_refused(tmp_path):
-    """As another version may have written it: an array less, another shape or kind, another place for a variable."""
+    """A file as another version might write it: without an array, or with another shape, type or field."""
     file = tmp_path / "table.npz"
     save_table(file, sweep(counter(3)))
     with np.load(file) as arrays:

@@ -1,4 +1,4 @@
-"""States that are alike are swept once, and none that are not: against the sweep of all states, and by hand."""
+"""Symmetric states are swept once, and no others: compared with the sweep of all states, and by hand."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ from planner import (
 from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.costtogo import on_demand
 from planner.costtogo.orbits import OrbitTable, orbits
-from planner.costtogo.portfolio import PER_ORBIT
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import replay
 from planner.search.symmetry.automorphisms import symmetries
@@ -61,13 +60,13 @@ def switches(costs: list[int], goal: list[int], initial: list[int] | None = None
 
 
 def copies(rng: random.Random, count: int, costs: range) -> Task:
-    """Some things that are all alike and a variable that they share; any of them does something to any other."""
+    """Return a task with several equivalent objects and a shared variable, in which each acts on each other."""
     sizes = [rng.randint(2, 3) for _ in range(rng.randint(1, 2))]  # of each thing's variables
     shared = count * len(sizes)
     whole = [*sizes * count, rng.randint(2, 3)]
 
     def fact(roles: int) -> tuple[int, int, int]:
-        """The variable of a thing in some role, or the shared one, and a value."""
+        """Return an object's role, its variable (or the shared one), and a value."""
         if rng.random() < 0.3:
             return -1, 0, rng.randrange(whole[-1])
         variable = rng.randrange(len(sizes))
@@ -115,7 +114,7 @@ def check(task: Task) -> tuple[Table, OrbitTable]:
     assert sorted(set(numbers.tolist())) == list(range(len(found)))
     group = symmetries(task)
     assert group is not None
-    # What one symmetry takes to another is of one orbit; how many orbits there are, from pairs of states alone.
+    # States that a symmetry maps to each other are in one orbit; the number of orbits follows from such pairs alone.
     root = {tuple(row): tuple(row) for row in values.tolist()}
 
     def top(state: tuple[int, ...]) -> tuple[int, ...]:
@@ -142,11 +141,11 @@ def test_a_kit_is_swept_by_orbits(name):
 
 
 def counted_by_hand(boxes: list[int]) -> tuple[int, int]:
-    """Count orbits (Burnside's lemma: the mean of the fixed states) and symmetries of a kit with so many items a box.
+    """Return the numbers of orbits (by Burnside's lemma) and of symmetries of a kit with these numbers of items per
+    box.
 
-    A state says what stands on the platform, and which items are in which slots: a partial map, one to one, of as many
-    items to slots. A permutation of items (and their slots) with m cycles of length n fixes the maps that take k of
-    these cycles to others, each in n ways.
+    A state consists of the box on the platform, and a partial injective map of items to slots. A permutation of items
+    (and their slots) with m cycles of length n fixes the maps that take k of these cycles to others, each in n ways.
     """
     first, fixed, order = np.cumsum([0, *boxes]), 0, 0
     for to in permutations(range(len(boxes))):
@@ -226,7 +225,7 @@ def test_what_can_be_done_to_one_alone_makes_it_unlike():
 
 
 def test_where_things_begin_need_not_be_alike():
-    """Only what follows counts: states that are alike cost the same, whether or not one can come to both."""
+    """Symmetric states have equal cost-to-go, whether or not both are reachable."""
     task = switches([1, 1, 1], [0, 1, 2], [1, 0, 0])
     table, found = check(replace(task, operators=task.operators[1::2]))  # never off again
     assert (len(table), len(found), found.order) == (4, 3, 6)
@@ -234,7 +233,7 @@ def test_where_things_begin_need_not_be_alike():
 
 @pytest.mark.parametrize("kind", ["axioms", "conditions", "twice", "nothing"])
 def test_what_is_not_looked_at(kind):
-    """Both switches are alike, whatever comes to it."""
+    """Both switches are symmetric, but for the change."""
     task, both = switches([1, 1], [0, 1]), ((0, 1), (1, 0))
     under = [Operator(2 * v, ((v, 0),), (Effect(((other, 1),), v, 1),)) for v, other in both]
     twice = [Operator(2 * v, ((v, 0),), (Effect((), v, 1), Effect((), v, 0))) for v, _ in both]
@@ -264,7 +263,7 @@ def test_who_stops_a_search_does_not_wait_for_the_forms_of_many_states(monkeypat
 
 
 def test_a_guess_that_is_none_does_not_count(monkeypatch):
-    """Colours that tell nothing apart lead to wrong guesses, and none of them is taken."""
+    """If colours distinguish nothing, the guesses are wrong, and none is accepted."""
     search = importlib.import_module("planner.search.symmetry.automorphisms")._Search
     task = switches([1, 2, 3], [0, 1, 2])
     monkeypatch.setattr(search, "_refined", lambda _self, colors: colors * np.uint64(0) + np.uint64(1))
@@ -278,7 +277,7 @@ def test_a_guess_that_is_none_does_not_count(monkeypatch):
     [
         ([1, 1], [0, 1], [2, 3, 0, 1], True),
         ([1, 2], [0, 1], [2, 3, 0, 1], False),  # what turns them on costs otherwise
-        ([1, 1], [0], [2, 3, 0, 1], False),  # one of them is wanted
+        ([1, 1], [0], [2, 3, 0, 1], False),  # one of them is in the goal
         ([1, 1], [], [3, 2, 0, 1], False),  # on is off
         ([1, 1], [0, 1], [2, 1, 0, 3], False),  # variables come apart
         ([1, 1], [0, 1], [2, 3, 2, 3], False),  # no permutation
@@ -311,7 +310,7 @@ def test_too_many_orbits_are_none(monkeypatch):
         orbits(task, max_orbits=100)
     # 4 symmetries: 836 states are 209 orbits at least, which is known before they are listed.
     module = importlib.import_module("planner.costtogo.orbits")
-    monkeypatch.setattr(module, "enumerated", None)
+    monkeypatch.setattr(module, "RegistrySpace", None)
     with pytest.raises(LimitError, match="more than 208 orbits of 4 symmetries"):
         orbits(task, max_orbits=208, states=836)
 
@@ -336,7 +335,7 @@ def test_answers_on_demand_are_looked_up_where_orbits_fit(monkeypatch):
     assert plan is not None
     assert known.task.plan_cost(plan) == table[table.initial]
     assert table.is_goal([table.space.follow(plan)])[0]
-    assert cost_to_go(task, max_states=PER_ORBIT * 913).searches  # there are 914
+    assert cost_to_go(task, max_states=4 * 913).searches  # there are 914
 
 
 def test_where_few_states_are_wanted_orbits_may_be_first(monkeypatch):
@@ -377,16 +376,12 @@ def test_a_record_tells_of_orbits():
     assert replay(load(at), record["plan"]) == record["cost"]
 
 
-def test_what_goes_beyond_the_effort_is_given_up(monkeypatch):
+def test_what_goes_beyond_the_effort_is_given_up():
     task = switches([1] * 4, range(4))
-    monkeypatch.setattr(
-        importlib.import_module("planner.costtogo.orbits"), "EFFORT", 4 * 9
-    )  # facts of a state, symmetries
     with pytest.raises(LimitError, match="1 transitions or more between orbits of 24 symmetries"):
-        orbits(task, max_orbits=100)
-    for limit in ("DEEP", "LARGE"):
-        monkeypatch.setattr(importlib.import_module("planner.search.symmetry.automorphisms"), limit, 2)
-        assert symmetries(task) is None
+        orbits(task, max_orbits=100, effort=4 * 9)  # facts of a state, symmetries
+    assert symmetries(task, max_levels=2) is None
+    assert symmetries(task, max_entries=2) is None
 
 
 def test_time_is_looked_at():
@@ -417,7 +412,9 @@ def test_policies_are_worked_out_on_more_states_where_none_takes_a_search(tiny):
 
 
 def test_a_team_at_a_task_of_which_orbits_were_swept_does_as_at_its_table(monkeypatch):
-    """People and policies are functions of the state, however its cost-to-go is come by and whatever its number is."""
+    """People and policies are functions of the state, independent of how its cost-to-go was computed and of its
+    number.
+    """
     monkeypatch.setattr(on_demand, "astar", None)
     at = instance(KITTING / "paper.pddl")
     table = table_of(at)

@@ -18,7 +18,7 @@ from ..grounding import fast_downward
 from ..pddl.instances import Instance
 from ..system.errors import DamagedFileError, ResultsExistError
 from ..system.files import append_record, read_records, remove_unfinished, write_records
-from .solve_instance import SolveOptions, SolveRecord, begun_sweep, saved_files
+from .solve_instance import SolveOptions, SolveRecord, saved_files
 
 RESULTS, FINGERPRINTS = "results.jsonl", "fingerprints"
 Key = tuple[str, str]
@@ -115,8 +115,6 @@ class Results:
         remove_unfinished([self._folder, *((self._folder / line["place"]).parent for line in self._lines.values())])
 
     def _holds(self, record: SolveRecord, line: dict[str, Any], current: str | None) -> bool:
-        if begun_sweep(self._folder / line["place"]).exists():
-            return False  # it was solved on demand for lack of time; the sweep can continue
         is_now = {"fingerprint": current, "files": self._sizes(line), "record": _digest(record)}
         return current is not None and all(line.get(name) == value for name, value in is_now.items())
 

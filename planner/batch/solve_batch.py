@@ -22,9 +22,6 @@ from ..system.workers import WorkerDiedError, outcomes
 from .results_folder import Key, Results, key
 from .solve_instance import SolveOptions, SolveRecord, solve_instance, unfinished, unsolved
 
-GRACE = 10.0
-"""Seconds that a worker may take to stop after its time limit, before it is killed."""
-
 TOLD = "told"
 """Report of a worker that it has written a new intermediate record."""
 
@@ -81,6 +78,7 @@ def solve_batch(
     MissingExtraError
         A scheduler is given, and the extra `cluster` is not installed.
     """
+    grace = 10.0  # seconds that a worker may take to stop after its time limit, before it is killed
     options = options or SolveOptions()
     results = None if out is None else Results(out, instances, options, resume=resume)
     records = {} if results is None else dict(results.records)
@@ -90,7 +88,7 @@ def solve_batch(
             if key(instance) in records:
                 progress(records[key(instance)])
     jobs = min(jobs, len(todo))
-    timeout = None if options.time_limit is None else options.time_limit + GRACE
+    timeout = None if options.time_limit is None else options.time_limit + grace
     shared = options if scheduler is not None else _shared(options, jobs)
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
         ongoing = _Ongoing(Path(folder), records, results, tell)

@@ -14,8 +14,6 @@ from ..grounding import fast_downward
 from ..grounding.task import Task
 from .astar import priced
 
-DEAD_END = -1  # represents an infinite cost-to-go in the file
-
 
 def cache_folder() -> Path:
     """Return the folder of the persistent cache: `kitassist` in the user's cache folder."""
@@ -26,7 +24,8 @@ def cache_folder() -> Path:
 class Cache:
     """A file with the cost-to-go of a task's states, in the combined costs of `priced`.
 
-    The file name is a digest of the grounded task and Fast Downward's version. A change of either starts a new file.
+    An infinite cost is stored as -1. The file name is a digest of the grounded task and Fast Downward's version. A
+    change of either starts a new file.
 
     Parameters
     ----------
@@ -52,10 +51,10 @@ class Cache:
         """Return all stored costs, by the bytes of the packed state."""
         with closing(self._open()) as connection:
             rows = connection.execute("SELECT state, cost FROM cost").fetchall()
-        return {state: float("inf") if cost == DEAD_END else float(cost) for state, cost in rows}
+        return {state: float("inf") if cost == -1 else float(cost) for state, cost in rows}
 
     def write(self, costs: dict[bytes, float]) -> None:
         """Store costs atomically: all of them or, if the process is killed, none."""
-        rows = [(state, DEAD_END if np.isinf(cost) else int(cost)) for state, cost in costs.items()]
+        rows = [(state, -1 if np.isinf(cost) else int(cost)) for state, cost in costs.items()]
         with closing(self._open()) as connection, connection:
             connection.executemany("INSERT OR REPLACE INTO cost VALUES (?, ?)", rows)

@@ -1,7 +1,7 @@
 """The first result for a task: cost and plan of its initial state, while all states are still being enumerated.
 
-`Early` runs Fast Downward's A* in a subprocess, and waits for it in a thread. The search starts after `ALONE` seconds,
-so that short tasks are not disturbed. A part of the memory is reserved for it until it ends. After `ABREAST` seconds it
+`Early` runs Fast Downward's A* in a subprocess, and waits for it in a thread. The search starts after half a second,
+so that short tasks are not disturbed. A part of the memory is reserved for it until it ends. After ten seconds it
 gets the lowest priority, so that a hard search hardly delays the other work.
 """
 
@@ -20,16 +20,6 @@ from ..system.limits import LimitError, Limits, MemoryLimitError
 from ..system.machine import available_memory, used_mb
 from .astar import astar
 
-ALONE = 0.5
-"""Seconds before the search starts, since most tasks are swept in less. Longer delays the first result of large tasks.
-"""
-
-ABREAST = 10.0
-"""Seconds for which the search competes with other work at equal priority."""
-
-SHARE = 0.25
-"""Share of the remaining memory that is reserved for the search."""
-
 Answer = tuple[float, list[str] | None]
 """Cost of an optimal plan, and the plan; infinite and None if there is none."""
 
@@ -44,6 +34,8 @@ class Early:
         Limits of the search; `memory_mb` is that of the whole process and the search together.
     tell : callable
         Called in a thread with the answer, once it is known.
+    delay : float
+        Seconds before the search starts.
 
     Attributes
     ----------
@@ -51,12 +43,12 @@ class Early:
         The answer; None while it is unknown.
     """
 
-    def __init__(self, task: Task, limits: Limits, tell: Callable[[Answer], None]) -> None:
-        self._task, self._limits, self._tell = task, limits, tell
+    def __init__(self, task: Task, limits: Limits, tell: Callable[[Answer], None], *, delay: float = 0.5) -> None:
+        self._task, self._limits, self._tell, self._delay = task, limits, tell, delay
         left = available_memory() / 1e6
         if limits.memory_mb is not None:
             left = min(left, limits.memory_mb - (used_mb() or 0.0))
-        self._memory_mb = max(1.0, SHARE * left)
+        self._memory_mb = max(1.0, 0.25 * left)  # the rest is left to the sweep
         self._stop, self._ended = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
         self._fault: Exception | None = None
@@ -106,9 +98,9 @@ class Early:
 
     def _run(self) -> None:
         try:
-            if not self._stop.wait(ALONE):
-                seconds = None if self._limits.seconds is None else max(0.01, self._limits.seconds - ALONE)
-                own = Limits(seconds, self._memory_mb, self._stop, ABREAST)
+            if not self._stop.wait(self._delay):
+                seconds = None if self._limits.seconds is None else max(0.01, self._limits.seconds - self._delay)
+                own = Limits(seconds, self._memory_mb, self._stop, first=10.0)
                 answer = astar(self._task, limits=own)
                 if answer[1] is not None:
                     replay(self._task, answer[1])

@@ -15,7 +15,6 @@ from __future__ import annotations
 import copy
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from functools import cached_property
 from typing import Literal
@@ -33,7 +32,8 @@ from ..states.state_space import state_numbers
 from ..states.successors import Successors, Transitions
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from ..system.machine import processors
-from .astar import LARGEST, UNIT, astar, counted, fastest_search, priced
+from ..system.threads import on_threads
+from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
 from .cost_to_go import optimal_choices
 from .orbits import OrbitTable
@@ -242,36 +242,37 @@ class OnDemand:
         over = threading.Event()
         limits = self._limits.ended_by(over)
 
-        def search(key: bytes) -> dict[bytes, float]:
-            if key in self._known:  # a plan that was found meanwhile visits it
-                return {}
-            if limits.stop is not None and limits.stop.is_set():
-                raise LimitError("stopped")
-            row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
-            if holds(row, *self._goal)[0]:
-                return {key: 0.0}
-            values = tuple(self.packing.unpack(row)[0].tolist())
-            return self._labels(row, astar(self._priced, values, search=self._search, limits=limits)[1])
+        remembering = threading.Lock()
 
-        failure: LimitError | None = None
-        with ThreadPoolExecutor(self._jobs) as pool:
+        def search(key: bytes) -> LimitError | None:
+            """Remember the cost-to-go of one state. Return the limit that prevented it, if any."""
             try:
-                for future in as_completed([pool.submit(search, key) for key in missing]):
-                    try:
-                        found = future.result()
-                    except LimitError as error:
-                        failure = error
-                        continue
-                    self._remember(found)
-                    if progress is not None:
-                        progress(1)
-            except BaseException:  # Ctrl-C as well
-                over.set()
-                pool.shutdown(cancel_futures=True)
-                raise
+                if key not in self._known:  # no plan that was found meanwhile visits it
+                    found = self._searched(key, limits)
+                    with remembering:
+                        self._remember(found)
+            except LimitError as error:
+                return error
+            if progress is not None:
+                with remembering:
+                    progress(1)
+            return None
+
+        ended = on_threads(search, missing, self._jobs, over)
+        failure = next((error for error in ended if error is not None), None)
         if failure is not None:
             unknown = sum(key not in self._known for key in missing)
             raise LimitError(f"{unknown} of {len(missing)} states are not known: {failure}")
+
+    def _searched(self, key: bytes, limits: Limits) -> dict[bytes, float]:
+        """Return the combined cost-to-go of the states on a plan that A* finds from one state."""
+        if limits.stop is not None and limits.stop.is_set():
+            raise LimitError("stopped")
+        row = np.frombuffer(key, dtype=np.uint64).reshape(1, -1)
+        if holds(row, *self._goal)[0]:
+            return {key: 0.0}
+        values = tuple(self.packing.unpack(row)[0].tolist())
+        return self._labels(row, astar(self._priced, values, search=self._search, limits=limits)[1])
 
     def _remember(self, found: dict[bytes, float]) -> None:
         self._known |= found
@@ -283,10 +284,10 @@ class OnDemand:
         if plan is None:
             return {row.tobytes(): np.inf}
         price = float(self._priced.plan_cost(plan))
-        if self._unit > 1 and (len(plan) >= UNIT or price >= LARGEST):
+        if self._unit > 1 and (len(plan) >= UNIT or price >= OVERFLOW):
             raise LimitError(
                 f"a plan of {len(plan)} actions and cost {self.task.plan_cost(plan)}: where actions cost nothing, "
-                f"at most {UNIT - 1} actions and a cost below {LARGEST // UNIT} can be told apart"
+                f"at most {UNIT - 1} actions and a cost below {OVERFLOW // UNIT} can be told apart"
             )
         found = {row.tobytes(): price}
         for action in plan:

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Task
-from ..search.bucket_dijkstra import settled
+from ..search.bucket_dijkstra import distances
 from ..search.distances import UNREACHED, compact
-from ..search.forward_search import enumerated
+from ..search.forward_search import explore
 from ..search.orbit_index import OrbitIndex
+from ..search.state_registry import RegistrySpace
 from ..search.symmetry.automorphisms import symmetries
 from ..search.symmetry.canonical_states import Forms, canonical
 from ..states.packing import Packing, Words
@@ -29,18 +30,8 @@ from ..system.machine import processors
 from ..system.progress_reports import Progress
 from .table import Table
 
-EFFORT = 100_000_000_000
-"""Limit on the work of canonicalisation: facts permuted by symmetries, one at a time. It corresponds to some minutes
-of one processor.
-"""
-
 AT_ONCE = 300_000_000
 """Facts permuted between two checks of the deadline."""
-
-LONG = 1 << 31
-"""Factor between costs and action counts in the combined costs. It exceeds the length of every optimal plan, which
-visits no orbit twice.
-"""
 
 
 @dataclass(frozen=True)
@@ -113,6 +104,7 @@ def orbits(
     stop: threading.Event | None = None,
     progress: Progress | None = None,
     lent: Callable[[], float] = float,
+    effort: int = 100_000_000_000,
 ) -> OrbitTable:
     """Compute the cost-to-go of all reachable states of a task, from one canonical state of each orbit.
 
@@ -128,6 +120,9 @@ def orbits(
         As in `sweep`.
     progress : callable, optional
         As in `sweep`; the stage of the search is "orbits".
+    effort : int
+        Limit on the work of canonicalisation: facts permuted by symmetries, one at a time. The default corresponds to
+        some minutes of one processor.
 
     Raises
     ------
@@ -147,23 +142,25 @@ def orbits(
             progress("orbits" if doing == "states" else doing, done, total)
 
     forms = Forms.of(group, Packing.of(task))
-    effort = len(forms.word) * len(forms.moves)
-    most, part = EFFORT // effort, AT_ONCE // effort + 1
+    permuted = len(forms.word) * len(forms.moves)  # facts that are permuted to canonicalise one state
+    most, part = effort // permuted, AT_ONCE // permuted + 1
 
     def form(states: Words) -> None:
         for begin in range(0, len(states), part):
             forming(0)
             canonical(forms, states[begin : begin + part])
 
-    listing = enumerated(task, budget, threads or processors(), told, most, form)
-    if listing is None:
+    threads, space = threads or processors(), RegistrySpace(task, budget, form)
+    if explore(space, budget, threads, told, most) is None:
         raise LimitError(f"{most} transitions or more between orbits of {group.order} symmetries")
     free = min(task.costs) == 0
-    prices = replace(task, costs=tuple(cost * LONG + 1 for cost in task.costs)) if free else task
-    distance, lengths = settled(prices, listing, budget, told), None
+    # Every action adds 1 to a multiple that exceeds the length of any optimal plan, which visits no orbit twice.
+    long = len(space) + 1
+    prices = [cost * long + 1 for cost in space.costs.tolist()] if free else None
+    distance, lengths = distances(space, task.goal, budget, threads, told, prices), None
     if free:
         dead = distance == np.iinfo(distance.dtype).max
         price = distance.astype(np.int64)
-        lengths = np.where(dead, UNREACHED, price % LONG)
-        distance = compact(np.where(dead, UNREACHED, price // LONG))
-    return OrbitTable(OrbitIndex(forms, listing.found), distance, lengths, group.order, len(listing.targets))
+        lengths = np.where(dead, UNREACHED, price % long)
+        distance = compact(np.where(dead, UNREACHED, price // long))
+    return OrbitTable(OrbitIndex(forms, space.index), distance, lengths, group.order, space.transitions)

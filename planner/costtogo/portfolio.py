@@ -3,9 +3,9 @@
 `cost_to_go` sweeps all states if the limits allow it, and otherwise solves states on demand. If only some states are
 requested, both methods run concurrently, and the first to finish provides the result. Since each has about half of the
 processors, this takes at most about twice as long as the better method alone. At the start each method runs alone for a
-moment: the sweep for `FIRST` seconds, then the single-state search for `SECOND` seconds. If there are too many states
-for a sweep, one canonical state of each orbit is swept, provided that there are few enough orbits. The result is a
-`Table` or an `OnDemand`; both implement `CostToGo`.
+moment: the sweep for `FIRST` seconds, then the single-state search for 0.03 seconds, which are enough for an easy
+state. If there are too many states for a sweep, one canonical state of each orbit is swept, provided that there are few
+enough orbits. The result is a `Table` or an `OnDemand`; both implement `CostToGo`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -33,17 +32,6 @@ from .table import Table
 
 FIRST = 0.008
 """Seconds for which the sweep runs alone. A task of some ten thousand states is swept in that time."""
-
-SECOND = 0.03
-"""Seconds for which the sweep then pauses. Fast Downward solves an easy state in half of that."""
-
-LONGER = 4
-"""Factor for ending the single-state search: once all states are enumerated, it ends if it would take this many times
-the time so far.
-"""
-
-PER_ORBIT = 4
-"""Number of states that an orbit counts as in `max_states`, since an orbit takes more time and memory."""
 
 
 class _Unswept(NamedTuple):
@@ -82,7 +70,6 @@ def cost_to_go(
     jobs: int | None = None,
     limits: Limits = NO_LIMITS,
     progress: Wanted = None,
-    checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
 ) -> Table | OnDemand:
     """Compute the exact cost-to-go, by the method that fits the task.
@@ -111,7 +98,7 @@ def cost_to_go(
         Limits of each search on demand.
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes.
-    checkpoint, lent
+    lent
         As in `sweep`.
 
     Returns
@@ -138,7 +125,6 @@ def cost_to_go(
                 threads=jobs,
                 stop=stop,
                 progress=progress,
-                checkpoint=checkpoint,
                 lent=lent,
             )
         except (MemoryLimitError, MemoryError):
@@ -152,7 +138,7 @@ def cost_to_go(
         try:
             found = orbits(
                 task,
-                max_orbits=max_states // PER_ORBIT,
+                max_orbits=max_states // 4,  # an orbit takes more time and memory than a state
                 states=states,
                 memory_limit_mb=memory_limit_mb,
                 deadline=None if deadline is None else (time.monotonic() + deadline) / 2,
@@ -185,7 +171,7 @@ def _race(
     """Sweep the task and solve the requested states, shape (N, variables), concurrently, until one of the two is done.
 
     The duration of a sweep is unknown until the states are enumerated. Then its remaining part takes about as long as
-    the enumeration. If the remaining requests would take `LONGER` times that, the single-state search ends.
+    the enumeration. If the remaining requests would take four times that, the single-state search ends.
     """
     asked = OnDemand(task, cache=cache, jobs=jobs, limits=limits)
     wanted = asked.numbers(states)
@@ -199,7 +185,7 @@ def _race(
         answered += more
 
     def told(what: str, done: int, of: int | None) -> None:
-        if what == "cost-to-go" and len(states) - answered > LONGER * (answered + 1):
+        if what == "cost-to-go" and len(states) - answered > 4 * (answered + 1):
             late.set()
         progress(what, done, of)
 
@@ -215,7 +201,7 @@ def _race(
             sweep_of_all = pool.submit(sweeping)
             if over.wait(FIRST) and isinstance(table := sweep_of_all.result(), Table):
                 return table
-            enough.pause(SECOND)
+            enough.pause(0.03)
             start = time.monotonic()
             try:
                 asked.under(replace(limits, stop=late), None).lookup(wanted, count)

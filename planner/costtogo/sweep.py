@@ -9,21 +9,22 @@ method: a registry of packed states, with all transitions in memory.
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
-
-import numpy as np
+from dataclasses import dataclass
 
 from ..grounding.task import Task
 from ..pddl.formulas import LARGEST_COST
-from ..search.bucket_dijkstra import BucketDijkstra, settled
-from ..search.checkpoint import Checkpoint
-from ..search.forward_search import ExploredGraph, ForwardSearch, enumerated
+from ..search.bucket_dijkstra import distances
+from ..search.forward_search import explore
 from ..search.kernels.ranked_successors import RankedOperators
-from ..search.ranking.state_ranking import MANY, PHASE, denser, plain
-from ..search.ranking.transition_normal_form import split_operators
+from ..search.ranked_index import RankedSpace
+from ..search.ranking.state_ranking import MANY, PHASE, StateRanking, denser, plain
+from ..search.ranking.transition_normal_form import TNFOperator, split_operators
+from ..search.search_space import SearchSpace
+from ..search.state_registry import RegistrySpace
 from ..search.successor_generator import build_tests
 from ..states.state_space import StateSpace
 from ..system.limits import Budget, CostLimitError, LimitError, MemoryLimitError
@@ -31,22 +32,30 @@ from ..system.machine import processors
 from ..system.progress import Progress, Wanted, shows_progress
 from .table import Table
 
-FEW = 128
-"""Transitions per move that are enumerated before a denser ranking is sought, which takes longer than such a search."""
 
-ANYWAY = 1 << 13
-"""Added to the number of moves in that limit: seeking a ranking takes seconds, enumerating a million transitions about
-one.
-"""
+@dataclass(frozen=True)
+class SweepOptions:
+    """Options of how a sweep numbers the states. They affect its time and memory, but not the table.
 
-HUGE = 1 << 38
-"""Number of ranks above which the registry is tried first: it is faster than a hash table of ranks, but needs more
-memory.
-"""
+    Attributes
+    ----------
+    small_bitmap : int
+        Number of ranks up to which nothing else than the ranked search is tried. The bitmap of so many takes 64 MB.
+    transitions_per_move : int
+        Transitions per move that are enumerated before a denser ranking is sought, which takes longer than such a
+        search.
+    ranks_per_transition : int
+        If a bitmap would be larger, one transition for so many ranks is enumerated first, in case that the bitmap would
+        be sparse.
+    ranking_share : float
+        Share of the remaining time for the search of a denser ranking. After that, the best ranking so far is used, if
+        any.
+    """
 
-LOOKING = 0.25
-"""Share of the remaining time for the search of a denser ranking. After that, the best ranking so far is used, if any.
-"""
+    small_bitmap: int = 1 << 29
+    transitions_per_move: int = 128
+    ranks_per_transition: int = 1 << 14
+    ranking_share: float = 0.25
 
 
 @shows_progress
@@ -59,8 +68,8 @@ def sweep(
     threads: int | None = None,
     stop: threading.Event | None = None,
     progress: Wanted = None,
-    checkpoint: str | Path | None = None,
     lent: Callable[[], float] = float,
+    options: SweepOptions | None = None,
 ) -> Table:
     """Enumerate the reachable states of a task, and compute the exact cost-to-go of all of them.
 
@@ -80,11 +89,9 @@ def sweep(
     progress : callable or bool, optional
         Receives progress reports, as `planner.system.progress` describes. The stages are "states", with the number
         of states found, and "cost-to-go", with the number of states whose cost-to-go is known.
-    checkpoint : path, optional
-        File in which a long sweep saves its progress every ten minutes. Another sweep of the same task continues from
-        it. The file is removed when the sweep is done. A damaged file is ignored, and the table's note says so.
     lent : callable, optional
         Returns the number of bytes that are currently reserved for another computation.
+    options : SweepOptions, optional
 
     Raises
     ------
@@ -96,72 +103,91 @@ def sweep(
         raise CostLimitError(f"{task.instance}: a cost of {largest} is too large; expected at most {LARGEST_COST}")
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
-    search = _search(task, budget, threads, progress, None if checkpoint is None else Path(checkpoint))
-    if isinstance(search, Table):
-        return search
-    if isinstance(search, str):
-        return _listed(task, budget, threads, search, progress)
-    ranking, kept = search.forward.coding, search.forward.checkpoint
-    index, transitions, distance = search.solve(int(ranking.encode(task.initial)[0]), task.goal)
-    initial = int(index.numbers(np.array([task.initial]))[0])
-    note = None if kept is None else kept.fault
-    return Table(StateSpace(task, len(distance), initial, transitions, index), distance, note)
+    space, note = explored(task, budget, threads, progress, options or SweepOptions())
+    distance = distances(space, task.goal, budget, threads, progress)
+    return Table(StateSpace(task, len(distance), space.initial, space.transitions, space.index), distance, note)
 
 
-def _search(
-    task: Task, budget: Budget, threads: int, progress: Progress, checkpoint: Path | None
-) -> BucketDijkstra | Table | str:
-    """Return the ranked search; the table if enumeration finished first; or the reason why there is no ranking."""
+def explored(
+    task: Task, budget: Budget, threads: int, progress: Progress, options: SweepOptions
+) -> tuple[SearchSpace, str | None]:
+    """Return the space of all reachable states, and a note.
+
+    The note is None, or says why a slower search without a ranking was used.
+    """
+
+    def registry(most: float = math.inf) -> SearchSpace | None:
+        return explore(RegistrySpace(task, budget), budget, threads, progress, most)
+
+    try:
+        space: SearchSpace | None = None
+        moves, coding = _plain(task, budget)
+        if coding is None or coding.size > options.small_bitmap:
+            # Seeking a denser ranking takes seconds, and enumerating a million transitions about one.
+            size = math.inf if coding is None else coding.size
+            per_move = options.transitions_per_move
+            most = per_move * (len(moves) + (1 << 13)) if size > MANY else size // options.ranks_per_transition
+            with suppress(MemoryLimitError, MemoryError):  # a ranked search may need less memory
+                space = registry(most)
+        if space is None:
+            moves, dense = _denser(task, coding, moves, budget, options.ranking_share)
+            if dense.size > MANY:
+                with suppress(MemoryLimitError, MemoryError):
+                    space = registry(dense.size // options.ranks_per_transition)
+        if space is None:
+            space = explore(_ranked(task, dense, moves, budget), budget, threads, progress)
+        assert space is not None
+        return space, None
+    except UnrankedError as error:
+        space = registry()
+        assert space is not None
+        return space, f"swept without an index, which takes some ten times as long as with one: {error}"
+
+
+class UnrankedError(Exception):
+    """A task has no ranking; the message says why."""
+
+
+def _plain(task: Task, budget: Budget) -> tuple[list[TNFOperator], StateRanking | None]:
+    """Return the moves of a task, and its ranking by single variables if 62 bits suffice."""
     if any(variable.axiom_layer >= 0 for variable in task.variables):
-        return "it has derived variables"
+        raise UnrankedError("it has derived variables")
     try:
         moves = split_operators(task, budget.during("operators were split"))
         if moves is None:
-            return "its operators split into very many moves"
+            raise UnrankedError("its operators split into very many moves")
         coding, moves = plain(task, moves, budget)
     except (MemoryLimitError, MemoryError):
-        return "looking for an index took too much memory"
+        raise UnrankedError("looking for an index took too much memory") from None
+    return moves, coding
+
+
+def _denser(
+    task: Task, coding: StateRanking | None, moves: list[TNFOperator], budget: Budget, share: float
+) -> tuple[list[TNFOperator], StateRanking]:
+    """Return the moves and a ranking with at most as many ranks, a better one if the given one has too many."""
+    why = "its states take more than 62 bits each"
     if coding is None or coding.size > MANY:
-        with suppress(MemoryLimitError, MemoryError):  # a ranked search may need less memory
-            few = enumerated(task, budget, threads, progress, FEW * (len(moves) + ANYWAY))
-            if few is not None:
-                return _settled(task, few, budget, progress, None)
-        why = "its states take more than 62 bits each"
         try:
-            coding, moves = denser(task, coding, moves, budget.part(LOOKING))
+            coding, moves = denser(task, coding, moves, budget.part(share))
         except (MemoryLimitError, MemoryError):
             why = "looking for an index took too much memory"
         except LimitError:
             budget.during(PHASE)(0)
             why = "looking for an index took too long"
-        if coding is None:
-            return why
-    if coding.size > HUGE:
-        with suppress(MemoryLimitError, MemoryError):
-            return _listed(task, budget, threads, None, progress)
-    # These tables are in use throughout the search.
-    left = budget.beside(coding.decoder.rows.nbytes)
-    operators: list[RankedOperators] = []
+    if coding is None:
+        raise UnrankedError(why)
+    return moves, coding
+
+
+def _ranked(task: Task, coding: StateRanking, moves: list[TNFOperator], budget: Budget) -> RankedSpace:
+    """Return the space of the ranked states, with the layout of the operators in both directions."""
+    left = budget.beside(coding.decoder.rows.nbytes)  # these tables are in use throughout the search
+    both: list[RankedOperators] = []
     try:
         for own in (moves, [move.inverse() for move in moves]):
-            operators.append(build_tests(own, coding, task.costs, left.during("operators were laid out")))
-            left = left.beside(operators[-1].table.nbytes + operators[-1].candidates.sets.nbytes)
+            both.append(build_tests(own, coding, task.costs, left.during("operators were laid out")))
+            left = left.beside(both[-1].table.nbytes + both[-1].candidates.sets.nbytes)
+        return RankedSpace(coding, both[0], both[1], left, task.initial)
     except (MemoryLimitError, MemoryError):
-        return "its index takes too much memory"
-    kept = None if checkpoint is None else Checkpoint(checkpoint, task, coding.decoder)
-    return BucketDijkstra(ForwardSearch(coding, operators[0], left, threads, progress, kept), operators[1])
-
-
-def _listed(task: Task, budget: Budget, threads: int, why: str | None, progress: Progress) -> Table:
-    """Compute the table without a ranking, which is possible for every task. The note states the reason `why`."""
-    listing = enumerated(task, budget, threads, progress)
-    assert listing is not None
-    note = f"swept without an index, which takes some ten times as long as with one: {why}"
-    return _settled(task, listing, budget, progress, None if why is None else note)
-
-
-def _settled(task: Task, listing: ExploredGraph, budget: Budget, progress: Progress, note: str | None) -> Table:
-    """Compute the table from an explored graph."""
-    distance = settled(task, listing, budget, progress)
-    space = StateSpace(task, len(distance), 0, len(listing.targets), listing.found)
-    return Table(space, distance, note)
+        raise UnrankedError("its index takes too much memory") from None

@@ -26,12 +26,6 @@ from ..system.errors import DamagedFileError
 from ..system.files import atomic
 from .table import Table
 
-BLOCK = 1 << 16
-"""States that are written at a time. It bounds the memory for unpacked states."""
-
-LOCAL_HEADER = 30
-"""Bytes of a file's local header in a ZIP archive, before the file name."""
-
 
 @dataclass(frozen=True)
 class SavedTable:
@@ -94,8 +88,9 @@ def save_table(file: str | Path, table: Table) -> None:
         with archive.open("states.npy", "w", force_zip64=True) as target:
             shape = {"descr": npy.dtype_to_descr(np.dtype(np.uint64)), "fortran_order": False}
             npy.write_array_header_1_0(target, {**shape, "shape": (len(table), packing.words)})
-            for start in range(0, len(table), BLOCK):
-                rows = np.arange(start, min(start + BLOCK, len(table)))
+            block = 1 << 16  # states that are written at a time; it bounds the memory for unpacked states
+            for start in range(0, len(table), block):
+                rows = np.arange(start, min(start + block, len(table)))
                 target.write(packing.pack(table.values(rows)).tobytes())
         for name, array in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as target:
@@ -152,11 +147,12 @@ def _table(arrays: Mapping[str, NDArray[Any]]) -> SavedTable:
 
 def _mapped(file: Path, stream: io.BufferedReader, member: zipfile.ZipInfo) -> NDArray[Any]:
     """Return an array of an archive, memory-mapped."""
+    local_header = 30  # bytes of a file's local header in a ZIP archive, before the file name
     stream.seek(member.header_offset)
-    header = stream.read(LOCAL_HEADER)
+    header = stream.read(local_header)
     # The file name and an extra field follow; the last two numbers of the header are their lengths.
     lengths = np.frombuffer(header[-4:], dtype="<u2")
-    stream.seek(member.header_offset + LOCAL_HEADER + int(lengths.sum()))
+    stream.seek(member.header_offset + local_header + int(lengths.sum()))
     if npy.read_magic(stream) != (1, 0):
         raise ValueError(f"{member.filename} is written in another way")
     shape, fortran_order, dtype = npy.read_array_header_1_0(stream)

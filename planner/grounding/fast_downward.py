@@ -38,24 +38,10 @@ ASTAR_WITH_AXIOMS = "astar(blind())"
 EXIT_UNSOLVABLE = {10, 11}  # found by the translator, proven by the search
 EXIT_OUT_OF_MEMORY = {20, 22}
 EXIT_OUT_OF_TIME = {21, 23}
-EXIT_NOT_LOADED = 127  # the system's loader could not start the program
-NO_ROOM_TO_LOAD = (
-    "failed to map",
-    "cannot map",
-    "cannot allocate memory",
-    "Cannot allocate memory",
-)  # its messages then
 
 
 class FastDownwardError(RuntimeError):
     """Fast Downward ended in a way that gives no information about the task."""
-
-
-LAST = 19
-"""Nice value of the lowest scheduling priority."""
-
-LONGEST_WAIT = 2_000_000.0
-"""Longest timeout of one system call in seconds: it counts milliseconds in a 32-bit integer."""
 
 
 def version() -> str:
@@ -218,6 +204,9 @@ def _give(process: subprocess.Popen[str], text: str) -> None:
 
 def _output(process: subprocess.Popen[str], limits: Limits) -> str:
     """Wait for the program to end, and return its output."""
+    # Longest timeout of one system call in seconds: it counts milliseconds in a 32-bit integer.
+    longest_wait = 2_000_000.0
+    last = 19  # nice value of the lowest scheduling priority
     begun = time.monotonic()
     end = math.inf if limits.seconds is None else begun + limits.seconds
     first = math.inf if limits.first is None else begun + limits.first
@@ -226,10 +215,10 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
         if now >= first:
             first = math.inf
             with suppress(OSError):  # the program has ended
-                os.setpriority(os.PRIO_PROCESS, process.pid, LAST)
+                os.setpriority(os.PRIO_PROCESS, process.pid, last)
         wait = min(end - now, first - now, math.inf if limits.stop is None else 0.02)
         try:
-            return process.communicate(timeout=None if wait > LONGEST_WAIT else max(wait, 0.0))[0]
+            return process.communicate(timeout=None if wait > longest_wait else max(wait, 0.0))[0]
         except subprocess.TimeoutExpired:
             if limits.stop is not None and limits.stop.is_set():
                 raise LimitError("Fast Downward was stopped") from None
@@ -239,9 +228,11 @@ def _output(process: subprocess.Popen[str], limits: Limits) -> str:
 
 def _check_limits(what: str, code: int, output: str, limits: Limits) -> None:
     """Raise if a program ended because of a limit. Under a memory limit, an end by a signal counts as out of memory."""
+    exit_not_loaded = 127  # the system's loader could not start the program
     if code in EXIT_OUT_OF_TIME or -code == signal.SIGXCPU:
         raise LimitError(f"{what} ran out of time")
-    unloaded = code == EXIT_NOT_LOADED and any(word in output for word in NO_ROOM_TO_LOAD)
+    no_memory = ("failed to map", "cannot map", "annot allocate")  # parts of the loader's messages
+    unloaded = code == exit_not_loaded and any(words in output for words in no_memory)
     if code in EXIT_OUT_OF_MEMORY or (limits.memory_mb is not None and (code < 0 or unloaded)):
         raise MemoryLimitError(f"{what} ran out of memory")
 

@@ -166,7 +166,7 @@ class Task:
 
     @cached_property
     def action_index(self) -> dict[str, int]:
-        """The number of each ground action."""
+        """The index of each ground action in `actions`, by the action's text."""
         return {action: index for index, action in enumerate(self.actions)}
 
     def facts(self, values: Sequence[int]) -> list[str]:

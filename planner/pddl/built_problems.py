@@ -21,9 +21,6 @@ from .validation import clear_walkers
 if TYPE_CHECKING:
     from unified_planning.model import Action, FNode, Problem
 
-MOST_COSTS = 100_000
-"""Largest number of values in the cost table of one action. It bounds the time of writing and the size of the files."""
-
 
 def named(problem: Problem) -> Instance:
     """Return an instance without files, named after its problem."""
@@ -76,7 +73,7 @@ def with_plain_costs(problem: Problem) -> Problem:
     Raises
     ------
     PDDLError
-        A cost is negative, not a whole number or unknown for some objects, or it has more than `MOST_COSTS` values.
+        A cost is negative, not a whole number or unknown for some objects, or it has more than 100,000 values.
     """
     metric = problem.quality_metrics[0] if len(problem.quality_metrics) == 1 else None
     if metric is None or not metric.is_minimize_action_costs():
@@ -104,8 +101,9 @@ def _tabulated(problem: Problem, action: Action, cost: FNode) -> FNode:
     variables = problem.environment.expression_manager
     used = [one for one in action.parameters if variables.ParameterExp(one) in _parts(cost)]
     objects = [list(problem.objects(one.type)) for one in used]
-    if (many := math.prod(map(len, objects))) > MOST_COSTS:
-        raise refuse(f"it has {many} values; expected at most {MOST_COSTS}, or a fluent of its own")
+    most = 100_000  # values in the table; it bounds the time of writing and the size of the files
+    if (many := math.prod(map(len, objects))) > most:
+        raise refuse(f"it has {many} values; expected at most {most}, or a fluent of its own")
     name = next(f"costs{n}" for n in itertools.count() if not problem.has_name(f"costs{n}"))
     table = Fluent(name, problem.environment.type_manager.IntType(), used, problem.environment)
     problem.add_fluent(table)

@@ -19,9 +19,7 @@ from pathlib import Path
 from .declarations import Names, Symbol, Typed, meant, parameters, refuse, shown
 from .s_expressions import Expression, Place
 
-NUMERIC_EFFECTS = ("increase", "decrease", "assign", "scale-up", "scale-down")
 COMPARISONS = ("<", ">", "<=", ">=")
-SUMS = ("+", "-", "*", "/")
 CONDITIONS = ("and", "or", "not", "imply", "forall", "exists")
 EFFECTS = ("and", "not", "when", "forall", "increase")
 
@@ -110,7 +108,10 @@ class Formulas:
         return found
 
     def kind(self, kinds: tuple[str, ...]) -> str:
-        """Return one type for several: each `(either ...)` gets a type of its own."""
+        """Return the type that stands for the union of the given types.
+
+        If none of them contains all others, this is a new type, one for each distinct `(either ...)`.
+        """
         types = self.names.types
         kept = types.reduced(kinds)
         if len(kept) == 1:
@@ -248,7 +249,7 @@ class Formulas:
             self._expect(formula, 2, "(when CONDITION EFFECT)")
             condition = self.condition(parts[0], scope)
             return _when(formula, condition, self._effect(parts[1], scope, action, costs, "when"))
-        if head in NUMERIC_EFFECTS:
+        if head in ("increase", "decrease", "assign", "scale-up", "scale-down"):
             written, cost = self._cost(formula, scope, action, within)
             if costs:
                 other = costs[0].place.line
@@ -310,7 +311,7 @@ class Formulas:
                 self.file, amount,
                 f"action '{action}' costs '{amount}'; expected a whole number, or (FUNCTION ARGUMENT ...)",
             )  # fmt: skip
-        if amount.head in SUMS:
+        if amount.head in ("+", "-", "*", "/"):
             refuse(
                 self.file, amount,
                 f"action '{action}' costs a sum or product, which is not supported: {shown(amount)}",

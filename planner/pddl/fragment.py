@@ -53,9 +53,6 @@ OUTSIDE = {
 }
 """Sections and requirements of other PDDL dialects, which are not supported, with the name of the feature."""
 
-DOMAIN_SECTIONS = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action")
-PROBLEM_SECTIONS = (":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
-
 
 def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     """Check both files of an instance: their names, sections and requirements.
@@ -67,10 +64,9 @@ def check(instance: Instance, domain: Expression, problem: Expression) -> None:
     """
     _check_names(instance, domain, problem)
     counts = Counter(each.word for whole in (domain, problem) for each in whole.walk() if each.word.endswith("-"))
-    for file, whole, sections in (
-        (instance.domain, domain, DOMAIN_SECTIONS),
-        (instance.problem, problem, PROBLEM_SECTIONS),
-    ):
+    of_domains = (":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", ":action")
+    of_problems = (":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
+    for file, whole, sections in ((instance.domain, domain, of_domains), (instance.problem, problem, of_problems)):
         _check_hyphens(file, whole, counts)
         _check_sections(file, whole, sections)
         _check_requirements(file, whole)

@@ -17,15 +17,6 @@ from . import bundled as shipped
 from .bundled import DOMAIN_FILE
 from .instances import Instance, PDDLError
 
-BEGIN = 1 << 14
-"""Bytes of a file that are read first. The rest is read only after a long comment at the beginning."""
-
-FOLDERS = ("", "domains")
-"""Subfolders in which domains are sought, in the problem's folder and then in its parent folder."""
-
-SHOWN = 5
-"""Largest number of files that a message lists, to keep it readable."""
-
 OPTION = "--domain (in Python: domain=)"
 
 
@@ -83,9 +74,10 @@ def _files(folder: Path) -> list[Path]:
 
 def _head(file: Path) -> Head:
     """Read the beginning of a file until its domain name is found."""
+    begin = 1 << 14  # bytes of a file that are read first. The rest is read only after a long comment at the beginning
     text = ""
     with suppress(OSError), file.open("rb") as stream:
-        for size in (BEGIN, -1):
+        for size in (begin, -1):
             text += stream.read(size).decode("latin-1").lower()
             words = re.sub(r";[^\r\n]*", lambda comment: " " * len(comment[0]), text)
             what = re.search(r"\(\s*define\s*\(\s*(domain|problem)\b\s*([^\s()]*)", words)
@@ -102,7 +94,7 @@ def _places(problem: Path, heads: Heads) -> Iterator[dict[str, list[Path]]]:
     beside = problem.parent
     above = beside.parent if beside.name not in ("", "..") else beside / ".."
     for folder in (beside, above):
-        for within in FOLDERS:
+        for within in ("", "domains"):
             yield heads.defined(folder / within, problem.suffix.lower())
 
 
@@ -186,8 +178,9 @@ def missing(instance: Instance) -> PDDLError | None:
 
 
 def _shown(files: Sequence[object]) -> str:
-    more = [f"{len(files) - SHOWN} more"] if len(files) > SHOWN else []
-    return ", ".join([*map(str, files[:SHOWN]), *more])
+    shown = 5  # largest number of files that a message lists, to keep it readable
+    more = [f"{len(files) - shown} more"] if len(files) > shown else []
+    return ", ".join([*map(str, files[:shown]), *more])
 
 
 def find_instances(names: Iterable[str | Path], domain: str | Path | None = None) -> list[Instance]:

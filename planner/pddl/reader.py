@@ -16,8 +16,6 @@ from .formulas import Cost, Formulas, listed, whole_number, word
 from .instances import Instance
 from .s_expressions import Expression, Place
 
-ACTION_PARTS = (":parameters", ":precondition", ":effect")
-
 
 @dataclass(frozen=True)
 class Action:
@@ -215,14 +213,14 @@ def _domain(file: Path, whole: Expression, unions: dict[tuple[str, ...], str]) -
 def _action(file: Path, part: Expression, formulas: Formulas) -> Action:
     if len(part.parts) < 2 or not part.parts[1].word or part.parts[1].word.startswith((":", "?")):
         refuse(file, part, "expected (:action NAME :parameters (...) :precondition ... :effect ...)")
-    title = part.parts[1]
+    title, sections = part.parts[1], (":parameters", ":precondition", ":effect")
     found: dict[str, Expression] = {}
     words = iter(part.parts[2:])
     for key in words:
         if key.word == ":observe":
             refuse(file, key, f"action '{title}' observes (:observe): sensing actions are not supported")
-        if key.word not in ACTION_PARTS:
-            expected = meant(key.word, ACTION_PARTS) or f"; expected {', '.join(ACTION_PARTS)}"
+        if key.word not in sections:
+            expected = meant(key.word, sections) or f"; expected {', '.join(sections)}"
             refuse(file, key, f"'{shown(key)}' is not expected in action '{title}'{expected}")
         if key.word in found:
             refuse(file, key, f"action '{title}' has a second {key}")

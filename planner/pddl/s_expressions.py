@@ -95,10 +95,6 @@ def tokens(text: str) -> Iterator[tuple[str, Place]]:
             yield match[0], Place(line, match.start() + 1)
 
 
-DEEPEST = 200
-"""Largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit."""
-
-
 def parse(text: str) -> Expression:
     """Parse the only list of a text.
 
@@ -107,14 +103,15 @@ def parse(text: str) -> Expression:
     UnbalancedError
         Parentheses do not match, or lists are nested too deep.
     """
+    deepest = 200  # largest depth of nested lists. Recursive readers would otherwise exceed Python's recursion limit
     opened: list[tuple[Place, list[Expression]]] = []
     whole: Expression | None = None
     section, previous = 1, ""
     for token, (line, column) in tokens(text):
         if token == "(":
             opened.append((Place(line, column), []))
-            if len(opened) > DEEPEST:
-                raise UnbalancedError(line, f"more than {DEEPEST} parentheses are open here; expected fewer")
+            if len(opened) > deepest:
+                raise UnbalancedError(line, f"more than {deepest} parentheses are open here; expected fewer")
         elif token == ")":
             if not opened:
                 raise UnbalancedError(line, "')' without a '(' that it closes")

@@ -29,19 +29,10 @@ from .validation import InstanceRefusedError, InvalidPlanError, Refusal, parsed,
 PATIENCE = 300.0
 """Seconds to wait for an answer, once the translator has finished, and for a plan. It stops a process that hangs."""
 
-MAPPED_MB = 1000.0
-"""Megabytes that imported libraries map without using them, added to the limit of memory."""
-
 ANNOTATIONS = {"ConfigSpace": "ConfigurationSpace", "networkx": "DiGraph"}
 """Packages that unified-planning's reader and validator use for annotations only, and the names used. Importing them
 takes longer than all else.
 """
-
-INSTANCES = 100
-"""Instances that one process reads before it is replaced, since the library keeps what it has read in memory."""
-
-LATEST = 8
-"""Number of recent instances that a process keeps parsed, since the same ones are often loaded again."""
 
 
 class ValidationProcess:
@@ -99,6 +90,7 @@ class _Process:
     waiting: tuple[int, list[_Process]] = (0, [])  # process id, since a fork inherits this, and its idle processes
 
     def __init__(self, limits: Limits) -> None:
+        mapped_mb = 1000.0  # megabytes that imported libraries map without using them, added to the limit of memory
         self._popen = subprocess.Popen(
             python("planner.pddl.validation_process"),
             stdin=subprocess.PIPE,
@@ -110,7 +102,7 @@ class _Process:
         )
         self._limited = limits.memory_mb is not None
         if limits.memory_mb is not None:
-            limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + MAPPED_MB))
+            limit_memory(self._popen.pid, Limits(memory_mb=limits.memory_mb + mapped_mb))
         self._answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._open = 0  # questions without an answer
         self._instances = 0
@@ -136,9 +128,11 @@ class _Process:
 
     def release(self) -> None:
         """Keep the process for the next instance, or end it if it is busy, limited, or not needed."""
+        # Instances that one process reads before it is replaced, since the library keeps what it has read in memory.
+        instances = 100
         waiting = self.waiting[1]
         alive = self._popen.poll() is None
-        if alive and not self._open and not self._limited and not waiting and self._instances < INSTANCES:
+        if alive and not self._open and not self._limited and not waiting and self._instances < instances:
             waiting.append(self)
         else:
             self._close()
@@ -201,7 +195,7 @@ def _serve(questions: IO[str], answers: IO[str]) -> None:
         setattr(stand_in, name, object)
         sys.modules.setdefault(package, stand_in)
 
-    problem, known = None, lru_cache(LATEST)(parsed)
+    problem, known = None, lru_cache(8)(parsed)  # the same few instances are often loaded again
     while True:
         question, said = asked.get(), None
         try:

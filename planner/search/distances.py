@@ -19,13 +19,17 @@ def smallest_type(largest: int) -> type[np.unsignedinteger]:
     return next(t for t in types if largest < np.iinfo(t).max)
 
 
-def compact(distance: Ints) -> NDArray[np.unsignedinteger]:
-    """Return distances in the smallest type; its largest value replaces `UNREACHED`."""
-    finite = distance != UNREACHED
-    dtype = smallest_type(int(distance[finite].max(initial=0)))
-    result = np.full(len(distance), np.iinfo(dtype).max, dtype=dtype)
-    result[finite] = distance[finite]
+def retyped(distance: NDArray[np.integer], dtype: type[np.unsignedinteger]) -> NDArray[np.unsignedinteger]:
+    """Return distances in another type; the largest value of each type marks dead ends."""
+    result = distance.astype(dtype)
+    result[distance == np.iinfo(distance.dtype).max] = np.iinfo(dtype).max
     return result
+
+
+def compact(distance: NDArray[np.integer]) -> NDArray[np.unsignedinteger]:
+    """Return distances in the smallest type; the largest value of each type marks dead ends."""
+    finite = distance != np.iinfo(distance.dtype).max
+    return retyped(distance, smallest_type(int(distance.max(where=finite, initial=0))))
 
 
 def backward(

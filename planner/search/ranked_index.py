@@ -1,22 +1,48 @@
-"""A numbering of states by the order of their ranks."""
+"""States numbered in the order of their ranks: a bitmap of the reachable ranks, and the search on it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import mmap
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..grounding.task import Fact
-from ..states.packing import Ints
+from ..states.packing import Ints, Words
 from ..states.successors import Transitions
 from ..system.limits import Budget
-from .forward_search import RANKS_AT_A_TIME
-from .kernels import expansion, ranked_states, unranking
-from .kernels.ranked_states import RankSet
+from ..system.threads import on_threads
+from .kernels import expansion, rank_set, relaxation, unranking
+from .kernels.rank_set import RankSet
 from .kernels.ranked_successors import RankedOperators
-from .ranking.state_ranking import StateRanking
+from .ranking.state_ranking import MANY, StateRanking
+from .search_space import relaxed
+
+RANKS_AT_A_TIME = 1 << 16
+"""Ranks in a block of the frontier, which is the unit of a thread's work and of checks of limits."""
+
+CLOSED = 0.75
+"""Share of the available memory up to which the backward search uses a bitmap of closed ranks. The bitmap saves time.
+"""
+
+
+def _small_pages(length: int, dtype: Any) -> NDArray[Any]:
+    """Return zeros in small pages of memory, of which only those that are written to take memory.
+
+    The pages of `np.zeros` have 2 MB where the system allows it. A bitmap in them is faster, but a sparse one takes
+    several times as much memory.
+    """
+    try:
+        pages = mmap.mmap(-1, length * np.dtype(dtype).itemsize, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    except OSError as error:
+        raise MemoryError(str(error)) from None
+    return np.frombuffer(pages, dtype=dtype)
 
 
 @dataclass(frozen=True)
@@ -39,40 +65,54 @@ class RankedIndex:
     states: RankSet
 
     def __len__(self) -> int:
-        return int(self.states.ranks[-1]) if len(self.states.bits) else len(self.states.members)
+        return int(self.states.before[-1])
 
     def numbers(self, values: NDArray[np.int64]) -> Ints:
         """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
         out = np.empty(len(values), dtype=np.int64)
-        ranked_states.numbers_of(self.states, self.coding.encode(values), out)
+        rank_set.numbers_of(self.states, self.coding.encode(values), out)
         return out
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
         """Return the values, shape (n, variables), of states, shape (n,)."""
         index = np.empty(len(numbers), dtype=np.int64)
-        ranked_states.select(self.states, numbers, index)
+        rank_set.select(self.states, numbers, index)
         return self.coding.decode(index)
 
     def blocks(self) -> Iterator[Ints]:
         """Yield the ranks of all states in ascending order, in blocks."""
-        start, end = 0, len(self.states.bits) or len(self.states.members)
-        while start < end:
+        start = 0
+        while start < len(self.states.bits):
             out = np.empty(RANKS_AT_A_TIME, dtype=np.int64)
-            start, filled = ranked_states.list_members(self.states, start, out)
+            start, filled = rank_set.list_members(self.states, start, out)
             yield out[:filled]
+
+    def _holding(self, ranks: Ints, facts: Sequence[Fact]) -> NDArray[np.bool_]:
+        marks = np.empty(len(ranks), dtype=bool)
+        unranking.mark(self.coding.decoder, ranks, *self.coding.packing.condition(facts), marks)
+        return marks
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
         """Return whether the facts hold in each state, shape (states,)."""
-        coding, parts = self.coding, [np.empty(0, dtype=bool)]
-        for block in self.blocks():
-            parts.append(np.empty(len(block), dtype=bool))
-            unranking.mark(coding.decoder, block, *coding.packing.condition(facts), parts[-1])
-        return np.concatenate(parts)
+        return np.concatenate([np.empty(0, dtype=bool), *(self._holding(block, facts) for block in self.blocks())])
+
+    def ranks_where(self, facts: Sequence[Fact]) -> Iterator[Ints]:
+        """Yield, in blocks, the ranks of the states in which the facts hold."""
+        # Largest number of ranks that are tested one by one as goal states. Beyond it, all states are scanned.
+        most_candidates = 1 << 26
+        blocks: Iterable[Ints] = self.blocks()
+        candidates = self.coding.matching(facts, min(len(self), most_candidates))
+        if candidates is not None:  # at most as many as states
+            numbers = np.empty(len(candidates), dtype=np.int64)
+            rank_set.numbers_of(self.states, candidates, numbers)
+            blocks = [candidates[numbers >= 0]]
+        for block in blocks:
+            self.budget.check_time(len(self))
+            yield block[self._holding(block, facts)]
 
     def transitions(self, states: int, transitions: int) -> Transitions:
         """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
-        needed = 8 * states + 12 * transitions
-        self.budget.check_memory(needed)
+        self.budget.check_memory(8 * states + 12 * transitions)
         small = states <= np.iinfo(np.int32).max
         rows = Transitions(
             np.zeros(states + 1, dtype=np.int64),
@@ -84,3 +124,131 @@ class RankedIndex:
             expansion.fill_transitions(self.operators, self.coding.decoder, self.states, block, number, *rows)
             number += len(block)
         return rows
+
+
+class RankedSpace:
+    """The states of a task by their ranks, for a search.
+
+    Parameters
+    ----------
+    coding : StateRanking
+    operators, inverse : RankedOperators
+        The moves, and the moves in the opposite direction.
+    budget : Budget
+    initial : sequence of int
+        The initial state.
+
+    Raises
+    ------
+    MemoryLimitError
+        The bitmap does not fit the memory.
+    """
+
+    def __init__(
+        self,
+        coding: StateRanking,
+        operators: RankedOperators,
+        inverse: RankedOperators,
+        budget: Budget,
+        initial: Sequence[int],
+    ) -> None:
+        words = -(-coding.size // 512) * 8
+        budget.check_memory(9 * words)
+        zeros = np.zeros if coding.size <= MANY else _small_pages
+        before = np.empty(-(-words // 1024) + 1, dtype=np.int64)
+        states = RankSet(zeros(words, np.uint64), before, zeros(words // 8, np.uint16))
+        self.index = RankedIndex(coding, operators, budget, states)
+        self.transitions = self._found = 0
+        self._inverse, self._initial = inverse, initial
+        self.costs, self._kinds = np.unique(inverse.cost, return_inverse=True)
+        self._closed = np.empty(0, dtype=np.uint64)
+
+    def __len__(self) -> int:
+        return self._found
+
+    @property
+    def nbytes(self) -> float:
+        """Bytes in use."""
+        return sum(array.nbytes for array in self.index.states) + self._closed.nbytes
+
+    @cached_property
+    def initial(self) -> int:
+        """Number of the initial state."""
+        return int(self.index.numbers(np.array([self._initial]))[0])
+
+    def start(self) -> list[Ints]:
+        """Return the rank of the initial state."""
+        rank = self.index.coding.encode(self._initial)
+        self.index.states.bits[rank >> 6] = np.uint64(1) << (rank & 63).astype(np.uint64)
+        self._found = 1
+        return [rank]
+
+    def blocks(self, layer: list[Ints], threads: int) -> deque[Ints]:
+        """Return a layer as blocks of ascending ranks; the given list is emptied.
+
+        For ascending ranks, the targets of each operator ascend as well. This causes far fewer cache and page misses.
+        """
+
+        def ascending(run: list[Ints]) -> list[Ints]:
+            ranks = np.concatenate(run)
+            run.clear()
+            ranks.sort()
+            return np.split(ranks, range(RANKS_AT_A_TIME, len(ranks), RANKS_AT_A_TIME))
+
+        parts = 1 if sum(map(len, layer)) <= RANKS_AT_A_TIME else min(threads, len(layer))
+        runs = [layer[start::parts] for start in range(parts)]
+        layer.clear()
+        # Blocks of different runs alternate, so that each run is processed in its order.
+        mixed = zip_longest(*on_threads(ascending, runs, threads))
+        return deque(block for group in mixed for block in group if block is not None)
+
+    def _new(self, operators: RankedOperators, closed: Words, block: Ints) -> list[tuple[Ints, int]]:
+        """Close the states after those of a block by some operators; return new ones and the numbers of transitions."""
+        size, stop, found = max(RANKS_AT_A_TIME, 4 * operators.tree.most), 0, []
+        while stop < len(block):
+            out = np.empty(size, dtype=np.int64)
+            stop, filled, count = expansion.expand_block(operators, self.index.coding.decoder, closed, block, stop, out)
+            found.append((out[:filled].copy() if filled < size // 2 else out[:filled], count))
+        return found
+
+    def expand(self, block: Ints) -> list[tuple[Ints, int]]:
+        """Return the new states after those of a block, and the numbers of transitions."""
+        return self._new(self.index.operators, self.index.states.bits, block)
+
+    def add(self, expanded: list[tuple[Ints, int]]) -> list[Ints]:
+        """Count the new states and the transitions; return the ranks of the new states."""
+        for ranks, count in expanded:
+            self._found += len(ranks)
+            self.transitions += count
+        return [ranks for ranks, _ in expanded if len(ranks)]
+
+    def finish(self) -> None:
+        """Count the states before each block of the bitmap."""
+        rank_set.count_states(*self.index.states)
+
+    def begin(self, goal: Sequence[Fact], distance: NDArray[Any]) -> list[Ints]:
+        """Set the distance of the goal states to 0, and return their ranks."""
+        states, blocks = self.index.states, list(self.index.ranks_where(goal))
+        for block in blocks:
+            rank_set.label(states, distance, 0, block)
+        fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED
+        # Beyond 128 ranks per state, the bitmap takes more memory than it saves time; a megabyte does not matter.
+        if fits and 64 * len(states.bits) <= 128 * max(len(self), 1 << 16):
+            self._closed = np.empty(len(states.bits), dtype=np.uint64)
+            rank_set.close(states, distance, np.iinfo(distance.dtype).max, self._closed)
+        return blocks
+
+    def settle(self, block: Ints, d: Any, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
+        """Relax the moves into the states of a block at distance `d`.
+
+        For a single positive cost, states get their distance here: it is final as soon as they are closed. This needs
+        no look-up of predecessors.
+        """
+        states, decoder = self.index.states, self.index.coding.decoder
+        if len(self._closed) and len(costs) == 1 and costs[0]:
+            rank_set.label(states, distance, d, block)
+            return [(0, ranks) for ranks, _ in self._new(self._inverse, self._closed, block) if len(ranks)]
+        relax = partial(
+            relaxation.relax_moves, self._inverse, decoder, states, self._closed, self._kinds, costs, distance
+        )
+        return relaxed(relax, block, d, max(RANKS_AT_A_TIME, 4 * self._inverse.tree.most), len(costs))

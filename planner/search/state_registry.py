@@ -1,30 +1,33 @@
-"""A numbering of states in the order of their discovery, by a hash table."""
+"""States numbered in the order of their discovery by a hash table, and the search on them, which stores transitions."""
 
 from __future__ import annotations
 
 import copy
 import threading
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..grounding.task import Fact
+from ..grounding.task import Fact, Task
 from ..states.packing import Ints, Packing, Words, holds
 from ..states.successors import Transitions
-from ..system.limits import LimitError
-from .kernels import state_hash
+from ..system.limits import Budget, LimitError
+from .kernels import packed_successors, relaxation, state_hash
 from .kernels.packed_successors import PackedOperators
-from .successor_generator import expanded
-
-FULL = 0.7
-"""Load factor above which the hash table is enlarged. Higher saves memory, and makes lookups slower."""
-
+from .search_space import relaxed
+from .successor_generator import TRANSITIONS_AT_A_TIME, Expanded, expanded, packed_operators
 
 MOST = np.iinfo(np.int32).max
 """Largest number of states in a registry (32-bit numbers)."""
+
+
+STATES_AT_A_TIME = 1 << 12
+"""Largest number of states in a block that is expanded at once. It bounds the memory of a block."""
 
 
 @dataclass(frozen=True)
@@ -139,11 +142,12 @@ class StateRegistry:
 
     def numbers(self, states: Words) -> NDArray[np.int32]:
         """Return the numbers of states, shape (n, words); new states get the next numbers."""
+        full = 0.7  # load factor above which the hash table is enlarged. Higher saves memory, and makes lookups slower
         with self._lock:
             most = self._held + len(states)
             self._states.make_room(most)
-            if most > FULL * len(self.slots):
-                self.slots = np.zeros(1 << int(most / FULL * 2).bit_length(), dtype=np.uint64)
+            if most > full * len(self.slots):
+                self.slots = np.zeros(1 << int(most / full * 2).bit_length(), dtype=np.uint64)
                 state_hash.fill_slots(self.slots, self._states.rows, 0, self._held)
             numbers = np.empty(len(states), dtype=np.int32)
             self._held = state_hash.insert(self.slots, self._states.rows, self._held, states, numbers)
@@ -159,3 +163,102 @@ class StateRegistry:
     def trimmed(self) -> Words:
         """Return all states; no state may be added afterwards."""
         return self._states.trimmed(self._held)
+
+
+Form = Callable[[Words], None]
+"""Function that replaces states, shape (n, words), by their canonical states in place."""
+
+
+class RegistrySpace:
+    """The states of a task in a registry, for a search.
+
+    Parameters
+    ----------
+    task : Task
+    budget : Budget
+    form : callable, optional
+        Replaces states by canonical states before they are looked up.
+    """
+
+    def __init__(self, task: Task, budget: Budget, form: Form | None = None) -> None:
+        self._packing, self._budget, self._form = Packing.of(task), budget, form
+        self._book = packed_operators(task, self._packing, budget.during("operators were laid out"))
+        self._met = StateRegistry(self._packing.words)
+        start = self._packing.pack([task.initial])
+        packed_successors.derive(self._book.axioms, self._book.again, start)
+        if form is not None:
+            form(start)
+        self._met.numbers(start)
+        self.initial = self._expanded = self.transitions = 0
+        self.costs, self._kind_of = np.unique(task.costs, return_inverse=True)
+        self._counts, self._targets = _Growing(np.int32), _Growing(np.int32)
+        self._kinds = _Growing(np.uint16 if len(self.costs) <= 1 << 16 else np.uint32)
+        self._into = self._sources = np.empty(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self._met)
+
+    @property
+    def nbytes(self) -> float:
+        """Bytes in use, or soon in use by the backward search."""
+        each = 8 * self._packing.words + 24
+        return self._met.slots.nbytes + each * len(self) + (8 + 4 * (len(self.costs) > 1)) * self.transitions
+
+    def start(self) -> list[Ints]:
+        """Return the number of the initial state."""
+        return [np.zeros(1, dtype=np.int64)]
+
+    def blocks(self, layer: list[Ints], threads: int) -> deque[Ints]:  # noqa: ARG002
+        """Return the numbers of a layer in blocks with a bounded number of transitions; the given list is emptied."""
+        numbers = np.concatenate(layer)
+        layer.clear()
+        of_each = max(1, self.transitions // max(1, self._expanded))
+        size = max(1, min(STATES_AT_A_TIME, TRANSITIONS_AT_A_TIME // of_each))
+        return deque(np.split(numbers, range(size, len(numbers), size)))
+
+    def expand(self, block: Ints) -> list[Expanded]:
+        """Return what `expanded` yields for the states of a block, with canonical successors."""
+        parts = []
+        for part in expanded(self._book, self._met.states(block)):
+            self._budget.check_time(len(self))
+            if self._form is not None:
+                self._form(part[2])
+            parts.append(part)
+        return parts
+
+    def add(self, expanded: list[Expanded]) -> list[Ints]:
+        """Number the new states and store the transitions; return the numbers of the new states."""
+        before = len(self)
+        for counts, actions, after in expanded:
+            self._counts.append(self._expanded, counts)
+            self._targets.append(self.transitions, self._met.numbers(after))
+            if len(self.costs) > 1:
+                self._kinds.append(self.transitions, self._kind_of[actions])
+            self._expanded += len(counts)
+            self.transitions += len(actions)
+        return [np.arange(before, len(self))] if len(self) > before else []
+
+    def finish(self) -> None:
+        """Build the index, and sort the transitions by their targets."""
+        self.index = RegistryIndex(self._packing, self._book, self._met.trimmed(), self._met.slots)
+        targets = self._targets.trimmed(self.transitions)
+        kinds = self._kinds.trimmed(self.transitions if len(self.costs) > 1 else 0)
+        self._into = np.zeros(len(self) + 2, dtype=np.int64)
+        self._sources, sorted_kinds = np.empty_like(targets), np.empty_like(kinds)
+        relaxation.transpose(
+            self._counts.trimmed(self._expanded), targets, kinds, self._into, self._sources, sorted_kinds
+        )
+        self._kinds.rows = sorted_kinds
+        self._counts, self._targets = _Growing(np.int32), _Growing(np.int32)
+
+    def begin(self, goal: Sequence[Fact], distance: NDArray[Any]) -> list[Ints]:
+        """Set the distance of the goal states to 0, and return their numbers."""
+        numbers = np.flatnonzero(self.index.where(goal))
+        distance[numbers] = 0
+        return [numbers]
+
+    def settle(self, block: Ints, d: Any, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
+        """Relax the stored transitions into the states of a block at distance `d`."""
+        relax = partial(relaxation.relax_stored, self._into, self._sources, self._kinds.rows, costs, distance)
+        ends = self._into[block + 1] - self._into[block]
+        return relaxed(relax, block, d, max(TRANSITIONS_AT_A_TIME, int(ends.max(initial=1))), len(costs))

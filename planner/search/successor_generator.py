@@ -19,13 +19,11 @@ from ..states.packing import Ints, Packing, Words, can_hold
 from ..states.successors import Successors
 from ..system.limits import Check, unchecked
 from .kernels import packed_successors
-from .kernels.packed_successors import DecisionTree, PackedOperators, Rules
+from .kernels.decision_tree import DecisionTree
+from .kernels.packed_successors import PackedOperators, Rules
 from .kernels.ranked_successors import ApplicableSets, RankedOperators
 from .ranking.state_ranking import StateRanking
 from .ranking.transition_normal_form import TNFOperator
-
-FEW = 3
-"""Largest number of values of a variable that are tested one by one; for more, a switch is used."""
 
 
 class _DecisionTreeBuilder:
@@ -81,7 +79,7 @@ class _DecisionTreeBuilder:
             best = max(counts, key=lambda fact: (counts[fact], -fact[0], -fact[1]))
             v = best[0]
             present = sorted(value for value in values[v] if counts[v, value])
-            if len(present) <= FEW:
+            if len(present) <= 3:  # for more values, a switch is faster than a test of each
                 most[v] = max(most[v], self.below(taken(best)))
                 continue
             packing = self.packing
@@ -114,9 +112,9 @@ class _DecisionTreeBuilder:
             self.skip[test] = len(self.word)
         return most
 
-    def arrays(self) -> tuple[Ints, Words, Words, Ints, Words, Words, Ints, Ints]:
-        """Return the arrays of the tests, which both layouts share, from `word` to `first`."""
-        return (
+    def tree(self, operators: Ints, most: int) -> DecisionTree:
+        """Return the tree of all tests, whose rows are the given operators."""
+        return DecisionTree(
             np.array(self.word, np.int64),
             np.array(self.mask, np.uint64),
             np.array(self.value, np.uint64),
@@ -124,7 +122,9 @@ class _DecisionTreeBuilder:
             np.array(self.shift, np.uint64),
             np.array(self.field, np.uint64),
             np.array(self.jump, np.int64),
-            np.array(self.first, np.int64),
+            np.array([*self.first, len(self.order)], np.int64),
+            operators,
+            most,
         )
 
 
@@ -176,22 +176,20 @@ def build_tests(
     changes = [tables.add(move) for move in moves]
     possible = [number for number, change in enumerate(changes) if change is not None]
     table, begin = tables.laid_out()
-    trie = _DecisionTreeBuilder(coding.packing, lambda needed: check(table.nbytes + needed))
-    chosen = candidates([moves[number] for number in possible], coding, trie.check)
+    builder = _DecisionTreeBuilder(coding.packing, lambda needed: check(table.nbytes + needed))
+    chosen = candidates([moves[number] for number in possible], coding, builder.check)
     if chosen is None:
         chosen = NO_CANDIDATES
-        trie.test(0, 0, 0)  # it always holds
-        most = trie.build([(frozenset(moves[number].facts.items()), number) for number in possible])
-        trie.skip[0] = len(trie.word)
+        builder.test(0, 0, 0)  # it always holds
+        most = builder.build([(frozenset(moves[number].facts.items()), number) for number in possible])
+        builder.skip[0] = len(builder.word)
     else:
-        trie.order = possible
+        builder.order = possible
         most = int(np.bitwise_count(chosen.sets).sum(axis=1).max(initial=1))
-    trie.first.append(len(trie.order))
-
     looks = [0]
     wanted: list[tuple[int, int]] = []
     constants: list[int] = []
-    for number in trie.order:
+    for number in builder.order:
         change = changes[number]
         assert change is not None
         constants.append(change[0])
@@ -201,51 +199,40 @@ def build_tests(
         (*coding.field[cluster], len(tables.kinds[cluster]), begin[cluster] + kind, int(coding.stride[cluster]))
         for cluster, kind in wanted
     ]
-    ordered = [moves[number] for number in trie.order]
+    ordered = [moves[number] for number in builder.order]
     return RankedOperators(
         chosen,
-        *trie.arrays(),
+        builder.tree(np.arange(len(builder.order)), most),
         np.array(constants, np.int64),
         np.array(looks, np.int64),
         np.array(lookups, np.int64).reshape(-1, 5),
         table,
         np.array([move.action for move in ordered], np.int32),
         np.array([costs[move.action] for move in ordered], np.int64),
-        most,
     )
 
 
-def trie_of(conditions: Sequence[frozenset[Fact]], packing: Packing, check: Check = unchecked) -> DecisionTree:
+def tree_of(conditions: Sequence[frozenset[Fact]], packing: Packing, check: Check = unchecked) -> DecisionTree:
     """Return a decision tree for operators with the given consistent preconditions."""
-    return tries_of([conditions], packing, check)[0]
+    return trees_of([conditions], packing, check)[0]
 
 
-def tries_of(
+def trees_of(
     groups: Sequence[Sequence[frozenset[Fact]]], packing: Packing, check: Check = unchecked
 ) -> tuple[DecisionTree, Ints]:
     """Return the decision trees of several groups, concatenated and numbered consecutively, and where each begins."""
-    trie, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
+    builder, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
     for conditions in groups:
-        root = trie.test(0, 0, 0)  # it always holds
-        most = max(most, trie.build([(facts, number + place) for place, facts in enumerate(conditions)]))
-        trie.skip[root] = len(trie.word)
-        begin.append(len(trie.word))
+        root = builder.test(0, 0, 0)  # it always holds
+        most = max(most, builder.build([(facts, number + place) for place, facts in enumerate(conditions)]))
+        builder.skip[root] = len(builder.word)
+        begin.append(len(builder.word))
         number += len(conditions)
-    trie.first.append(len(trie.order))
-    return DecisionTree(*trie.arrays(), np.array(trie.order, np.int64), max(1, most)), np.array(begin, np.int64)
-
-
-STATES_AT_A_TIME = 1 << 12
-"""Largest number of states in a block that is expanded at once. It bounds the memory of a block."""
+    return builder.tree(np.array(builder.order, np.int64), max(1, most)), np.array(begin, np.int64)
 
 
 TRANSITIONS_AT_A_TIME = 1 << 15
 """Approximate number of transitions of a block that is expanded at once. It bounds the memory of a block."""
-
-
-BYTES_PER_RULE = 500
-"""Estimated bytes per rule (a condition and its effects) during construction, besides its words. Used to check memory.
-"""
 
 
 Masks = tuple[Words, Words, Words, Words]
@@ -262,8 +249,11 @@ Expanded = tuple[NDArray[np.int32], NDArray[np.int32], Words]
 
 def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> PackedOperators:
     """Return the transition function of a task in the layout of the compiled code."""
+    # Estimated bytes per rule (a condition and its effects) during construction, besides its words. Used to check
+    # memory.
+    bytes_per_rule = 500
     rules = len(task.axioms) + sum(1 + len({effect.conditions for effect in o.effects}) for o in task.operators)
-    in_use = (BYTES_PER_RULE + 32 * packing.words) * rules
+    in_use = (bytes_per_rule + 32 * packing.words) * rules
     check(in_use)
     successors = Successors(task, packing)
 
@@ -275,7 +265,7 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
     stages = list(_axioms(task, packing, successors))
     return PackedOperators(
-        trie_of(conditions, packing, still),
+        tree_of(conditions, packing, still),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
         _rules([_grouped(task.operators[n].effects, successors.effects[n]) for n in order], packing, still),
         _rules([rules for rules, _ in stages], packing, still),
@@ -322,8 +312,8 @@ def _rules(groups: Sequence[Sequence[Rule]], packing: Packing, check: Check) -> 
         for _, (_, _, cleared, assigned) in group:
             written += [(int(w), int(~cleared[w]), int(assigned[w])) for w in np.flatnonzero(cleared)]
             writes.append(len(written))
-    trie, begin = tries_of([[frozenset(facts) for facts, _ in group] for group in groups], packing, check)
-    return Rules(trie, begin, np.array(writes), *_columns(written))
+    tree, begin = trees_of([[frozenset(facts) for facts, _ in group] for group in groups], packing, check)
+    return Rules(tree, begin, np.array(writes), *_columns(written))
 
 
 def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
@@ -335,17 +325,13 @@ def _columns(rows: Sequence[tuple[int, int, int]]) -> tuple[Ints, Words, Words]:
 def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
     """Expand states, shape (n, words): yield the numbers of their actions, the actions and the successors, in parts."""
     stop = 0
-    room = TRANSITIONS_AT_A_TIME + book.trie.most
+    room = TRANSITIONS_AT_A_TIME + book.tree.most
     while stop < len(states):
         counts = np.empty(len(states) - stop, dtype=np.int32)
         actions, after = np.empty(room, dtype=np.int32), np.empty((room, states.shape[1]), dtype=np.uint64)
         start = stop
         stop, filled = packed_successors.expand(book, states, start, counts, actions, after)
         yield counts[: stop - start], actions[:filled], after[:filled]
-
-
-LARGEST = 1 << 21
-"""Largest size in bytes of the candidate sets. Tasks with larger sets use the decision tree."""
 
 
 NO_CANDIDATES = ApplicableSets(
@@ -357,12 +343,14 @@ NO_CANDIDATES = ApplicableSets(
 )
 
 
-def candidates(moves: Sequence[TNFOperator], coding: StateRanking, check: Check = unchecked) -> ApplicableSets | None:
-    """Return the sets of moves that are compatible with each row of the unranking tables; None if too large."""
+def candidates(
+    moves: Sequence[TNFOperator], coding: StateRanking, check: Check = unchecked, *, max_bytes: int = 2 << 20
+) -> ApplicableSets | None:
+    """Return the sets of moves that are compatible with each row of the unranking tables; None above `max_bytes`."""
     if not moves:
         return NO_CANDIDATES
     decoder, words = coding.decoder, -(-len(moves) // 64)
-    if 8 * words * len(decoder.rows) > LARGEST:
+    if 8 * words * len(decoder.rows) > max_bytes:
         return None
     check(len(moves) * (2 * len(decoder.rows) + int(coding.sizes.sum())))
     allowed, untold = _allowed(moves, coding)

@@ -20,9 +20,6 @@ from ..system.arrays import outline
 from .packing import Ints, Packing
 from .successors import Successors, Transitions
 
-BLOCK = 1 << 13
-"""States that are unpacked and numbered at a time. Larger blocks would not fit the processor's cache."""
-
 
 def state_numbers(states: ArrayLike, count: int) -> Ints:
     """Return state numbers as an int64 array of the same shape, after checking their range.
@@ -144,7 +141,8 @@ class StateSpace:
         """Return the transitions of some states, shape (N,), without building those of all states."""
         packing = self._successors.packing
         offsets, actions, after = self._successors.choices(packing.pack(self.values(states)))
-        parts = [after[at : at + BLOCK] for at in range(0, len(after) or 1, BLOCK)]
+        block = 1 << 13  # states that are unpacked and numbered at a time, so that they fit the processor's cache
+        parts = [after[at : at + block] for at in range(0, len(after) or 1, block)]
         return Transitions(offsets, actions, np.concatenate([self.numbers(packing.unpack(part)) for part in parts]))
 
     def facts(self, state: int) -> list[str]:

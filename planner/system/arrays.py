@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 
 T = TypeVar("T", bound=np.generic)
 
-SHOWN = 80
-"""Number of characters from which a value is abbreviated in a representation, to keep it on one line."""
-
 
 def read_only(record: Any) -> None:
     """Make all arrays in the fields of a dataclass read-only."""
@@ -43,10 +40,11 @@ def outline(record: Any) -> str:
 
 def _short(value: Any) -> str:
     """Return one value as `outline` shows it."""
+    shown = 80  # number of characters from which a value is abbreviated in a representation, to keep it on one line
     if isinstance(value, np.ndarray):
         return f"<{value.dtype} {value.shape}>"
     if isinstance(value, str):
-        return repr(value) if len(value) < SHOWN else f"<{len(value):,} characters>"
+        return repr(value) if len(value) < shown else f"<{len(value):,} characters>"
     if isinstance(value, tuple | list | set | frozenset | Mapping) and len(value) > 3:
         return f"<{len(value):,} items>"
     if isinstance(value, tuple | list) and not hasattr(value, "_fields"):
@@ -54,4 +52,4 @@ def _short(value: Any) -> str:
         text = f"[{inner}]" if isinstance(value, list) else f"({inner}{',' * (len(value) == 1)})"
     else:
         text = repr(value)
-    return text if len(text) < SHOWN else f"<{type(value).__name__}>"
+    return text if len(text) < shown else f"<{type(value).__name__}>"

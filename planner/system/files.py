@@ -24,9 +24,6 @@ from .errors import DamagedFileError
 UNFINISHED = ".unfinished-"
 """Prefix of the temporary files of `atomic`."""
 
-LONGEST_NAME = 200
-"""Bytes of the file's name that the temporary name keeps: together 245, below the usual limit of 255."""
-
 
 @contextmanager
 def atomic(file: Path) -> Iterator[Path]:
@@ -37,6 +34,8 @@ def atomic(file: Path) -> Iterator[Path]:
     OSError
         Its `filename` is `file`, also where the system reports none (a full disk).
     """
+    # Bytes of the file's name that the temporary name keeps: together 245, below the usual limit of 255.
+    longest_name = 200
     try:
         status = writable(file)
         if status is not None and _is_stream(status):
@@ -50,7 +49,7 @@ def atomic(file: Path) -> Iterator[Path]:
         place.parent.mkdir(parents=True, exist_ok=True)
         # The temporary file is in the same folder, so that it can be renamed. It keeps the file's ending, from which
         # libraries derive the format. Its name is unique, since other threads and machines may write the same file.
-        ending = place.name.encode(errors="surrogateescape")[-LONGEST_NAME:].decode(errors="ignore")
+        ending = place.name.encode(errors="surrogateescape")[-longest_name:].decode(errors="ignore")
         path = place.with_name(f"{UNFINISHED}{uuid.uuid4().hex}-{ending}")
         try:
             yield path

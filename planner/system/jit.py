@@ -44,15 +44,18 @@ def _load_without_scipy() -> None:
 _load_without_scipy()
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+def njit(*, fastmath: bool | set[str] = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator like `numba.njit` whose cache also depends on the other files that the code uses.
+
+    The arithmetic of a function depends on its own `fastmath` only. Without the option, numba would compile it with
+    that of the first function that calls it, so that results would depend on the order of compilation.
 
     numba itself compares only the file of the function. It would load outdated code after an edit of a function or a
     constant that is compiled into this one from another file.
     """
 
     def compiled(function: Callable[..., Any]) -> Any:
-        dispatcher = numba.njit(cache=True, **options)(function)
+        dispatcher = numba.njit(cache=True, fastmath=fastmath, **options)(function)
         if not numba.config.DISABLE_JIT:
             files = dispatcher._cache._cache_file
             files._source_stamp = stamp(function.__module__)
@@ -82,12 +85,14 @@ def _readable(load: Callable[[], dict[Any, str]]) -> Callable[[], dict[Any, str]
 def stamp(module: str) -> str:
     """Return a hash of everything that the compiled functions of a module may take from files.
 
-    It covers the module's own file and the values of the constants that the module imports. It covers the same of each
-    module from which the module imports compiled functions, intrinsics or named tuples, and of each module that is
-    imported whole.
+    It covers the module's own file, this file, which sets options of the compilation, and the values of the constants
+    that the module imports. It covers the same of each module from which the module imports compiled functions,
+    intrinsics or named tuples, and of each module that is imported whole.
     """
     names = vars(sys.modules[module])
-    found = hashlib.sha256("".join(linecache.getlines(names["__file__"], names)).encode())
+    found = hashlib.sha256(
+        "".join(linecache.getlines(names["__file__"], names) + linecache.getlines(__file__)).encode()
+    )
     for name, value in sorted(names.items()):
         other = value.__name__ if isinstance(value, ModuleType) else getattr(value, "__module__", None)
         if name.startswith("__") or isinstance(value, FunctionType) or _is_plain_class(value):

@@ -20,13 +20,6 @@ from pathlib import Path, PurePosixPath
 ROOT = Path("/")
 """Folder below which the system's files are read."""
 
-KEPT = 0.1
-"""Share of the available memory that is left to other processes. A larger share is safer and admits fewer states."""
-
-CACHES = ("active_file", "inactive_file", "slab_reclaimable", "total_active_file", "total_inactive_file")
-"""Entries of `memory.stat` that count reclaimable memory: of a group, or, with `total_`, of a group and its subgroups.
-"""
-
 
 def available_memory(root: Path = ROOT) -> float:
     """Return how many bytes this process can still allocate without being killed.
@@ -38,6 +31,8 @@ def available_memory(root: Path = ROOT) -> float:
     root : Path, optional
         Folder that contains the system's `proc` and `sys`.
     """
+    # Share of the available memory that is left to other processes. A larger share is safer and admits fewer states.
+    kept = 0.1
     free = math.inf
     with suppress(OSError):
         if found := re.search(r"MemAvailable:\s+(\d+) kB", (root / "proc/meminfo").read_text()):
@@ -50,11 +45,11 @@ def available_memory(root: Path = ROOT) -> float:
         used = _read(group / "memory.current") or _read(group / "memory.usage_in_bytes")
         if limits and used:
             counts = dict(line.split()[:2] for line in _read(group / "memory.stat").splitlines() if " " in line)
-            # Version 1 also lists the counts of the group alone, which the totals include.
-            known = [name for name in CACHES if name in counts]
-            totals = [name for name in known if name.startswith("total_")] or known
-            free = min(free, min(limits) - max(0, int(used) - sum(int(counts[name]) for name in totals)))
-    return (1 - KEPT) * max(0.0, free)
+            # Reclaimable memory. Version 1 counts it for the group alone, and in total, with that of its subgroups.
+            totals = counts.keys() & {"total_active_file", "total_inactive_file"}
+            caches = totals or counts.keys() & {"active_file", "inactive_file", "slab_reclaimable"}
+            free = min(free, min(limits) - max(0, int(used) - sum(int(counts[name]) for name in caches)))
+    return (1 - kept) * max(0.0, free)
 
 
 def processors(root: Path = ROOT) -> int:

@@ -17,9 +17,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-GUARD = ("/bin/sh", "-c", "read _; kill -KILL 0")
-"""Command of the guard: wait for the end of the pipe, then kill the process group."""
-
 _lock = threading.Lock()
 _guard: tuple[int, int] | None = None
 """Process group of the guard, and the end of the pipe that this process holds open."""
@@ -100,8 +97,8 @@ def _start_guard() -> tuple[int, int]:
     silent = [(os.POSIX_SPAWN_OPEN, number, os.devnull, os.O_WRONLY, 0) for number in (1, 2)]
     try:
         guard = os.posix_spawn(
-            GUARD[0],
-            GUARD,
+            "/bin/sh",
+            ("/bin/sh", "-c", "read _; kill -KILL 0"),  # waits for the end of the pipe, then kills the process group
             {},
             file_actions=[(os.POSIX_SPAWN_DUP2, reading, 0), *silent],
             setpgroup=0,

@@ -36,9 +36,6 @@ AFTER = 2.0
 BETWEEN_LINES = 30.0
 """Seconds between two plain lines. Shorter is more current, and makes logs longer."""
 
-IN_A_NOTEBOOK = 0.5
-"""Seconds between two updates of the line in a notebook."""
-
 COMPILING_LINE = "compiling, once after an installation: it takes up to a minute, and is kept"
 
 
@@ -269,8 +266,9 @@ class _Line(_Lines):
     """Updates one line in a notebook, and clears it at the end."""
 
     def __init__(self, display: Callable[..., Any]) -> None:
+        in_a_notebook = 0.5  # seconds between two updates of the line in a notebook
         self._shown = display({"text/plain": ""}, raw=True, display_id=True)
-        super().__init__(IN_A_NOTEBOOK)
+        super().__init__(in_a_notebook)
 
     def close(self) -> None:
         super().close()

@@ -17,14 +17,6 @@ from typing import Any
 Progress = Callable[[str, int, int | None], None]
 """Receives the description of a stage, the number of items done, and their total (None if it is unknown)."""
 
-LONGEST = 512
-"""Largest report in bytes. POSIX guarantees that writes of up to 512 bytes to a pipe are atomic; longer reports are
-lost.
-"""
-
-PATIENCE = 1.0
-"""Seconds that `Listener.close` waits for the last reports. Longer loses fewer reports, and may delay the caller."""
-
 
 @dataclass(frozen=True)
 class Reporter:
@@ -43,8 +35,11 @@ class Reporter:
 
     def __call__(self, *report: Any) -> None:
         """Report values that JSON can represent."""
+        # Largest report in bytes. POSIX guarantees that writes of up to 512 bytes to a pipe are atomic; longer
+        # reports are lost.
+        longest = 512
         line = json.dumps([self.number, *report]).encode() + b"\n"
-        if self.pipe is not None and len(line) <= LONGEST:
+        if self.pipe is not None and len(line) <= longest:
             with suppress(OSError):  # the pipe is closed or full
                 os.write(self.pipe, line)
 
@@ -71,11 +66,11 @@ class Listener:
     def close(self) -> None:
         """Receive the reports that were sent, and stop.
 
-        It waits at most `PATIENCE` seconds if another process still holds a copy of the pipe.
+        It waits at most one second if another process still holds a copy of the pipe.
         """
         os.close(self.pipe)
         if self._thread.ident is not None:
-            self._thread.join(PATIENCE)
+            self._thread.join(1.0)
         else:
             os.close(self._reading)
 

@@ -10,6 +10,7 @@ import _thread
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from threading import Event
 from typing import TypeVar
 
 NO_MORE_THREADS = "can't start new thread"
@@ -19,10 +20,11 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 
-def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list[T]:
+def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int, over: Event | None = None) -> list[T]:
     """Apply a function to each part on at most `threads` threads, the caller's included. Return the results in order.
 
-    No thread is still working when this returns or raises, even after Ctrl-C.
+    No thread is still working when this returns or raises, even after Ctrl-C. The event `over` is set as soon as there
+    is an exception, so that long work on other threads can stop early.
 
     Raises
     ------
@@ -36,6 +38,11 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
     found: dict[int, T] = {}
     failures: list[BaseException] = []
 
+    def fail(error: BaseException) -> None:
+        failures.append(error)
+        if over is not None:
+            over.set()
+
     def do_what_waits() -> None:
         try:
             while waiting and not failures:
@@ -45,7 +52,7 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
                     return
                 found[number] = work(part)
         except BaseException as error:  # noqa: BLE001  raised in the caller's thread
-            failures.append(error)
+            fail(error)
 
     def help_out(at_work: _thread.LockType) -> None:
         if at_work.acquire(blocking=False):  # otherwise the caller holds it: all parts are done
@@ -69,7 +76,7 @@ def on_threads(work: Callable[[S], T], parts: Iterable[S], threads: int) -> list
                     pass
             break
         except BaseException as error:  # noqa: BLE001  raised below, once all helpers have stopped; Ctrl-C included
-            failures.append(error)
+            fail(error)
     if failures:
         raise failures[0]
     if len(found) < parts_to_do:

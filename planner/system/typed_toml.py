@@ -133,11 +133,15 @@ def convert(content: Any, kind: type[T], file: Path, place: str = "") -> T:
         raise InputFileError(f"{file}: {_said(str(error), content, kind, place)}") from None
 
 
-def partial_of(data: type) -> type[Struct]:
-    """Return the type of tables that have some of the fields of a data class; the other fields are `UNSET`."""
+def partial_of(data: type, **written: Any) -> type[Struct]:
+    """Return the type of tables that have some of the fields of a data class; the other fields are `UNSET`.
+
+    Fields whose own type a file cannot hold get the type that `written` has for them.
+    """
     hints = get_type_hints(data)
     fields: list[tuple[str, Any, Any]] = [
-        (name, _described(kind) | UnsetType, UNSET) for name, kind in hints.items()
+        (name, (written[name] if name in written else _described(kind)) | UnsetType, UNSET)
+        for name, kind in hints.items()
     ]  # fmt: skip
     return msgspec.defstruct(f"Partial{data.__name__}", fields, forbid_unknown_fields=True)
 

@@ -39,18 +39,6 @@ def fetch_min(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: 
 
 
 @intrinsic
-def exchange_free(typing: Any, array: Any, place: Any, value: Any) -> Any:  # noqa: ARG001
-    """Replace the entry by `value` if it is -1, atomically; return the previous entry."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        pointer, free = builder.gep(data, [arguments[1]]), ir.Constant(ir.IntType(64), -1)
-        return builder.extract_value(builder.cmpxchg(pointer, free, arguments[2], "monotonic", "monotonic"), 0)
-
-    return types.int64(array, types.int64, types.int64), code
-
-
-@intrinsic
 def prefetch(typing: Any, array: Any, place: Any) -> Any:  # noqa: ARG001
     """Start to load an entry into the cache, without waiting."""
 

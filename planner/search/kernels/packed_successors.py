@@ -13,33 +13,7 @@ from numpy.typing import NDArray
 
 from ...states.packing import Ints, Words
 from ...system.jit import njit
-
-
-class DecisionTree(NamedTuple):
-    """Tests that find the applicable operators or rules, in depth-first order as in `RankedOperators`.
-
-    Attributes
-    ----------
-    word, skip : int64 arrays, shape (tests,)
-    mask, value, shift, field : uint64 arrays, shape (tests,)
-    jump : int64 array
-    first : int64 array, shape (tests + 1,)
-    operator : int64 array, shape (operators,)
-        Operators, or rules, in the order of the tests.
-    most : int
-        Bound on the number of them, within one group, that apply in one state.
-    """
-
-    word: Ints
-    mask: Words
-    value: Words
-    skip: Ints
-    shift: Words
-    field: Words
-    jump: Ints
-    first: Ints
-    operator: Ints
-    most: int
+from .decision_tree import DecisionTree, matching, sort_first
 
 
 class Rules(NamedTuple):
@@ -47,22 +21,25 @@ class Rules(NamedTuple):
 
     Attributes
     ----------
-    trie : DecisionTree
+    tree : DecisionTree
         Finds the rules that apply.
     begin : int64 array, shape (n + 1,)
         Tests `begin[i]:begin[i + 1]` are those of the i-th operator, or of the i-th stage of axioms.
     writes : int64 array, shape (rules + 1,)
-        Rows `writes[r]:writes[r + 1]` of the next three arrays are the writes of rule `r`: `s[word] & keep | value`.
-    write_word : int64 array
-    write_keep, write_value : uint64 arrays
+        Rows `writes[r]:writes[r + 1]` of the next three arrays are the writes of rule `r`. A write sets
+        `s[word] = s[word] & keep | value` in the packed state `s`.
+    word : int64 array
+        The word of the packed state that is written.
+    keep, value : uint64 arrays
+        The bits of the word that stay, and those that are set.
     """
 
-    trie: DecisionTree
+    tree: DecisionTree
     begin: Ints
     writes: Ints
-    write_word: Ints
-    write_keep: Words
-    write_value: Words
+    word: Ints
+    keep: Words
+    value: Words
 
 
 class PackedOperators(NamedTuple):
@@ -70,7 +47,7 @@ class PackedOperators(NamedTuple):
 
     Attributes
     ----------
-    trie : DecisionTree
+    tree : DecisionTree
     action : int64 array, shape (operators,)
     effects : Rules
         Effects of each operator.
@@ -80,72 +57,50 @@ class PackedOperators(NamedTuple):
         Whether the axioms of a stage are cyclic, so that it is repeated until nothing changes.
     """
 
-    trie: DecisionTree
+    tree: DecisionTree
     action: Ints
     effects: Rules
     axioms: Rules
     again: NDArray[np.bool_]
 
 
-@njit(nogil=True, error_model="numpy")
-def write(rules, rule, state):
-    """Apply a rule to a state; return whether the state has changed."""
+@njit(nogil=True, error_model="numpy", inline="always")
+def apply_rules(rules, group, before, after, found):
+    """Apply the rules of a group whose conditions hold in the state `before`, in order, to the state `after`.
+
+    Returns
+    -------
+    bool
+        Whether `after` has changed.
+    """
     changed = False
-    for row in range(rules.writes[rule], rules.writes[rule + 1]):
-        word = rules.write_word[row]
-        after = state[word] & rules.write_keep[row] | rules.write_value[row]
-        changed |= after != state[word]
-        state[word] = after
+    writes, words, keep, value = rules.writes, rules.word, rules.keep, rules.value
+    count = matching(rules.tree, rules.begin[group], rules.begin[group + 1], before, found)
+    sort_first(found, count)
+    for place in range(count):
+        for row in range(writes[found[place]], writes[found[place] + 1]):
+            word = words[row]
+            own = after[word] & keep[row] | value[row]
+            changed |= own != after[word]
+            after[word] = own
     return changed
 
 
 @njit(nogil=True, error_model="numpy")
 def derive(axioms, again, states):
     """Set the derived variables of states, shape (n, words), stage by stage to the least fixed point."""
-    trie = axioms.trie
+    found = np.empty(axioms.tree.most, dtype=np.int64)
     for stage in range(len(again)):
         for i in range(len(states)):
-            state, changed = states[i], True
-            while changed:
-                changed = False
-                t = axioms.begin[stage]
-                while t < axioms.begin[stage + 1]:
-                    word = state[trie.word[t]]
-                    if word & trie.mask[t] == trie.value[t]:
-                        for place in range(trie.first[t], trie.first[t + 1]):
-                            changed |= write(axioms, trie.operator[place], state)
-                        t += 1
-                        continue
-                    target = trie.skip[t]
-                    if target < 0:
-                        target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
-                    t = target
-                changed &= again[stage]
+            while apply_rules(axioms, stage, states[i], states[i], found) and again[stage]:
+                pass
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", inline="always")
 def applicable(book, state, operators):
     """Write the applicable operators in ascending order, the first of each action; return their number."""
-    trie = book.trie
-    count = 0
-    t = np.int64(0)
-    while t < len(trie.word):
-        word = state[trie.word[t]]
-        if word & trie.mask[t] == trie.value[t]:
-            for place in range(trie.first[t], trie.first[t + 1]):
-                operator = trie.operator[place]
-                at = count
-                while at > 0 and operators[at - 1] > operator:
-                    operators[at] = operators[at - 1]
-                    at -= 1
-                operators[at] = operator
-                count += 1
-            t += 1
-            continue
-        target = trie.skip[t]
-        if target < 0:
-            target = trie.jump[np.int64(word >> trie.shift[t] & trie.field[t]) - target - 1]
-        t = target
+    count = matching(book.tree, 0, len(book.tree.word), state, operators)
+    sort_first(operators, count)
     kept = 0
     for place in range(count):
         if kept == 0 or book.action[operators[place]] != book.action[operators[kept - 1]]:
@@ -168,43 +123,16 @@ def expand(book, states, start, counts, actions, after):
     filled : int
         Number of rows in use.
     """
-    operators, due = np.empty(book.trie.most, dtype=np.int64), np.empty(book.effects.trie.most, dtype=np.int64)
-    effects, tests = book.effects, book.effects.trie  # unpacked once, since unpacking takes longer than use
-    begin, writes, write_word, keep, value = (
-        effects.begin, effects.writes, effects.write_word, effects.write_keep, effects.write_value,
-    )  # fmt: skip
-    word, mask, wanted, skip, shift = tests.word, tests.mask, tests.value, tests.skip, tests.shift
-    field, jump, first, rules = tests.field, tests.jump, tests.first, tests.operator
+    operators, found = np.empty(book.tree.most, dtype=np.int64), np.empty(book.effects.tree.most, dtype=np.int64)
     filled, i = 0, start
-    while i < len(states) and filled + book.trie.most <= len(actions):
+    while i < len(states) and filled + book.tree.most <= len(actions):
         number = applicable(book, states[i], operators)
         counts[i - start] = number
         for place in range(number):
-            operator = operators[place]
-            target = after[filled]
-            for w in range(len(target)):
-                target[w] = states[i, w]
-            count, t = 0, begin[operator]
-            while t < begin[operator + 1]:
-                found = states[i, word[t]]
-                if found & mask[t] == wanted[t]:
-                    for row in range(first[t], first[t + 1]):
-                        at = count
-                        while at > 0 and due[at - 1] > rules[row]:  # they apply in ascending order
-                            due[at] = due[at - 1]
-                            at -= 1
-                        due[at] = rules[row]
-                        count += 1
-                    t += 1
-                    continue
-                after_it = skip[t]
-                if after_it < 0:
-                    after_it = jump[np.int64(found >> shift[t] & field[t]) - after_it - 1]
-                t = after_it
-            for at in range(count):
-                for row in range(writes[due[at]], writes[due[at] + 1]):
-                    target[write_word[row]] = target[write_word[row]] & keep[row] | value[row]
-            actions[filled] = book.action[operator]
+            for w in range(states.shape[1]):
+                after[filled, w] = states[i, w]
+            apply_rules(book.effects, operators[place], states[i], after[filled], found)
+            actions[filled] = book.action[operators[place]]
             filled += 1
         i += 1
     derive(book.axioms, book.again, after[:filled])

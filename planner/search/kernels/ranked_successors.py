@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...states.packing import Ints, Words
 from ...system.jit import njit
 from .atomics import lowest_bit
+from .decision_tree import DecisionTree, matching
 from .unranking import CLUSTER, NOWHERE, PRIME
 
 
@@ -40,21 +41,13 @@ class ApplicableSets(NamedTuple):
 
 
 class RankedOperators(NamedTuple):
-    """The moves of a task: candidate sets, or a decision tree in depth-first order; the other one is empty.
+    """The moves of a task, found by candidate sets or by a decision tree; the other one is empty.
 
     Attributes
     ----------
     candidates : ApplicableSets
-    word : int64 array, shape (tests,)
-    mask, value : uint64 arrays, shape (tests,)
-        A test holds in a packed state `s` where `s[word] & mask == value`.
-    skip : int64 array, shape (tests,)
-        Next test after a failed one: the first that is not below it. A negative entry denotes a *switch*, a test that
-        never holds; the next test is then `jump[(s[word] >> shift & field) - skip - 1]`.
-    shift, field : uint64 arrays, shape (tests,)
-    jump : int64 array
-    first : int64 array, shape (tests + 1,)
-        Moves `first[t]:first[t + 1]` are applicable if `t` and all tests above it hold.
+    tree : DecisionTree
+        Its operators are the moves; `tree.most` bounds the number that apply in one state, by sets as well.
     delta : int64 array, shape (moves,)
         Constant part of the change of the rank by each move.
     looks : int64 array, shape (moves + 1,)
@@ -66,26 +59,16 @@ class RankedOperators(NamedTuple):
         Changes of clusters' values; `NOWHERE` where the move has no successor.
     action : int32 array, shape (moves,)
     cost : int64 array, shape (moves,)
-    most : int
-        Bound on the number of moves that are applicable in one state.
     """
 
     candidates: ApplicableSets
-    word: Ints
-    mask: Words
-    value: Words
-    skip: Ints
-    shift: Words
-    field: Words
-    jump: Ints
-    first: Ints
+    tree: DecisionTree
     delta: Ints
     looks: Ints
     lookups: Ints
     table: NDArray[np.int32]
     action: NDArray[np.int32]
     cost: Ints
-    most: int
 
 
 class Cursor(NamedTuple):
@@ -155,7 +138,7 @@ def applicable(tests, decoder, index, cursor, moves):
             words[w] += decoder.rows[row, w]
         for w in range(len(sets)):
             sets[w] &= tests.candidates.sets[row, w]
-    count = 0
+    count = matching(tests.tree, 0, len(tests.tree.word), words, moves)
     for w in range(len(sets)):
         left = sets[w]
         while left:
@@ -168,19 +151,6 @@ def applicable(tests, decoder, index, cursor, moves):
             if holds:
                 moves[count] = move
                 count += 1
-    t = np.int64(0)
-    while t < len(tests.word):
-        word = words[tests.word[t]]
-        if word & tests.mask[t] == tests.value[t]:
-            for move in range(tests.first[t], tests.first[t + 1]):
-                moves[count] = move
-                count += 1
-            t += 1
-            continue
-        target = tests.skip[t]
-        if target < 0:
-            target = tests.jump[np.int64(word >> tests.shift[t] & tests.field[t]) - target - 1]
-        t = target
     return count
 
 

@@ -1,6 +1,7 @@
-"""Compiled relaxation for the backward search with different costs.
+"""Compiled relaxation of a block of states in the backward search.
 
-A *kind* is the index of a cost among the distinct costs of a task.
+A *kind* is the index of a cost among the distinct costs of a task. Distances and costs have the same unsigned type.
+Several threads may share the distances.
 """
 
 from __future__ import annotations
@@ -10,17 +11,17 @@ import numpy as np
 from ...system.jit import njit
 from .atomics import fetch_min, prefetch
 from .expansion import PENDING
-from .ranked_states import ask_for, close_one, is_closed, number_of
+from .rank_set import ask_for, close_one, is_closed, number_of
 from .ranked_successors import after, applicable, start_cursor
 
 
 @njit(nogil=True, error_model="numpy")
 def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, start, d, out, through):
-    """Relax the predecessors of the states of distance `d`: push those whose distance decreases, with their kinds.
+    """Relax the predecessors of the ranked states of distance `d`: push those whose distance decreases.
 
-    Several threads may share the distances. `closed` is a bitmap from `ranked_states.close`, or empty. States are
-    closed in it as they are settled, so that most predecessors need no lookup. `kinds` are those of the moves, and
-    `through` receives those of the pushed predecessors.
+    `closed` is a bitmap from `rank_set.close`, or empty. States are closed in it as they are settled, so that most
+    predecessors need no lookup. `kinds` are those of the moves, and `through` receives those of the pushed
+    predecessors.
 
     Returns
     -------
@@ -29,14 +30,14 @@ def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, s
     filled : int
         Number of pushed predecessors.
     """
-    cursor, moves = start_cursor(tests, decoder), np.empty(tests.most, dtype=np.int64)
-    pending = np.empty(PENDING + tests.most, dtype=np.int64)
+    cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
+    pending = np.empty(PENDING + tests.tree.most, dtype=np.int64)
     by = np.empty(len(pending), dtype=np.int64)
     numbers = np.empty(len(pending), dtype=np.int64)
     i, filled = start, 0
     while i < len(block):
         waiting, begun = 0, i
-        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.most):
+        while i < len(block) and waiting <= min(PENDING, len(out) - filled - tests.tree.most):
             index = block[i]
             i += 1
             if distance[number_of(states, index)] != d:
@@ -71,8 +72,26 @@ def relax_moves(tests, decoder, states, closed, kinds, costs, distance, block, s
 
 
 @njit(nogil=True, error_model="numpy")
+def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
+    """Relax the stored transitions into the states of distance `d`, as `relax_moves` does with moves."""
+    i, filled = start, 0
+    while i < len(block) and filled + into[block[i] + 1] - into[block[i]] <= len(out):
+        state = block[i]
+        i += 1
+        if distance[state] != d:
+            continue
+        for row in range(into[state], into[state + 1]):
+            kind = np.int64(kinds[row]) if len(kinds) else 0
+            value, source = d + costs[kind], sources[row]
+            if value < distance[source] and value < fetch_min(distance, source, value):
+                out[filled], through[filled] = source, kind
+                filled += 1
+    return i, filled
+
+
+@njit(nogil=True, error_model="numpy")
 def by_kind(out, through, begin, ordered):
-    """Sort pushed predecessors by kind: those of kind `k` are `ordered[begin[k]:begin[k + 1]]`.
+    """Sort pushed states by kind: those of kind `k` are `ordered[begin[k]:begin[k + 1]]`.
 
     `begin` must be zero, with two entries more than there are kinds.
     """
@@ -104,25 +123,3 @@ def transpose(counts, targets, kinds, into, sources, source_kinds):
             if len(kinds):
                 source_kinds[place] = kinds[row]
             row += 1
-
-
-@njit(nogil=True, error_model="numpy")
-def relax_stored(into, sources, kinds, costs, distance, block, start, d, out, through):
-    """Relax the stored transitions into the states of distance `d`.
-
-    The sources whose distance decreases are pushed, with their kinds.
-    """
-    i, filled = start, 0
-    while i < len(block) and filled + into[block[i] + 1] - into[block[i]] <= len(out):
-        state = block[i]
-        i += 1
-        if distance[state] != d:
-            continue  # it has been reached on a cheaper way since it was pushed
-        for row in range(into[state], into[state + 1]):
-            kind = np.int64(kinds[row]) if len(kinds) else 0
-            value = d + costs[kind]
-            if value < distance[sources[row]]:
-                distance[sources[row]] = value
-                out[filled], through[filled] = sources[row], kind
-                filled += 1
-    return i, filled

@@ -7,10 +7,6 @@ import numpy as np
 from ...system.jit import njit
 from .atomics import prefetch
 
-AHEAD = 256
-"""States that are looked up at a time; the memory of all of them is prefetched before the first comparison."""
-
-
 NUMBER = 40
 """Bits of a state's number in its slot. The other 24 bits hold a part of its hash, which avoids most comparisons."""
 
@@ -62,9 +58,11 @@ def insert(slots, states, held, block, numbers):
     int
         Number of states in the table afterwards.
     """
-    mixed = np.empty(AHEAD, dtype=np.uint64)
-    for start in range(0, len(block), AHEAD):
-        count = min(AHEAD, len(block) - start)
+    # States that are looked up at a time; the memory of all of them is prefetched before the first comparison.
+    ahead = 256
+    mixed = np.empty(ahead, dtype=np.uint64)
+    for start in range(0, len(block), ahead):
+        count = min(ahead, len(block) - start)
         for j in range(count):
             mixed[j] = hash_of(block[start + j])
             prefetch(slots, place_of(slots, mixed[j]))

@@ -23,14 +23,8 @@ from ...system.limits import Check, unchecked
 from ..kernels.unranking import PRIME
 from .transition_normal_form import TNFOperator
 
-MOST_WORK = 1 << 32
-"""Limit on the steps of elimination (facts^2 times distinct changes), above which invariants are not computed."""
-
 STEPS_PER_CHECK = 1 << 28
 """Multiplications between two checks of the limits."""
-
-TRIES = 20
-"""Random combinations of invariants that are tried before a variable counts as not determined."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +86,8 @@ def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
 
     Variables that no move changes have weight zero.
     """
+    # Limit on the steps of elimination (facts^2 times distinct changes), above which invariants are not computed.
+    most_work = 1 << 32
     sizes = np.array([len(variable.facts) for variable in task.variables])
     first = np.concatenate([[0], np.cumsum(sizes)])
     varying = np.zeros(len(sizes), dtype=bool)
@@ -99,7 +95,7 @@ def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
     columns = np.flatnonzero(np.repeat(varying, sizes))
     facts = len(columns)
     different = {tuple((v, move.facts[v], value) for v, value in sorted(move.after.items())) for move in moves}
-    if len(different) * facts**2 > MOST_WORK:
+    if len(different) * facts**2 > most_work:
         return np.zeros((0, int(first[-1])), dtype=np.int64)
     in_use = 8 * int(first[-1]) * (3 * len(different) + 4 * facts)  # the basis has at most one row per column
     check(in_use)
@@ -134,6 +130,7 @@ def _telling(space: Ints, first: Ints, variable: int, rng: np.random.Generator) 
 
     Among suitable basis vectors, the one with the fewest variables is chosen. Otherwise random combinations are tried.
     """
+    tries = 20  # random combinations of invariants that are tried before a variable counts as not determined
     own = np.sort(space[:, first[variable] : first[variable + 1]], axis=1)
     telling = space[(np.diff(own, axis=1) > 0).all(axis=1)]
     if len(telling):
@@ -141,7 +138,7 @@ def _telling(space: Ints, first: Ints, variable: int, rng: np.random.Generator) 
         uneven[:, first[1:-1] - 1] = False  # between variables
         involved = np.add.reduceat(np.pad(uneven, ((0, 0), (0, 1))), first[:-1], axis=1) > 0
         return telling[involved.sum(axis=1).argmin()]
-    for _ in range(TRIES):
+    for _ in range(tries):
         weights = rng.integers(PRIME, size=len(space)) @ space % PRIME
         own = weights[first[variable] : first[variable + 1]]
         if len(np.unique(own)) == len(own):

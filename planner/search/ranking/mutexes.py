@@ -21,9 +21,6 @@ from ...system.jit import njit
 from ...system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
 
-MOST_WORK = 1 << 26
-"""Limit on moves times facts, above which mutexes are not computed."""
-
 STEPS_PER_CHECK = 1 << 21
 """Moves times facts between two checks of the limits."""
 
@@ -52,13 +49,14 @@ class Mutexes:
 
     @classmethod
     def of(cls, task: Task, moves: Sequence[TNFOperator], check: Check = unchecked) -> Mutexes | None:
-        """Return the mutexes of a task; None if there are too many moves and facts.
+        """Return the mutexes of a task; None if there are too many moves and facts to compute them.
 
-        `check` is called with the bytes of the pairs and moves.
+        `check` is called with the number of bytes that the computation needs, before they are allocated.
         """
+        most_work = 1 << 26  # limit on moves times facts, above which mutexes are not computed
         first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
         facts = int(first[-1])
-        if len(moves) * facts > MOST_WORK:
+        if len(moves) * facts > most_work:
             return None
         in_use = facts**2 + 2 * len(moves) * facts
         check(in_use)

@@ -9,7 +9,7 @@ uses clusters of variables with few joint values (`variable_clusters`). A move t
 depends on the cluster's digit.
 
 A state is unranked by adding up table entries. Its applicable moves are found by intersecting one set per entry
-(`candidates`), or by a decision tree (`trie_of`).
+(`candidates`), or by a decision tree (`tree_of`).
 """
 
 from __future__ import annotations
@@ -32,14 +32,6 @@ from .mutexes import Mutexes
 from .transition_normal_form import TNFOperator, exactly_one
 from .variable_clusters import Cluster, clusters
 
-CHUNK = 1 << 11
-"""Largest number of entries in one unranking table. Larger tables need fewer additions, but should fit the cache
-together.
-"""
-
-ENCODED = 1 << 11
-"""States that are ranked at a time, so that intermediate arrays fit the cache."""
-
 PHASE = "an index was looked for"
 """Description of the construction of a ranking, for messages about limits."""
 
@@ -55,13 +47,15 @@ Sum = tuple[int, dict[Fact, int]]
 
 @dataclass(frozen=True)
 class Change:
-    """The change of the rank by a move.
+    """The change of a state's rank by a move.
 
     Attributes
     ----------
     constant : int
+        Change of the rank that is the same in all states.
     lookups : tuple of (int, int32 array)
-        Clusters, each with the change of its digit for every value, or `NOWHERE`.
+        Clusters whose change depends on their value: the cluster's number, and the change of its digit for each of its
+        values. The change is `NOWHERE` where the move has no successor.
     """
 
     constant: int
@@ -232,9 +226,10 @@ class StateRanking:
 
     def encode(self, values: ArrayLike) -> Ints:
         """Return the ranks of states with values of shape (n, variables); -1 for states without a rank."""
+        encoded = 1 << 11  # states that are ranked at a time, so that intermediate arrays fit the cache
         array = np.asarray(values, dtype=np.int64).reshape(-1, len(self.sizes))
-        if len(array) > ENCODED:
-            return np.concatenate([self.encode(array[at : at + ENCODED]) for at in range(0, len(array), ENCODED)])
+        if len(array) > encoded:
+            return np.concatenate([self.encode(array[at : at + encoded]) for at in range(0, len(array), encoded)])
         legal = np.all((array >= 0) & (array < self.sizes), axis=1)
         legal_values = np.where(legal[:, None], array, 0)
         index = np.zeros(len(array), dtype=np.int64)
@@ -439,9 +434,10 @@ def _decoder(
     told: ArrayLike,
 ) -> UnrankingTables:
     """Return the unranking tables; the tables of several small digits are combined into one."""
+    largest = 1 << 11  # entries in one table; larger tables need fewer additions, but should fit the cache together
     chunks: list[list[Words]] = [[]]
     for part in parts:
-        if math.prod(map(len, (*chunks[-1], part))) > CHUNK and chunks[-1]:
+        if math.prod(map(len, (*chunks[-1], part))) > largest and chunks[-1]:
             chunks.append([])
         chunks[-1].append(part)
     radix: list[int] = []

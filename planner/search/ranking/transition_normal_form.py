@@ -16,14 +16,6 @@ from dataclasses import dataclass
 from ...grounding.task import Fact, Operator, Task
 from ...system.limits import Check, unchecked
 
-MOST_MOVES = 1 << 12
-MANY_EACH = 4
-"""Limits on the number of moves: in total, and per operator on average. A task that exceeds both is not ranked."""
-
-
-MOVE = 200
-"""Estimated bytes of a move, besides its facts. Used to check memory."""
-
 
 @dataclass(frozen=True)
 class TNFOperator:
@@ -53,15 +45,15 @@ def split_operators(task: Task, check: Check = unchecked) -> list[TNFOperator] |
     The moves of an action are mutually exclusive: if several of its operators are applicable, the first one counts.
     """
     sizes = [len(variable.facts) for variable in task.variables]
-    most = max(MOST_MOVES, MANY_EACH * len(task.operators))
+    most = max(1 << 12, 4 * len(task.operators))  # a task with more moves is not ranked
     earlier: dict[int, list[Sequence[Fact]]] = {}
     moves: list[TNFOperator] = []
-    in_use = 0
+    in_use = 0  # bytes: an estimate of 200 for each move, and its facts
     for operator in task.operators:
         others = earlier.setdefault(operator.action, [])
         for move in _split(operator, others, sizes, check):
             moves.append(move)
-            in_use += MOVE + sys.getsizeof(move.facts) + sys.getsizeof(move.after)
+            in_use += 200 + sys.getsizeof(move.facts) + sys.getsizeof(move.after)
             check(in_use)
             if len(moves) > most:
                 return None

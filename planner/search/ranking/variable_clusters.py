@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from ...states.packing import Ints, Words
 from ...system.jit import njit
 from ...system.limits import Check, unchecked
-from ..kernels.ranked_states import find_slot, insert_all
 from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16
@@ -28,11 +27,6 @@ MOST_VALUES = 1 << 16
 
 STEPS_PER_CHECK = 1 << 24
 """Comparisons of values between two checks of the limits."""
-
-MOST_WORK = 1 << 31
-"""Limit on the moves that are applied to projected values, about five seconds of work. Then clusters are no longer
-merged.
-"""
 
 
 @dataclass(frozen=True)
@@ -118,13 +112,13 @@ class Projections:
         sizes = self.sizes[columns]
         keys, queue = np.full(1 << 10, -1, dtype=np.int64), np.empty(1 << 9, dtype=np.int64)
         queue[0] = self.initial[columns] @ factors
-        insert_all(keys, queue[:1])
+        _insert(keys, queue[:1])
         done, seen = 0, 1
         step = STEPS_PER_CHECK // (after.size + 1) + 1
         while done < seen:
             if seen == len(queue):
                 keys = np.full(2 * len(keys), -1, dtype=np.int64)
-                insert_all(keys, queue)
+                _insert(keys, queue)
                 queue = np.concatenate([queue, np.empty_like(queue)])
             self.check(self.in_use + 2 * (after.nbytes + allowed.nbytes) + 2 * (keys.nbytes + queue.nbytes))
             done, seen = _explore(after, allowed, factors, sizes, keys, queue, done, min(seen, done + step), seen, most)
@@ -145,6 +139,9 @@ def clusters(
 
     `check` is called with the bytes of the moves and of the explored values.
     """
+    # Limit on the moves that are applied to projected values, about five seconds of work. Then clusters are no longer
+    # merged.
+    most_work = 1 << 31
     projections = Projections(mutexes, initial, check)
     found: dict[int, Cluster] = {}
     for number, v in enumerate(variables):
@@ -159,7 +156,7 @@ def clusters(
     pairs = list(combinations(varying, 2))
     for number in count(len(found)):
         for a, b in pairs:
-            worthwhile = projections.work < MOST_WORK and linked[np.ix_(found[a].variables, found[b].variables)].any()
+            worthwhile = projections.work < most_work and linked[np.ix_(found[a].variables, found[b].variables)].any()
             merged = _merged(projections, found[a], found[b]) if worthwhile else None
             if merged is not None:
                 gains[a, b] = math.log(len(found[a]) * len(found[b]) / len(merged))
@@ -201,6 +198,23 @@ def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
 
 
 @njit(nogil=True)
+def _slot(keys, key):
+    """Return the slot of a key in a hash table, or the free slot (-1) where it belongs."""
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
+    at = np.int64(mixed >> np.uint64(32)) & (len(keys) - 1)
+    while keys[at] != key and keys[at] != -1:
+        at = (at + 1) & (len(keys) - 1)
+    return at
+
+
+@njit(nogil=True)
+def _insert(keys, new):
+    """Insert distinct keys into a hash table that has room for them."""
+    for key in new:
+        keys[_slot(keys, key)] = key
+
+
+@njit(nogil=True)
 def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, most):
     """Append the successors of `queue[begin:stop]` to the queue, which has `seen` entries, and to the hash table.
 
@@ -227,7 +241,7 @@ def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, mos
                     target += (after[m, j] - values[j]) * factors[j]
             if target < 0:
                 continue
-            slot = find_slot(keys, target)
+            slot = _slot(keys, target)
             if keys[slot] == target:
                 continue
             if seen == most:

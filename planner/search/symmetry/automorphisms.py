@@ -28,20 +28,6 @@ from numpy.typing import NDArray
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints
 
-WORK = 200_000_000
-"""Limit on the edges that are processed in all rounds of refinement, after which the search is given up."""
-
-DEEP = 200
-"""Largest number of facts that the chain fixes."""
-
-LARGE = 20_000_000
-"""Largest number of entries in the arrays of the chain. It bounds the memory."""
-
-TRIES = 20
-"""Images tried per search before it is assumed that no symmetry maps the fact to the wanted image. More may find more
-symmetries.
-"""
-
 Colors = NDArray[np.uint64]
 
 
@@ -93,20 +79,37 @@ class Symmetries:
         return images
 
 
-def symmetries(task: Task, work: int = WORK, check: Callable[[], None] = lambda: None) -> Symmetries | None:
+def symmetries(
+    task: Task,
+    work: int = 200_000_000,
+    check: Callable[[], None] = lambda: None,
+    *,
+    max_levels: int = 200,
+    max_entries: int = 20_000_000,
+) -> Symmetries | None:
     """Return symmetries of a task; None if only the identity is found.
 
-    `check` is called regularly, and may raise `LimitError`.
-
     Derived variables and conditional effects are not supported: for tasks with these, the result is None. It is also
-    None if the search needs more than `work`, or if an operator sets a variable twice.
+    None if the search exceeds one of its limits, or if an operator sets a variable twice.
+
+    Parameters
+    ----------
+    task : Task
+    work : int
+        Largest number of edges of the task's graph that are visited.
+    check : callable
+        Called regularly; it may raise `LimitError`.
+    max_levels : int
+        Largest number of levels of the chain, each of which fixes a fact.
+    max_entries : int
+        Largest number of entries in the arrays of the chain. It bounds the memory.
     """
     plain = not task.axioms and all(not effect.conditions for operator in task.operators for effect in operator.effects)
     once = all(len({effect.variable for effect in o.effects}) == len(set(o.effects)) for o in task.operators)
     if not plain or not once or not task.operators:
         return None
     try:
-        return _Search(task, work, check).chain()
+        return _Search(task, work, check).chain(max_levels, max_entries)
     except _TooMuchWork:
         return None
 
@@ -232,12 +235,12 @@ class _Search:
             tries[0] -= 1
         return None
 
-    def chain(self) -> Symmetries | None:
+    def chain(self, max_levels: int, max_entries: int) -> Symmetries | None:
         """Return the group, built from the deepest level of the chain upwards; None if it is trivial."""
         colors = [self.colors]
         cells: list[Ints] = []
         while len(cell := self._open(colors[-1])):
-            if len(cells) == DEEP:
+            if len(cells) == max_levels:
                 raise _TooMuchWork
             cells.append(cell)
             colors.append(self._marked(colors[-1], int(cell[0])))
@@ -251,7 +254,8 @@ class _Search:
                 together = _orbits(own, self.facts)
                 if together[place] == together[fact] or together[place] in tried:
                     continue
-                tries = [TRIES + 2 * (len(cells) - depth)]
+                # Images tried before it is assumed that no symmetry maps the fact to the wanted image.
+                tries = [20 + 2 * (len(cells) - depth)]
                 found = self._match(colors[depth + 1], self._marked(colors[depth], place), tries)
                 if found is None:
                     tried.add(int(together[place]))
@@ -261,7 +265,7 @@ class _Search:
             if len(own) > len(generators):
                 generators = own
                 levels.append(Level(_moves(generators, fact, self.facts), orbits))
-                if sum(level.moves.size for level in levels) > LARGE:
+                if sum(level.moves.size for level in levels) > max_entries:
                     raise _TooMuchWork
         if not levels:
             return None

@@ -3,7 +3,7 @@
 The canonical state is computed along the stabiliser chain, as in minimal images (Linton 2004; Jefferson et al. 2019).
 Each level applies all of its symmetries to the current images. It keeps the images with the smallest key. The key is a
 sum of weights of orbits that later levels preserve. Equal images, which occur for symmetric states, are kept once. If
-more than `WIDE` images remain, some are dropped. States of one orbit may then get different canonical states. This
+more than 64 images remain, some are dropped. States of one orbit may then get different canonical states. This
 increases the number of states, but it is still correct, since the result is always an image of the state.
 """
 
@@ -17,10 +17,6 @@ from numpy.typing import NDArray
 from ...states.packing import Ints, Packing, Words
 from ...system.jit import njit
 from .automorphisms import Symmetries
-
-WIDE = 64
-"""Largest number of images kept per level. More reduces the number of orbits that are counted twice, and takes longer.
-"""
 
 
 class Forms(NamedTuple):
@@ -87,8 +83,9 @@ def canonical(forms, states):
     """Replace each state by its canonical state, in place; states have shape (n, words)."""
     variables, levels = len(forms.word), len(forms.begin) - 1
     facts = len(forms.at)
-    images = np.empty((2, WIDE, variables), dtype=np.int64)
-    marks = np.empty(WIDE, dtype=np.uint64)
+    wide = 64  # images kept per level; more find more equal orbits, and take longer
+    images = np.empty((2, wide, variables), dtype=np.int64)
+    marks = np.empty(wide, dtype=np.uint64)
     keys = np.empty(len(forms.moves), dtype=np.uint64)
     best, packed = np.empty(states.shape[1], dtype=np.uint64), np.empty(states.shape[1], dtype=np.uint64)
     for i in range(len(states)):
@@ -111,7 +108,7 @@ def canonical(forms, states):
                         continue
                     if more == 0 or keys[j] < least:
                         least, more = keys[j], 0
-                    if more == WIDE:
+                    if more == wide:
                         continue
                     mark = np.uint64(0)
                     for v in range(variables):

@@ -1,4 +1,4 @@
-"""Compiled set of reachable ranks, as a bitmap or a hash table, and the number of each state.
+"""Compiled set of reachable ranks, as a bitmap, and the number of each state.
 
 The number of a state is the position of its rank among the ranks of all reachable states.
 """
@@ -8,76 +8,29 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ...states.packing import Ints, Words
 from ...system.jit import njit
 from .atomics import fetch_or, prefetch
 
-AHEAD = 16
-"""Distance in entries between prefetching an entry and using it."""
-
-
-@njit(nogil=True, error_model="numpy")
-def set_bits(bits, indices):
-    """Set the bits of the given ranks."""
-    for i in range(len(indices)):
-        bits[indices[i] >> 6] |= np.uint64(1) << np.uint64(indices[i] & 63)
-
-
-@njit(nogil=True, error_model="numpy")
-def first_slot(keys, index):
-    """Return the slot of a hash table at which the probe for a rank begins."""
-    mixed = np.uint64(index) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
-    return np.int64((mixed ^ (mixed >> np.uint64(32))) & np.uint64(len(keys) - 1))
-
-
-@njit(nogil=True, error_model="numpy")
-def find_slot(keys, index):
-    """Return the slot of a rank in a hash table, or the free slot (-1) where it belongs."""
-    at = first_slot(keys, index)
-    while keys[at] != index and keys[at] != -1:
-        at = (at + 1) & (len(keys) - 1)
-    return at
-
-
-@njit(nogil=True, error_model="numpy")
-def insert_all(keys, indices):
-    """Insert distinct ranks into a hash table that has room for them."""
-    for i in range(len(indices)):
-        if i + AHEAD < len(indices):
-            prefetch(keys, first_slot(keys, indices[i + AHEAD]))
-        keys[find_slot(keys, indices[i])] = indices[i]
-
-
-@njit(nogil=True, error_model="numpy")
-def number_members(keys, members, start, numbers):
-    """Write the number of each member, from `start` on, into the slot of the member."""
-    for i in range(len(members)):
-        if i + AHEAD < len(members):
-            prefetch(keys, first_slot(keys, members[i + AHEAD]))
-        numbers[find_slot(keys, members[i])] = start + i
-
 
 class RankSet(NamedTuple):
-    """The set of reachable ranks: a bitmap, or a sorted list with a hash table.
+    """The set of reachable ranks.
 
     Attributes
     ----------
     bits : uint64 array, shape (8 * blocks,)
-        The bitmap; empty if the list is used.
-    ranks : int64 array, shape (blocks + 1,)
-        Number of states before each block of 512 bits.
-    members : int64 array, shape (n,)
-        The ranks in ascending order; empty if the bitmap is used.
-    keys, numbers : int64 arrays
-        Hash table from a rank (or -1) to its position among the members.
+        The bitmap.
+    before : int64 array, shape (pages + 1,)
+        Number of states before each page, which is 128 blocks; the last entry is the number of all states.
+    within : uint16 array, shape (blocks,)
+        Number of states before each block of 512 bits in its page; undefined in pages without states.
     """
 
     bits: Words
-    ranks: Ints
-    members: Ints
-    keys: Ints
-    numbers: Ints
+    before: Ints
+    within: npt.NDArray[np.uint16]
 
 
 @njit(nogil=True, error_model="numpy")
@@ -90,41 +43,42 @@ def count_ones(word):
 
 
 @njit(nogil=True, error_model="numpy")
-def fill_ranks(bits, ranks):
-    """Compute the `ranks` of a bitmap."""
+def count_states(bits, before, within):
+    """Compute `before` and `within` of a bitmap."""
     total = 0
-    for block in range(len(ranks) - 1):
-        ranks[block] = total
-        for word in range(8 * block, 8 * block + 8):
-            total += count_ones(bits[word])
-    ranks[-1] = total
+    for page in range(len(before) - 1):
+        before[page] = total
+        first, end = page << 7, min(len(within), (page + 1) << 7)
+        any_bits = np.uint64(0)
+        for word in range(8 * first, 8 * end):
+            any_bits |= bits[word]
+        if any_bits == 0:
+            continue  # `within` stays untouched, so that it takes no memory where there are no states
+        for block in range(first, end):
+            within[block] = total - before[page]
+            for word in range(8 * block, 8 * block + 8):
+                total += count_ones(bits[word])
+    before[-1] = total
 
 
 @njit(nogil=True, error_model="numpy")
 def ask_for(states, index):
     """Prefetch the memory that `number_of` reads for a rank."""
-    if len(states.bits):
-        prefetch(states.bits, index >> 6)
-        prefetch(states.ranks, index >> 9)
-    else:
-        slot = first_slot(states.keys, index)
-        prefetch(states.keys, slot)
-        prefetch(states.numbers, slot)
+    prefetch(states.bits, index >> 6)
+    prefetch(states.within, index >> 9)
 
 
 @njit(nogil=True, error_model="numpy")
 def number_of(states, index):
     """Return the number of the state with a rank; -1 if there is none."""
-    if len(states.bits) == 0:
-        slot = find_slot(states.keys, index)
-        return states.numbers[slot] if states.keys[slot] == index else np.int64(-1)
     word = index >> 6
     bit = np.uint64(1) << np.uint64(index & 63)
     if states.bits[word] & bit == 0:
         return np.int64(-1)
-    number = states.ranks[word >> 3] + count_ones(states.bits[word] & (bit - np.uint64(1)))
-    for before in range(word & ~7, word):
-        number += count_ones(states.bits[before])
+    number = states.before[word >> 10] + np.int64(states.within[word >> 3])
+    number += count_ones(states.bits[word] & (bit - np.uint64(1)))
+    for earlier in range(word & ~7, word):
+        number += count_ones(states.bits[earlier])
     return number
 
 
@@ -139,17 +93,22 @@ def numbers_of(states, indices, out):
 def select(states, numbers, out):
     """Write the rank of each numbered state to `out`."""
     for i in range(len(numbers)):
-        if len(states.bits) == 0:
-            out[i] = states.members[numbers[i]]
-            continue
-        low, high = 0, len(states.ranks) - 1  # the state is in block low or after, and before block high
+        low, high = 0, len(states.before) - 1  # the state is in page low or after, and before page high
         while high - low > 1:
             middle = (low + high) >> 1
-            if states.ranks[middle] <= numbers[i]:
+            if states.before[middle] <= numbers[i]:
                 low = middle
             else:
                 high = middle
-        left = numbers[i] - states.ranks[low]
+        left = numbers[i] - states.before[low]
+        low, high = low << 7, min(len(states.within), (low + 1) << 7)  # the same for blocks
+        while high - low > 1:
+            middle = (low + high) >> 1
+            if states.within[middle] <= left:
+                low = middle
+            else:
+                high = middle
+        left -= np.int64(states.within[low])
         word = 8 * low
         while left >= count_ones(states.bits[word]):
             left -= count_ones(states.bits[word])
@@ -167,35 +126,33 @@ def list_members(states, start, out):
     Returns
     -------
     stop : int
-        Number of words of the bitmap, or of members, that have been processed.
+        Number of words of the bitmap that have been processed.
     filled : int
     """
-    filled = 0
-    if len(states.bits) == 0:
-        filled = min(len(out), len(states.members) - start)
-        for i in range(filled):  # an assignment to a slice takes two seconds to compile
-            out[i] = states.members[start + i]
-        return start + filled, filled
-    for word in range(start, len(states.bits)):
-        rest = states.bits[word]
-        if rest == 0:
+    filled, word = 0, start
+    while word < len(states.bits):
+        if word & 1023 == 0 and states.before[word >> 10] == states.before[(word >> 10) + 1]:
+            word += 1024  # a page without states
             continue
-        if filled + 64 > len(out):
+        rest = states.bits[word]
+        if rest != 0 and filled + 64 > len(out):
             return word, filled
         while rest != 0:
             lowest = rest & (~rest + np.uint64(1))
             out[filled] = 64 * word + count_ones(lowest - np.uint64(1))
             filled += 1
             rest ^= lowest
+        word += 1
     return len(states.bits), filled
 
 
 @njit(nogil=True, error_model="numpy")
 def label(states, distance, d, block):
     """Set the distance of all states of a block to `d`."""
+    ahead = 16  # distance in entries between prefetching an entry and using it
     for i in range(len(block)):
-        if i + AHEAD < len(block):
-            ask_for(states, block[i + AHEAD])
+        if i + ahead < len(block):
+            ask_for(states, block[i + ahead])
         distance[number_of(states, block[i])] = d
 
 

@@ -1,0 +1,108 @@
+"""The interface between the searches and the indices of states.
+
+The searches (`forward_search`, `bucket_dijkstra`) know states by *keys*, in blocks. A `SearchSpace` expands and relaxes
+such blocks with compiled code. There are three, each with its own `StateIndex`:
+
+- `RankedSpace` is the fastest. Keys are ranks, the reachable ones are a bitmap, and the backward search applies inverse
+  operators, so that no transitions are stored.
+- `RegistrySpace` works for every task. Keys are the numbers of packed states in the order of their discovery, and the
+  transitions are stored.
+- A `RegistrySpace` with a function that replaces each state by the canonical state of its orbit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..grounding.task import Fact
+from ..states.packing import Ints
+from ..states.state_space import StateIndex
+from ..system.limits import Budget
+from .kernels import relaxation
+
+Relax = Callable[[Ints, int, Any, Ints, Ints], tuple[int, int]]
+"""Kernel that relaxes a block, such as `relaxation.relax_stored` with its first arguments.
+
+Arguments are the keys, the first position, the distance, and the two outputs. It returns the position reached and the
+filled length.
+"""
+
+
+class SearchSpace(Protocol):
+    """The states of a task for a search: first all methods of the forward search are called, then the others."""
+
+    transitions: int
+    """Number of transitions of the states that have been expanded."""
+
+    @property
+    def index(self) -> StateIndex:
+        """The numbering of the reachable states, complete after `finish`."""
+
+    @property
+    def initial(self) -> int:
+        """Number of the initial state, known after `finish`."""
+
+    @property
+    def costs(self) -> Ints:
+        """The distinct costs of the operators, ascending; a *kind* is a position in this array."""
+
+    @property
+    def nbytes(self) -> float:
+        """Bytes in use."""
+
+    def __len__(self) -> int:
+        """Return the number of states found so far."""
+
+    def start(self) -> list[Ints]:
+        """Return the first layer: the key of the initial state."""
+
+    def blocks(self, layer: list[Ints], threads: int) -> deque[Ints]:
+        """Return the keys of a layer in blocks of suitable size; the given list is emptied."""
+
+    def expand(self, block: Ints) -> Any:
+        """Expand the states of a block; several threads may call this at once."""
+
+    def add(self, expanded: Any) -> list[Ints]:
+        """Record what `expand` returned, in the order of the blocks; return the keys of the new states."""
+
+    def finish(self) -> None:
+        """End the forward search."""
+
+    def begin(self, goal: Sequence[Fact], distance: NDArray[Any]) -> list[Ints]:
+        """Begin the backward search: set the distance of the goal states to 0, and return their keys."""
+
+    def settle(self, block: Ints, d: int, distance: NDArray[Any], costs: NDArray[Any]) -> list[tuple[int, Ints]]:
+        """Relax the transitions into the states of a block at distance `d`; several threads may call this at once.
+
+        Return the states whose distance has decreased, as pairs of the kind of the cost and keys.
+        """
+
+
+def check(space: SearchSpace, budget: Budget, more: float = 0) -> None:
+    """Check all limits of a search; `more` is the number of bytes that it uses besides its space."""
+    budget.check_states(len(space))
+    budget.check_time(len(space))
+    budget.check_memory(space.nbytes + more)
+
+
+def relaxed(relax: Relax, block: Ints, d: Any, room: int, kinds: int) -> list[tuple[int, Ints]]:
+    """Relax a whole block; the arguments are the kernel, the block, its distance, and the sizes of its outputs.
+
+    `room` suffices for the predecessors of one state, and `kinds` is the number of distinct costs.
+    """
+    pushed: list[tuple[int, Ints]] = []
+    out, through = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    stop = 0
+    while stop < len(block):
+        stop, filled = relax(block, stop, d, out, through)
+        begin, ordered = np.zeros(kinds + 2, dtype=np.int64), np.empty(filled, dtype=np.int64)
+        relaxation.by_kind(out[:filled], through[:filled], begin, ordered)
+        pushed += [
+            (kind, ordered[begin[kind] : begin[kind + 1]]) for kind in np.flatnonzero(np.diff(begin[:-1])).tolist()
+        ]
+    return pushed
