@@ -1,3 +1,7 @@
+from .advice_log import AdviceLog as AdviceLog
+from .advice_log import read_advice as read_advice
+from .advice_model import compare_advice as compare_advice
+from .advice_model import fit_advice as fit_advice
 from .comparison import Comparison as Comparison
 from .comparison import Predictions as Predictions
 from .comparison import compare as compare
@@ -29,3 +33,11 @@ from .population import fit_population as fit_population
 from .population import mixture as mixture
 from .replay import Recording as Recording
 from .replay import replay as replay
+from .trust_fit import Influence as Influence
+from .trust_fit import InfluenceFit as InfluenceFit
+from .trust_fit import InfluencePopulation as InfluencePopulation
+from .trust_fit import RuleFamily as RuleFamily
+from .trust_fit import compare_trust as compare_trust
+from .trust_fit import fit_influence as fit_influence
+from .trust_scores import TrustComparison as TrustComparison
+from .trust_scores import TrustScore as TrustScore

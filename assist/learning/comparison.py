@@ -1,8 +1,7 @@
-"""Which choice model predicts people best: each is fitted to some people, and asked about others.
+"""Comparison of choice models by cross-validation over people.
 
-Parameters are those that fit the people of the other folds best, all together (maximum likelihood, Newton's method),
-so that nothing that is predicted was seen. Models differ in what may speak for a choice: cost alone (`boltzmann`),
-cost and one term, cost and all terms.
+A model's parameters are those of largest likelihood for the people of the other folds together, so that predicted
+choices were never seen. The models are cost alone (`boltzmann`), cost and one term, and cost and all terms.
 """
 
 from __future__ import annotations
@@ -32,29 +31,29 @@ BOLTZMANN = "boltzmann"
 ALL_TERMS = "terms"
 
 Fold = tuple[NDArray[np.bool_], NDArray[np.bool_]]
-"""Which steps, shape (N,), are learned from, and which are predicted; of an episode all or none."""
+"""Steps, shape (N,), that are learned from, and those that are predicted; always whole episodes."""
 
 
 @dataclass(frozen=True)
 class Predictions:
-    """How well a choice model predicts people whom it was not fitted to.
+    """The accuracy of a choice model for people to whom it was not fitted.
 
     Attributes
     ----------
     model : str
     parameters : int
     nats_per_choice : float
-        Minus the mean log-probability of what was chosen.
+        Minus the mean log-probability of the choices.
     stderr : float
         Its standard error, over people.
     better_for : int or None
-        For how many people it is better than `boltzmann`; None for that model itself.
+        Number of people for whom it is better than `boltzmann`; None for that model itself.
     of_people : float array, shape (K,)
         Nats per choice of each person.
     beta : float
-        That fits all people best.
+        Estimate for all people together.
     weights : dict of str to float
-        Likewise.
+        Estimates for all people together.
     """
 
     model: str
@@ -70,7 +69,7 @@ class Predictions:
         read_only(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Give it as plain data, a row of a table."""
+        """Return the row of a table as plain data."""
         return {
             "model": self.model, "parameters": self.parameters, "nats_per_choice": self.nats_per_choice,
             "stderr": self.stderr, "better_for": self.better_for, "people": len(self.of_people), "beta": self.beta,
@@ -86,7 +85,7 @@ class Comparison:
     ----------
     people : tuple of str
     actions : int array, shape (K,)
-        How many choices each of them made.
+        Number of choices of each person.
     models : tuple of Predictions
     """
 
@@ -104,7 +103,7 @@ class Comparison:
         raise KeyError(model)
 
     def as_dict(self) -> dict[str, Any]:
-        """Give all of it as plain data."""
+        """Return the comparison as plain data."""
         people = [
             {
                 "person": person,
@@ -129,23 +128,23 @@ def compare(
     strict: bool = False,
     progress: Wanted = None,
 ) -> Comparison:
-    """Compare choice models by how well they predict people whom they were not fitted to.
+    """Return a comparison of choice models by their predictions for people to whom they were not fitted.
 
     Parameters
     ----------
     costs, log, drop, rename, method, strict
-        As for `fit`.
+        As in `fit`.
     terms : mapping of str to callable
-        Those that are given, or one's own as well.
+        The terms; by default `TERMS`.
     folds : int
-        Groups of people that are left out in turn.
+        Number of groups of people, each of which is held out once.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: how many models have been compared.
+        Receives progress reports, as `planner.system.progress` describes: the number of compared models.
 
     Raises
     ------
     LogError
-        As from `fit`; or there are not two people to learn from one about the other.
+        As in `fit`, or there are fewer than two people.
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
@@ -163,9 +162,9 @@ def compare_observed(
     name: str = "log",
     progress: Callable[[int], None] | None = None,
 ) -> Comparison:
-    """Compare choice models on observations, of one task or of several; parameters as of `compare`.
+    """Return a comparison of choice models on observations of one or several tasks; parameters as in `compare`.
 
-    `progress` is called with how many models have been finished since the last call.
+    `progress` is called with the number of models that have been finished since the last call.
     """
     if folds < 2:
         raise ValueError(f"folds {folds}: expected 2 or more")
@@ -188,23 +187,23 @@ def compare_observed(
 
 
 def by_person(likelihood: Likelihood, folds: int) -> list[Fold]:
-    """Leave every so many-th person out in turn."""
+    """Return the folds, in each of which every `folds`-th person is held out."""
     group = likelihood.steps.person % min(folds, len(likelihood.steps.people))
     return [(group != fold, group == fold) for fold in range(int(group.max()) + 1)]
 
 
 def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, known: bool = True, costs: bool = True) -> Floats:
-    """Give the log-probability of each choice, shape (N,), under what fits the choices that are learned from best.
+    """Return the log-probability of each choice, shape (N,), under the estimates from the other folds.
 
     Parameters
     ----------
     likelihood : Likelihood
     folds : iterable of pairs of bool arrays, shape (N,)
-        Together they predict each step once; where they do not, there is NaN.
+        Steps that are learned from, and steps that are predicted; NaN for steps that no fold predicts.
     known : bool
-        Whether the rate of the trust update is the likelihood's; otherwise that of `RATES` is taken that fits best.
+        Whether the learning rate is the likelihood's; otherwise the best of `RATES` is used.
     costs : bool
-        Whether costs speak for choices.
+        Whether choices depend on costs.
     """
     result, at = np.full(len(likelihood.steps), np.nan), None
     for learned, predicted in folds:
@@ -218,15 +217,15 @@ def held_out(likelihood: Likelihood, folds: Iterable[Fold], *, known: bool = Tru
 def pooled(
     likelihood: Likelihood, near: Floats | None = None, *, known: bool = True, costs: bool = True
 ) -> tuple[Likelihood, Floats]:
-    """Find the coordinates, shape (1, P), that fit all people together best, and the likelihood in which they do.
+    """Return the coordinates of largest likelihood for all people together, shape (1, P), and that likelihood.
 
     Parameters
     ----------
     likelihood : Likelihood
     near : float array, shape (1, P), optional
-        Where to begin.
+        Starting values.
     known, costs
-        As of `held_out`.
+        As in `held_out`.
     """
     together = replace(likelihood, steps=likelihood.steps.together())
     fixed = fixed_of(likelihood, 1)
@@ -244,7 +243,7 @@ def pooled(
 def _predictions(
     likelihood: Likelihood, model: str, logs: Floats, reference: Predictions | None, *, known: bool
 ) -> Predictions:
-    """Sum up what a model says of the choices, `logs`, beside a model of reference."""
+    """Return the summary of a model's log-probabilities `logs`, beside those of a reference model."""
     steps = likelihood.steps
     _, at = pooled(likelihood, known=known)
     mean, error, each = summed_up(likelihood, logs)
@@ -257,7 +256,7 @@ def _predictions(
 
 
 def summed_up(likelihood: Likelihood, logs: Floats) -> tuple[float, float, Floats]:
-    """Give nats per choice, their standard error over people, and those of each person, shape (K,).
+    """Return nats per choice, their standard error over people, and those of each person, shape (K,).
 
     Parameters
     ----------

@@ -1,14 +1,14 @@
-"""Whether the model fits: predicted against observed choices, and a test of what it leaves unsaid.
+"""Checks of the model: calibration of predicted choices, and score tests for regularities that it does not have.
 
-`calibrate` compares probabilities with frequencies. `check` asks whether a person's choices carry a regularity that
-Boltzmann choice on h* does not have, each as an additional term in the exponent of the choice (Rao 1948):
+`calibrate` compares probabilities with frequencies. `check` tests whether a person's choices depend on a further term
+in the exponent of the choice (score test, Rao 1948):
 
-repetition        they choose again what they chose here before: habits, or misconceptions (sigma)
-large_mistakes    they avoid costly mistakes more, or less, than beta says: lapses, another form of noise
-learning          they err more in the beginning of what is recorded, or in the end: beta is not constant
+repetition        choosing again what they chose in this state before: habits, or misconceptions (sigma)
+large_mistakes    avoiding costly mistakes more, or less, than beta implies: lapses, or another form of noise
+learning          erring more at the beginning of the record, or at the end: beta is not constant
 
-Each score is compared with those of actions that are drawn from the fitted model in the same states, after the part
-that the fitted beta and theta absorb is taken off.
+Each score is compared with the scores of actions drawn from the fitted model in the same states, after projecting out
+the fitted beta and theta.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Calibration:
     low, high : float arrays, shape (n,)
         95 % interval of the share (Wilson 1927).
     count : int array, shape (n,)
-        Choices that could have been made.
+        Number of alternatives in each bin.
     """
 
     predicted: Floats
@@ -47,13 +47,13 @@ class Calibration:
 
 
 def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
-    """Compare predicted probabilities with observed frequencies, over all people and all choices they had.
+    """Return predicted probabilities beside observed frequencies, over all people and alternatives.
 
     Parameters
     ----------
     fits : list of Fit
     bins : int
-        Of predicted probabilities.
+        Number of bins of predicted probabilities.
     """
     from scipy.stats import binomtest  # takes as long to import as everything else here together
 
@@ -80,16 +80,15 @@ def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
 
 @dataclass(frozen=True)
 class Check:
-    """Whether the Boltzmann model fits one person.
+    """The result of the model check for one person.
 
     Attributes
     ----------
     p : float or None
-        Probability that people for whom the model holds look at least as odd, over all terms; None where there is
-        nothing that could look odd (next to no mistakes, or hardly any choice).
+        p-value over all terms; None if the test has no power (almost no mistakes, or hardly any alternatives).
     scores : dict of str to (float or None)
-        Of each term, in standard deviations; above 0: they repeat themselves more, make more of the large
-        mistakes, get better.
+        Score of each term, in standard deviations. Positive scores mean more repetition, more large mistakes, or fewer
+        mistakes in later actions.
     """
 
     p: float | None
@@ -97,24 +96,24 @@ class Check:
 
     @property
     def striking(self) -> str | None:
-        """The term of the largest score; None without any."""
+        """The term with the largest absolute score; None without scores."""
         known = {term: abs(score) for term, score in self.scores.items() if score is not None}
         return max(known, key=lambda term: known[term]) if known else None
 
 
 UNCHECKED = Check(None, dict.fromkeys(TERMS))
-"""Of a person of whom this cannot be told."""
+"""Check of a person to whom the test does not apply."""
 
 
 def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
-    """Test the model on one person's actions.
+    """Return the check of the model on one person's actions.
 
     Parameters
     ----------
     fitted : Fit
     rng : numpy.random.Generator
     draws : int
-        Simulated people; p is at least 1 / (draws + 1).
+        Number of simulated people; p is at least 1 / (draws + 1).
     """
     o = fitted.observations
     p = fitted.probabilities()
@@ -153,7 +152,7 @@ def check(fitted: Fit, rng: np.random.Generator, draws: int = 999) -> Check:
 
 
 def _features(fitted: Fit, gap: Floats, kept: np.ndarray) -> Floats:
-    """Give what each term adds to the exponent, shape (terms, n, A)."""
+    """Return what each term adds to the exponent, shape (terms, n, A)."""
     o = fitted.observations
     habit = np.zeros(o.excess.shape)
     before: dict[int, Floats] = {}

@@ -1,6 +1,6 @@
-"""`fit`: what a log says of people, from the log and the task to everybody's estimates.
+"""`fit`: estimates of people's parameters from a log and a task.
 
-The front door of this room; what it does is in the other files, in the order in which they build on each other.
+This is the entry point of the package. It calls the other modules in order: replay, observations, estimation, checks.
 """
 
 from __future__ import annotations
@@ -32,35 +32,33 @@ from .person_estimate import PersonEstimate, nothing_known
 from .population import ETAS, PopulationFit, fit_population, population_of
 from .replay import Recording, replay, situation
 
-WHO_ASKED = 4
-"""Calls from a warning of `replayed` up to whoever called a function that shows its progress."""
 Terms = bool | Mapping[str, Term]
 
 
 class LogError(ValueError):
-    """A log of which nothing can be used, or not all of it where it should be."""
+    """No part of the log can be used, or, with `strict`, not all of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedPeople(Mapping[str, PersonEstimate]):
-    """What a log says of people: a `PersonEstimate` by the name of each.
+    """The estimates of people: a `PersonEstimate` by the name of each.
 
     Attributes
     ----------
     records : tuple of PersonEstimate
-        In the order of the names.
+        Estimates in the order of the names.
     unknown : dict of str to dict
-        The people of whom nothing could be used, each with the record that says why.
+        A record with the reason for each person without usable actions.
     faults : tuple of Fault
-        Lines of the log that could not be used.
+        Unusable lines of the log.
     method : Method
-        How estimates were made.
+        Options of the estimation.
     facts : callable
-        Gives what holds in states, shape (M,), of the task.
+        Returns the facts that hold in states, shape (M,), of the task.
     hierarchy : Hierarchy or None
-        The population that people were taken from, where terms were asked for.
+        The estimated population, if terms were requested.
     chooses : ChoiceModel or None
-        How they were taken to choose, where that is not by cost-to-go.
+        The user's choice model, if one was given.
     """
 
     records: tuple[PersonEstimate, ...]
@@ -92,10 +90,10 @@ class FittedPeople(Mapping[str, PersonEstimate]):
 
     @shows_progress
     def distribution(self, *, family: str | None = None, progress: Wanted = None) -> PopulationFit:
-        """Estimate how beta and theta are distributed over people; `family` as for `fit_population`.
+        """Return the estimated distribution of beta and theta over people; `family` as in `fit_population`.
 
-        Where terms were asked for it is the population that people were taken from: beta is log-normal, theta
-        logit-normal, and weights are normal.
+        With terms, it is the population of the hierarchical model: beta is log-normal, theta logit-normal, and weights
+        are normal.
         """
         if self.hierarchy is not None:
             if family not in (None, "log-normal"):
@@ -107,12 +105,12 @@ class FittedPeople(Mapping[str, PersonEstimate]):
         return fit_population(observations, self.method, family=family, progress=advance)
 
     def population(self, *, family: str | None = None) -> Mixture:
-        """Give a population like these people, to draw others from.
+        """Return a population like these people, from which others can be drawn.
 
         Parameters
         ----------
         family : str, optional
-            Of beta's distribution, as for `distribution`.
+            Family of beta's distribution, as in `distribution`.
         """
         found = self.distribution(family=family).population(self.sigma)
         if self.chooses is None:
@@ -127,7 +125,7 @@ class FittedPeople(Mapping[str, PersonEstimate]):
         return low, high
 
     def as_dicts(self) -> list[dict[str, Any]]:
-        """Give all of it as plain data, a record for everybody who is named in the log."""
+        """Return the results as plain data: a record for each person who is named in the log."""
         found = [record.as_dict(self.facts) for record in self.records] + [dict(one) for one in self.unknown.values()]
         return sorted(found, key=lambda record: in_order(record["person"]))
 
@@ -148,48 +146,47 @@ def fit(
     jobs: int = 1,
     progress: Wanted = None,
 ) -> FittedPeople:
-    """Learn expertise, influence and trust of people from a log of their actions.
+    """Return estimates of people's expertise, influence and trust from a log of their actions.
 
     Parameters
     ----------
     costs : CostToGo
-        Of the task that they worked on: a table, or on demand, where only states that were visited and their
-        successors are asked for.
+        Cost-to-go of their task, as a table or on demand; only visited states and their successors are queried.
     log : Log
-        As `read_log` gives it.
+        A log, as from `read_log`.
     drop, rename
-        As for `replay`.
+        As in `replay`.
     method : Method, optional
-        How estimates are made: level of the intervals, lapses, what is known beforehand.
+        Options of the estimation: level of the intervals, lapses, known parameters.
     misconceptions : bool
-        Whether to estimate sigma and what people take for the cost-to-go, too; a second or more for each person.
+        Whether to estimate sigma and the perceived cost-to-go, too; this takes a second or more for each person.
     terms : bool, or mapping of str to callable
-        Whether to estimate the weights of terms as well, those that are given (`TERMS`) or one's own by their names.
-        Everybody is then taken for one of a population (`hierarchy`).
+        Whether to estimate the weights of terms, too: those of `TERMS`, or the given ones. The model is then
+        hierarchical (`hierarchy`).
     chooses : ChoiceModel, optional
-        How people choose, in place of by cost-to-go: beta is then that of this model. `costs` has to be a table.
+        Choice model in place of cost-to-go; beta is then its parameter. `costs` must be a table.
     strict : bool
-        Whether to refuse a log that cannot be used completely.
+        Whether a log that cannot be used completely is an error.
     seed : int or numpy.random.Generator
-        Of the check of the model.
+        Random seed of the model check.
     jobs : int
-        Threads.
+        Number of threads.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: states are evaluated, then people are fitted.
+        Receives progress reports, as `planner.system.progress` describes: states are evaluated, then people are fitted.
 
     Raises
     ------
     LogError
-        Nothing in the log can be used; with `strict`, something cannot.
+        No part of the log can be used or, with `strict`, some part cannot.
     ValueError
-        A name in `drop` or `rename` that stands for nothing.
+        A name in `drop` or `rename` does not exist.
     MemoryError
-        Somebody's misconceptions would take too much memory.
+        A person's misconceptions would take too much memory.
 
     Warns
     -----
     UserWarning
-        Some lines cannot be used, or some states were not evaluated; `FittedPeople.faults` has the lines.
+        Some lines cannot be used (`FittedPeople.faults`), or some states were not evaluated.
     """
     assert callable(progress)
     progress("evaluating states", 0, None)
@@ -209,7 +206,8 @@ def replayed(
     rename: Mapping[str, str] | None = None,
     strict: bool = False,
 ) -> tuple[Recording, EvaluatedStates, tuple[Fault, ...]]:
-    """Follow a log through its task, and look up the cost-to-go of what was met; parameters as of `fit`."""
+    """Return a log's replay, the cost-to-go of its states, and its faults; parameters as in `fit`."""
+    caller_of_fit = 4  # stack level of warnings
     recording, found = replay(log, costs, drop=drop, rename=rename)
     faults = tuple(sorted([*log.faults, *found], key=lambda fault: fault.line))
     if faults:
@@ -217,7 +215,7 @@ def replayed(
         if strict:
             raise LogError(message)
         others = f" (and {len(faults) - 1} more; see `faults`)" if len(faults) > 1 else ""
-        warnings.warn(message + others, stacklevel=WHO_ASKED)
+        warnings.warn(message + others, stacklevel=caller_of_fit)
     require_actions(log, recording, costs)
     wanted = recording.wanted()
     try:
@@ -226,13 +224,13 @@ def replayed(
         known = getattr(costs, "known", None)
         if strict or known is None:
             raise
-        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=WHO_ASKED)
+        warnings.warn(f"{error}; actions that depend on them are left out", stacklevel=caller_of_fit)
         h = known(wanted)
     return recording, EvaluatedStates.of(costs, wanted, h, wanted, len(costs)), faults
 
 
 def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
-    """Refuse a log of which no episode can be used."""
+    """Check that some episode of a log can be used."""
     if len(recording):
         return
     if not log.people:
@@ -259,35 +257,35 @@ def learn(
     jobs: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> FittedPeople:
-    """Learn about people from what was replayed; for who has the cost-to-go of its states in another way.
+    """Return estimates of people from a replayed log, if the cost-to-go of its states is known already.
 
     Parameters
     ----------
     costs : CostToGo
-        Of the task, as it was replayed on; it is not asked for costs.
+        Cost-to-go of the replayed task; it is not queried for costs.
     known : EvaluatedStates
-        Of the states that `recording.wanted()` names.
+        Data of the states that `recording.wanted()` returns.
     faults, method, misconceptions, terms, chooses, seed, jobs
-        As for `fit`; faults are all that was found.
+        As in `fit`; `faults` are those of the log and of the replay.
     progress : callable, optional
-        Called with how many people have been finished since the last call.
+        Called with the number of people who have been finished since the last call.
     table : Table, optional
-        Of the same task; where people choose by a model of one's own.
+        Table of the same task, for a user's choice model.
     """
     method = method or Method()
     if chooses is not None and (misconceptions or terms):
         raise ValueError("a choice model, and misconceptions or terms: expected one of them")
     if misconceptions and terms:
-        raise ValueError("misconceptions and terms: expected one of them, since nobody has estimated both at once")
+        raise ValueError("misconceptions and terms: expected one of them; they cannot be estimated together")
     observations, left_out = observed(log, costs, recording, known, terms)
     if chooses is not None:
         if table is None:
-            raise ValueError("people who choose by a model of their own: expected a table of the whole task")
+            raise ValueError("a choice model: expected a table of the whole task")
         method = replace(method, largest_beta=largest_beta(observations, method))
         observations = with_model(observations, chooses, costs, table, largest_beta(observations, method))
     rng = np.random.default_rng(seed)
     if misconceptions:
-        require_memory(observations)
+        require_memory(observations, method.misconception_memory_mb)
     population = None
     if terms:
         fits, population = fit_terms(observations, method)
@@ -297,7 +295,7 @@ def learn(
     for fitted in fits:
         misconception = fit_misconception(fitted) if misconceptions else None
         person = fitted.observations.person
-        fits_model = UNCHECKED if chooses is not None else check(fitted, rng)  # it is one of the paper's model
+        fits_model = UNCHECKED if chooses is not None else check(fitted, rng)  # the check concerns the paper's model
         records.append(PersonEstimate(fitted, fits_model, misconception, left_out.get(person, 0)))
         if (misconceptions or terms) and progress is not None:
             progress(1)
@@ -320,17 +318,17 @@ def learn(
 def observed(
     log: Log, costs: CostToGo, recording: Recording, known: EvaluatedStates, terms: Terms = False
 ) -> tuple[list[Observations], dict[str, int]]:
-    """Give what each person could choose from and what they chose, and how many actions of whom are left out.
+    """Return each person's observations, and the number of excluded actions of each.
 
     Parameters
     ----------
     log, costs, recording, known, terms
-        As for `learn`.
+        As in `learn`.
 
     Raises
     ------
     LogError
-        Of nothing the cost-to-go is known, or nobody can reach the goal.
+        No cost-to-go is known, or nobody can reach the goal.
     """
     recording, left_out = recording.evaluated(known.h)
     if not len(recording):

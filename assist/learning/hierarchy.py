@@ -1,13 +1,13 @@
-"""Expertise, influence and weights of terms, of many people at once: each is taken for one of a population.
+"""A hierarchical model of many people: expertise, influence and weights of terms, drawn from one population.
 
-Everybody's coordinates (see `weighing`) are drawn from independent normal distributions, whose means and spreads are
-those under which all choices are most likely; integrals over a person's coordinates are Laplace's approximations
-(empirical Bayes; EM as in Lindstrom and Bates 1990). An estimate is the mode of a person's posterior: where their own
-choices say little it is what people are like in general. An interval is that of the profile likelihood of their own
-choices alone. It is wider, but covers the truth as often as it says whatever the population is; posterior intervals do
-so on average over people who are like the population, and not for those who are unlike it.
+Each person's coordinates (`logit_likelihood`) are drawn from independent normal distributions. Their means and spreads
+maximise the marginal likelihood of all choices; integrals over a person's coordinates are Laplace approximations
+(empirical Bayes; EM as in Lindstrom and Bates 1990). A person's estimate is the mode of the posterior, which is near
+the population's mean if there are few choices. A person's interval is that of the profile likelihood of their own
+choices. It is wider than a posterior interval, but has its coverage for any population; a posterior interval has it on
+average over people of the population only.
 
-The rate eta of the trust update is the same for all people.
+The learning rate eta is the same for all people.
 """
 
 from __future__ import annotations
@@ -27,28 +27,24 @@ from .logit_likelihood import BETA, FIRST_TERM, THETA, Likelihood, Prior, maximi
 from .maximum_likelihood import Estimate, Fit
 from .observations import Observations
 
-ROUNDS = 60  # of EM
-NARROWEST = 0.05
-"""The least spread that a population is taken to have, as a share of a third of a coordinate's range."""
 RATES = np.linspace(0.0, 1.0, 11)  # of trust that are tried
-ENDS = 20  # steps to the end of an interval, at most
 
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """A population of people, and each of them.
+    """An estimated population, and the estimates of its people.
 
     Attributes
     ----------
     likelihood : Likelihood
     mean, spread : float arrays, shape (P,)
-        Of the population's coordinates.
+        Mean and spread of each coordinate in the population.
     at : float array, shape (K, P)
-        Each person's most likely ones.
+        Mode of each person's posterior.
     deviation : float array, shape (K, P)
         Standard deviations of each person's posterior.
     evidence : float
-        The log-likelihood of all choices, people's coordinates being integrated out.
+        Marginal log-likelihood of all choices.
     """
 
     likelihood: Likelihood
@@ -62,14 +58,14 @@ class Hierarchy:
         read_only(self)
 
 
-def fit_hierarchy(likelihood: Likelihood, rounds: int = ROUNDS) -> Hierarchy:
-    """Estimate a population and each of its people.
+def fit_hierarchy(likelihood: Likelihood, rounds: int = 60) -> Hierarchy:
+    """Return the estimates of a population and its people.
 
     Parameters
     ----------
     likelihood : Likelihood
     rounds : int
-        The most steps of the EM algorithm.
+        Largest number of EM steps.
     """
     low, high = likelihood.ranges.low, likelihood.ranges.high
     people, size = len(likelihood.steps.people), len(low)
@@ -88,7 +84,8 @@ def fit_hierarchy(likelihood: Likelihood, rounds: int = ROUNDS) -> Hierarchy:
         # Weights are 0 rather than anything far from it, and as if one more person were near the others.
         towards = np.where(np.arange(size) >= FIRST_TERM, (spread / third) ** 2, 0.0)
         mean = at.sum(axis=0) / (people + towards)
-        scatter = ((at - mean) ** 2 + own).sum(axis=0) + (NARROWEST * third) ** 2
+        # A population is never narrower than a twentieth of a third of the range.
+        scatter = ((at - mean) ** 2 + own).sum(axis=0) + (0.05 * third) ** 2
         spread = np.sqrt(scatter / (people + 1))
         if np.allclose(np.concatenate(before), np.concatenate([mean, spread]), atol=1e-3):
             break
@@ -101,21 +98,21 @@ def fit_hierarchy(likelihood: Likelihood, rounds: int = ROUNDS) -> Hierarchy:
 
 
 def start_of(likelihood: Likelihood, people: int) -> Floats:
-    """Begin with no weights and a beta in the middle of its range."""
+    """Return starting values: no weights, and beta in the middle of its range."""
     start = np.zeros((people, len(likelihood.ranges.low)))
     start[:, BETA] = likelihood.ranges.high[BETA] / 2
     return start
 
 
 def fixed_of(likelihood: Likelihood, people: int) -> NDArray[np.bool_]:
-    """Keep theta at 0.5 where nothing was ever suggested."""
+    """Return which coordinates are fixed: theta, at 0.5, without suggestions."""
     fixed = np.zeros((people, len(likelihood.ranges.low)), dtype=bool)
     fixed[:, THETA] = not likelihood.steps.told
     return fixed
 
 
 def with_rate(likelihood: Likelihood, method: Method, progress: Callable[[int], None] | None = None) -> Likelihood:
-    """Give the rate of the trust update that fits all people together best, of `RATES`, unless it is known."""
+    """Return the likelihood with the best learning rate of `RATES` for all people, unless it is known."""
     if method.eta is not None or not likelihood.steps.told:
         return likelihood
     found = []
@@ -127,19 +124,19 @@ def with_rate(likelihood: Likelihood, method: Method, progress: Callable[[int], 
 
 
 def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Floats, Floats, Floats]:
-    """Find the ends of everybody's profile-likelihood intervals.
+    """Return the ends of all people's profile-likelihood intervals.
 
     Parameters
     ----------
     likelihood : Likelihood
     near : float array, shape (K, P)
-        Where to begin.
+        Starting values.
     level : float
 
     Returns
     -------
     low, high : float arrays, shape (K, P)
-        Where nothing is rejected up to the end of a coordinate's range, its end.
+        Ends of the intervals; the end of a coordinate's range if nothing up to it is rejected.
     value : float array, shape (K,)
         The largest log-likelihood.
     """
@@ -165,7 +162,7 @@ def intervals(likelihood: Likelihood, near: Floats, level: float) -> tuple[Float
 def _end(
     likelihood: Likelihood, at: Floats, best: Floats, axis: int, side: int, wanted: float, width: Floats
 ) -> Floats:
-    """Find how far one coordinate can go before the root of the likelihood ratio is `wanted`, shape (K,)."""
+    """Return the value of one coordinate at which the root of the likelihood ratio is `wanted`, shape (K,)."""
     end = (likelihood.ranges.high if side > 0 else likelihood.ranges.low)[axis]
     fixed = fixed_of(likelihood, len(at))
     if fixed[0, axis]:
@@ -177,7 +174,7 @@ def _end(
     span = np.abs(end - inside)
     step = np.minimum(wanted * np.maximum(width, 1e-3 * span), span)
     done = span <= 1e-9
-    for _ in range(ENDS):
+    for _ in range(20):  # usually fewer: each step doubles, or shrinks a bracket
         bracketed = np.isfinite(root_outside)
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(bracketed, (wanted - root_inside) / (root_outside - root_inside), np.nan)
@@ -205,16 +202,16 @@ def _end(
 def fit_terms(
     observations: Sequence[Observations], method: Method, *, progress: Callable[[int], None] | None = None
 ) -> tuple[list[Fit], Hierarchy]:
-    """Estimate everybody's parameters where terms speak for choices besides cost.
+    """Return the estimates of all people's parameters with terms, and the population.
 
     Parameters
     ----------
     observations : sequence of Observations
-        One for each person, all with the same terms.
+        Observations of each person, all with the same terms.
     method : Method
     progress : callable, optional
-        Called with how many of `RATES` have been tried since the last call; they are only tried where the rate of the
-        trust update is not known and something was suggested.
+        Called with the number of `RATES` that have been tried since the last call, if the learning rate is unknown and
+        there were suggestions.
     """
     likelihood = with_rate(Likelihood.of(observations, method), method, progress)
     found = fit_hierarchy(likelihood)
@@ -234,7 +231,7 @@ def fit_terms(
 
 
 def _estimate(likelihood: Likelihood, axis: int, at: Floats, low: Floats, high: Floats) -> Estimate:
-    """Give an estimate, and an interval that holds it."""
+    """Return an estimate with an interval that contains it."""
     ranges = likelihood.ranges
     ends = min(low[axis], at[axis]), max(high[axis], at[axis])
     points = np.array([at[axis], *ends])

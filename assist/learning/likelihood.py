@@ -1,6 +1,6 @@
-"""How likely a person's actions are under the model of `assist.people.decision`, for any beta, theta and eta; compiled.
+"""The likelihood of a person's actions under the model of `people.decision`, as a function of beta, theta and eta.
 
-The person's cost-to-go is taken for h*. Theta begins anew in each episode.
+The person's perceived cost-to-go is assumed to be h*. Each episode begins with the same theta.
 """
 
 from __future__ import annotations
@@ -15,30 +15,34 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from ..people.influence_kernels import answer, moved
+from ..people.influence_kernels import influence_factors, update_trust
 from .observations import Ints, Observations
 
-LARGE = 1e9
-"""The largest parameter: squares of larger ones are soon beyond what numbers can hold."""
+SMALL = 1e-3
+"""Share of the range of beta below which the scale of beta is linear; it is logarithmic above."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """How parameters are estimated.
+    """Options of the estimation.
 
     Attributes
     ----------
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
     lapse : float
         Weight of a uniform choice in the likelihood, so that no action has probability zero.
     utility_scale : float
         The unit of V in the trust update, in cost units.
     eta : float or None
-        Rate of the trust update where it is known; estimated, from 0 to 1, where it is None.
+        Learning rate of the trust update; if None, it is estimated in [0, 1].
     largest_beta : float or None
-        Estimates and intervals end here. None: where the smallest mistake that could be made has odds of only
-        exp(-10), 5 in 100,000. That is less than a lapse has, so that nothing recorded speaks about larger values.
+        Upper end of estimates and intervals. If None, it is the beta at which the smallest possible mistake has odds of
+        exp(-10), or 5 in 100,000. This is below the lapse rate, so that data cannot distinguish larger values.
+    largest_sigma : float
+        Upper end of the search for sigma, in units of the smallest mistake that was possible.
+    misconception_memory_mb : float
+        Largest memory of one person's misconceptions, in MB.
     """
 
     level: float = 0.95
@@ -46,40 +50,43 @@ class Method:
     utility_scale: float = 1.0
     eta: float | None = None
     largest_beta: float | None = None
+    largest_sigma: float = 5.0
+    misconception_memory_mb: float = 500.0
 
     def __post_init__(self) -> None:
+        large = 1e9  # squares and products of smaller parameters stay within floating-point range
         for name in ("level", "lapse"):
             if not 0 < getattr(self, name) < 1:
                 raise ValueError(f"{name} {getattr(self, name):g}: expected 0 < {name} < 1")
-        for name in ("utility_scale", "largest_beta"):
+        for name in ("utility_scale", "largest_beta", "largest_sigma"):
             value = getattr(self, name)
-            if value is not None and not 1 / LARGE <= value <= LARGE:
-                raise ValueError(f"{name.replace('_', ' ')} {value:g}: expected {1 / LARGE:g} to {LARGE:g}")
-        if self.eta is not None and not 0 <= self.eta <= LARGE:
-            raise ValueError(f"eta {self.eta:g}: expected 0 to {LARGE:g}")
+            if value is not None and not 1 / large <= value <= large:
+                raise ValueError(f"{name.replace('_', ' ')} {value:g}: expected {1 / large:g} to {large:g}")
+        if self.eta is not None and not 0 <= self.eta <= large:
+            raise ValueError(f"eta {self.eta:g}: expected 0 to {large:g}")
 
 
 def log_likelihood(
     observations: Observations, beta: Floats, theta: Floats, eta: Floats, method: Method | None = None
 ) -> Floats:
-    """Give the log-likelihood of one person's actions on a grid, shape (B, T, E).
+    """Return the log-likelihood of one person's actions on a grid, shape (B, T, E).
 
     Parameters
     ----------
     observations : Observations
     beta, theta, eta : float arrays, shapes (B,), (T,), (E,)
-        Theta is that at the beginning of each episode.
+        Values of the parameters; theta is the one at the beginning of each episode.
     method : Method, optional
-        What is taken for granted.
+        Options of the estimation.
     """
     axes = [np.ascontiguousarray(np.atleast_1d(axis), dtype=np.float64) for axis in (beta, theta, eta)]
     return on_grid(Data.of(observations, method or Method()), *axes)
 
 
 class Data(NamedTuple):
-    """Observations in the form that compiled code reads, which takes named tuples and no dataclasses.
+    """Observations in the form that compiled code reads; numba accepts named tuples and no dataclasses.
 
-    `heard` are the steps with a suggestion, `anew` says at which of these an episode has begun since the one before.
+    `heard` are the steps with a suggestion. `anew` tells at which of these a new episode has begun since the last one.
     """
 
     excess: Floats
@@ -96,7 +103,7 @@ class Data(NamedTuple):
 
     @classmethod
     def of(cls, o: Observations, method: Method) -> Data:
-        """Arrange one person's observations."""
+        """Return one person's observations in this form."""
         gain = o.gain / method.utility_scale
         grid, chances = (np.zeros(0), np.zeros((0, 0, 0))) if o.own is None else (o.own.beta, o.own.chance)
         heard, anew = heard_steps(o.suggested, o.begins)
@@ -107,7 +114,7 @@ class Data(NamedTuple):
 
 
 def heard_steps(suggested: Ints, begins: NDArray[np.bool_]) -> tuple[Ints, NDArray[np.bool_]]:
-    """Give the steps with a suggestion, and at which of them an episode has begun since the one before."""
+    """Return the steps with a suggestion, and whether a new episode has begun since the suggestion before each."""
     heard = np.flatnonzero(suggested != NOTHING)
     number = begins.cumsum()[heard]
     return heard, np.diff(number, prepend=-1) != 0
@@ -115,11 +122,11 @@ def heard_steps(suggested: Ints, begins: NDArray[np.bool_]) -> tuple[Ints, NDArr
 
 @njit(nogil=True)
 def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> float:
-    """Return the log-likelihood of the steps without a suggestion, and fill in chances at the others, shape (heard,).
+    """Return the log-likelihood of the steps without a suggestion, and fill in probabilities at the others, (heard,).
 
-    These are the chances of what was chosen, of what was suggested, and of all but that, as they are without the
-    suggestion. The last are summed: 1 - told would lose its digits where that is almost 1.
-    Chances of a choice model of one's own are interpolated between those at two values of beta.
+    `own`, `told` and `rest` are the probabilities, without the suggestion, of the chosen action, of the suggested one,
+    and of all actions but the suggested one. The last is a sum, because 1 - told would lose precision near 1. The
+    probabilities of a user's choice model are interpolated between two values of beta.
     """
     own_model = len(data.grid) > 0
     low, share = 0, 0.0
@@ -128,7 +135,7 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> f
         low = min(max(place - 1, 0), len(data.grid) - 2)
         share = min(max((beta - data.grid[low]) / (data.grid[low + 1] - data.grid[low]), 0.0), 1.0)
     total = 0.0
-    product = 1.0  # of several probabilities: a logarithm costs more than they do
+    product = 1.0  # of several probabilities, since logarithms are slow
     k = 0
     for i in range(len(data.chosen)):
         picked = heard = others = 0.0
@@ -158,7 +165,7 @@ def alone(data: Data, beta: float, own: Floats, told: Floats, rest: Floats) -> f
 
 @njit(nogil=True)
 def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float, eta: float) -> float:
-    """Return the log-likelihood of the steps with a suggestion, at the chances that `alone` has filled in."""
+    """Return the log-likelihood of the steps with a suggestion, given the probabilities from `alone`."""
     total = 0.0
     product = 1.0
     theta = first
@@ -166,9 +173,9 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
         i = data.heard[k]
         if data.anew[k]:
             theta = first
-        same, other = answer(theta, told[k], rest[k])
+        same, other = influence_factors(theta, told[k], rest[k])
         p = own[k] * (same if data.chosen[i] == data.suggested[i] else other)
-        theta = moved(theta, eta, data.gain[i])
+        theta = update_trust(theta, eta, data.gain[i])
         product *= (1.0 - data.lapse) * p + data.lapse / data.options[i]
         if product < 1e-100:
             total += math.log(product)
@@ -178,7 +185,7 @@ def with_trust(data: Data, own: Floats, told: Floats, rest: Floats, first: float
 
 @njit(nogil=True)
 def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
-    """Give the log-likelihood for all combinations, shape (B, T, E)."""
+    """Return the log-likelihood of all combinations, shape (B, T, E)."""
     result = np.empty((len(beta), len(theta), len(eta)))
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)
@@ -192,12 +199,12 @@ def on_grid(data: Data, beta: Floats, theta: Floats, eta: Floats) -> Floats:
 
 @njit(nogil=True)
 def thetas(gain: Floats, begins: NDArray[np.bool_], first: float, eta: float) -> Floats:
-    """Give theta before each step, shape (N,)."""
+    """Return theta before each step, shape (N,)."""
     result = np.empty(len(gain))
     theta = first
     for i in range(len(gain)):
         if begins[i]:
             theta = first
         result[i] = theta
-        theta = moved(theta, eta, gain[i])
+        theta = update_trust(theta, eta, gain[i])
     return result

@@ -1,12 +1,11 @@
-"""A log: what people did and what had been suggested to them, line by line, as a file has it.
+"""Logs: people's actions and the suggestions to them, line by line.
 
-`read_log` reads JSON Lines, as `kitassist simulate --trace` writes them, or a table with the same names of columns,
-into `Entry`s. What cannot be used becomes a `Fault`, which says where it is and what would be right.
+`read_log` reads JSON Lines, as `kitassist simulate --trace` writes them, or a table with the same column names, into
+entries. A line that cannot be used becomes a `Fault` with its place and the expected content.
 
-An episode is of use only if none of its actions is missing: what came after a missing one would be taken for actions
-in other states than people were in. So a line that cannot be used costs its episode, and no other; and where a number
-of a step is missing, so is a line. What is left of a broken line often says whose it was. Where it does not, whatever
-episode may have begun with it is left out.
+An episode can be used only if all its actions are there, because later actions would be assigned to wrong states
+otherwise. So an unusable line excludes its episode, and no other. A missing step number means a missing line. The rest
+of a broken line often names its episode. If it does not, all episodes that may contain the line are excluded.
 """
 
 from __future__ import annotations
@@ -27,24 +26,21 @@ from .log_files import NEEDED, Broken, Names, Row, Taken, is_hidden, own_names, 
 
 EXPECTED = 'expected an object, {"person": ..., "episode": ..., "step": ..., "action": ...}'
 
-EXAMPLES = 3
-"""Faults of a kind that are told one by one."""
-
 
 @dataclass(frozen=True)
 class Fault:
-    """Something in a log that cannot be used.
+    """A line of a log that cannot be used.
 
     Attributes
     ----------
     line : int
         Line of the file, counted from 1.
     person, episode : str or None
-        Whose it is; None where the line does not say so.
+        Person and episode of the line; None if unknown.
     message : str
-        What is wrong, and what would be right.
+        The error, and what was expected.
     spoils : bool
-        Whether the whole episode is left out.
+        Whether the whole episode is excluded.
     """
 
     line: int
@@ -61,7 +57,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Entry:
-    """One line of a log: an action of a person, and what the robot had suggested to them, or had done itself.
+    """One line of a log: a person's action, and the robot's suggestion or own action before it.
 
     Attributes
     ----------
@@ -69,9 +65,9 @@ class Entry:
     person, episode : str
     step : int
     action : str or None
-        None where the robot's own action left nothing to do.
+        None if nothing was left to do after the robot's own action.
     suggestion, executed : str or None
-        What the robot said, and what it did itself, before the person acted.
+        The robot's suggestion, and its own action, before the person acted.
     """
 
     line: int
@@ -84,33 +80,33 @@ class Entry:
 
     @property
     def names(self) -> Names:
-        """Whose it is."""
+        """The person and the episode."""
         return self.person, self.episode
 
     @property
     def texts(self) -> list[str]:
-        """All actions that it names."""
+        """All actions that the line names."""
         return [text for text in (self.action, self.suggestion, self.executed) if text is not None]
 
 
 @dataclass(frozen=True)
 class Log:
-    """What a log has, but for the episodes that cannot be used.
+    """The usable episodes of a log, and its faults.
 
     Attributes
     ----------
     entries : tuple of Entry
-        In the order of the lines.
+        Usable lines, in their order.
     faults : tuple of Fault
-        In the order of the lines.
+        Faults, in the order of their lines.
     people : frozenset of str
-        Everybody who is named in it.
+        All people who are named in the log.
     called : frozenset of str
-        The names of all actions in it, also of those that cannot be used; in lower case.
+        The names of all actions in the log, in lower case, including those of excluded episodes.
     name : str
-        Of the file.
+        Name of the file.
     note : str
-        What was taken for what as the file was read, such as 'NA' as a missing value; empty for a plain file.
+        How the file was interpreted, such as 'NA' as a missing value; empty for a plain file.
     """
 
     entries: tuple[Entry, ...]
@@ -124,24 +120,24 @@ class Log:
 
     @classmethod
     def of(cls, records: Iterable[Mapping[str, Any]], *, gaps: bool = False, name: str = "log") -> Log:
-        """Return a log of records as its lines have them, such as a simulation's trace; they count as lines."""
+        """Return a log of records, such as a simulation's trace; each record counts as a line."""
         taken = Taken()
         rows = tidy(enumerate(records, start=1), taken)
         return _log(rows, gaps, name, str(taken))
 
 
 def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[str, str] | None = None) -> Log:
-    """Read a log of recorded actions: JSON, or a table as pandas, R and spreadsheets write it.
+    """Return the log in a file: JSON, or a table as pandas, R and spreadsheets write it.
 
     Parameters
     ----------
     file : path
-        JSON Lines, a JSON list, or a table with a first line of names, separated by commas, semicolons, tabs, bars or
-        blanks. Other columns than those of `Entry` are ignored. Person and episode may be numbers.
+        JSON Lines, a JSON list, or a table whose first line has column names, separated by commas, semicolons, tabs,
+        bars or blanks. Columns that `Entry` does not have are ignored. Person and episode may be numbers.
     gaps : bool
-        Whether `step` may skip numbers without a line missing, as where it counts what several people do.
+        Whether `step` may skip numbers although no line is missing, for instance if it counts several people's actions.
     columns : mapping of str to str, optional
-        What the file calls a column, by its name in a log, such as {"person": "worker"}.
+        The file's name for a column of a log, such as {"person": "worker"}.
 
     Raises
     ------
@@ -156,10 +152,10 @@ def read_log(file: str | PathLike[str], *, gaps: bool = False, columns: Mapping[
 
 
 def told(faults: Iterable[Fault], name: object) -> list[str]:
-    """Give a line for each fault, as compilers do.
+    """Return a line for each fault, in the form FILE:LINE: MESSAGE.
 
-    What is wrong with many lines is said once, and of what differs in names and numbers only `EXAMPLES` are given: the
-    log of another task has hardly a line that fits.
+    Equal faults are listed once. Of faults that differ in names and numbers only, three are listed, as most lines
+    of another task's log are faults.
     """
     kinds: dict[str, dict[str, list[Fault]]] = {}
     for fault in faults:
@@ -168,25 +164,26 @@ def told(faults: Iterable[Fault], name: object) -> list[str]:
     lines = []
     for alike in kinds.values():
         several = list(alike.values())
-        for first, *others in several[:EXAMPLES]:
+        shown, hidden = several[:3], several[3:]
+        for first, *others in shown:
             also = f" (and so {len(others)} more, to line {others[-1].line})" if others else ""
             lines.append(f"{name}:{first.line}: {first}{also}")
-        rest = [fault.line for faults in several[EXAMPLES:] for fault in faults]
+        rest = [fault.line for faults in hidden for fault in faults]
         if rest:
             lines.append(f"{name}:{min(rest)}: {len(rest):,} more of this kind, to line {max(rest)}")
     return lines
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:
-    """Give a key by which names are sorted, numbers in them by their size: episode 9 comes before episode 10."""
+    """Return a key by which names are sorted, with numbers in them by size: episode 9 comes before episode 10."""
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", name)]
 
 
 def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
-    """Sort lines into entries and faults."""
+    """Return the log of some lines: entries and faults."""
     entries: list[Entry] = []
     faults: list[Fault] = []
-    lost: list[int] = []  # lines that may have been of any episode
+    lost: list[int] = []  # lines whose episode is unknown
     for number, record in records:
         if isinstance(record, Broken):
             spoils = not record.ends
@@ -221,13 +218,13 @@ def _log(records: Iterable[Row], gaps: bool, name: str, note: str) -> Log:
 
 
 def _incomplete(entries: Sequence[Entry], lost: Sequence[int], gaps: bool) -> dict[Names, Fault]:
-    """Find episodes of which an action is missing, or may be because of the lines that may have been of any."""
+    """Return episodes of which an action is missing, or may be missing because a lost line may belong to it."""
     episodes: dict[Names, list[Entry]] = {}
     for entry in entries:
         episodes.setdefault(entry.names, []).append(entry)
     first = {names: min(rows, key=lambda entry: entry.step) for names, rows in episodes.items()}
     starts = [entry.step for entry in first.values()]
-    begin = 1 if 0 not in starts and starts.count(1) > 1 else 0  # what this log begins to count with
+    begin = 1 if 0 not in starts and starts.count(1) > 1 else 0  # the first step number of this log
     found = {}
     for names, rows in episodes.items():
         if gaps:
@@ -253,7 +250,7 @@ def _name(value: object) -> str | None:
 
 
 def _fault(record: Any) -> str | None:
-    """Say what is wrong with a record; None where nothing is."""
+    """Return what is wrong with a record; None if nothing is."""
     if not isinstance(record, Mapping):
         return EXPECTED
     executed = record.get("executed")

@@ -1,8 +1,8 @@
-"""The files that logs come in: JSON and tables, as people, pandas, R and spreadsheets write them.
+"""File formats of logs: JSON and tables, as people, pandas, R and spreadsheets write them.
 
-`read_records` returns a file's records, each with its line and with the names of columns that a log has, and says what
-was taken for what. A line that is no record is a `Broken`. What could mean two things is not guessed: it is left as it
-is written, so that it becomes a fault with its line.
+`read_records` returns a file's records with their lines and the column names of a log, and describes how the file was
+interpreted. A line that is no record is a `Broken`. Ambiguous values are not guessed: they are left as they are, and
+become faults with their lines.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MISSING = frozenset(
         "NULL", "NaN", "NaT", "None", "n/a", "nan", "null",
     )
 )  # fmt: skip
-"""What tables have where a value is missing, besides nothing at all; the list of pandas."""
+"""Notations of a missing value besides an empty cell; the list of pandas."""
 
 BINARY = {
     b"\x1f\x8b": "a compressed file",
@@ -38,7 +38,7 @@ BINARY = {
     b"\xd0\xcf\x11\xe0": "a spreadsheet's own file",
     b"PAR1": "a Parquet file",
 }
-"""What files begin with that are no text."""
+"""First bytes of files that are no text."""
 
 SEPARATORS = ",;\t| "
 
@@ -46,7 +46,7 @@ Names = tuple[str, str]
 """A person and one of their episodes."""
 
 Row = tuple[int, Any]
-"""A line, counted from 1, and what it holds: a record, a `Broken`, or something else that is no record."""
+"""Number of a line, from 1, and its content: a record, a `Broken`, or another value that is no record."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,9 @@ class Broken:
     ----------
     message : str
     owners : set of Names
-        Whose it was, by what is left of it; empty where that is not known.
+        People and episodes that the rest of the line names; empty if unknown.
     ends : bool
-        Whether the file is cut off in it, so that nothing came after it.
+        Whether the file ends within this line.
     """
 
     message: str
@@ -69,7 +69,7 @@ class Broken:
 
 @dataclass
 class Taken:
-    """What was taken for what, as a file was read."""
+    """How a file was interpreted."""
 
     said: list[str] = field(default_factory=list)
     missing: dict[str, None] = field(default_factory=dict)
@@ -85,13 +85,13 @@ class Taken:
 
 
 def read_records(file: Path, columns: Mapping[str, str]) -> tuple[list[Row], str]:
-    """Return a file's records, and what was taken for what; that is empty for a plain file.
+    """Return a file's records, and a description of how it was interpreted, which is empty for a plain file.
 
     Parameters
     ----------
     file : Path
     columns : mapping of str to str
-        What the file calls columns of a log, by the log's name; checked by `own_names`.
+        The file's name of each column of a log; checked by `own_names`.
 
     Raises
     ------
@@ -122,13 +122,15 @@ def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
     Raises
     ------
     ValueError
-        A log has no such column, or two are said to be one.
+        A log has no such column, or two columns have the same name.
     """
     found: dict[str, str] = {}
     for name, own in (columns or {}).items():
         key = name.strip().lower()
         if key not in COLUMNS:
-            raise ValueError(f"columns {name}={own}: a log has no column '{name}'; it has {', '.join(COLUMNS)}")
+            near = difflib.get_close_matches(key, COLUMNS, n=1)
+            meant = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(COLUMNS)}"
+            raise ValueError(f"columns {name}={own}: a log has no column '{name}'; {meant}")
         if own.strip().lower() in found.values():
             raise ValueError(f"columns {name}={own}: '{own}' stands for another column already")
         found[key] = own.strip().lower()
@@ -136,7 +138,7 @@ def own_names(columns: Mapping[str, str] | None) -> dict[str, str]:
 
 
 def tidy(rows: Iterable[Row], taken: Taken) -> list[Row]:
-    """Return records with None for missing values and whole numbers for steps that are such, however written."""
+    """Return records with None for missing values, and integers for steps in any notation."""
     rows = [(number, dict(record) if isinstance(record, Mapping) else record) for number, record in rows]
     records = [record for _, record in rows if isinstance(record, dict)]
     for record in records:
@@ -159,7 +161,7 @@ def tidy(rows: Iterable[Row], taken: Taken) -> list[Row]:
 
 
 def is_hidden(text: str) -> bool:
-    """Return whether a text has characters that no terminal can show, or no file hold."""
+    """Return whether a text has characters that cannot be shown or written."""
     return any(category(sign) in ("Cc", "Cs") for sign in " ".join(text.split()))
 
 
@@ -177,7 +179,7 @@ def _digits(value: object) -> bool:
 
 
 def _whole(value: object, *, thousands: bool) -> int | None:
-    """Return a step as a whole number; None where it is none, or may be a thousand or one.
+    """Return a step as an integer; None if it is none, or ambiguous, such as 1,000.
 
     Parameters
     ----------
@@ -201,7 +203,7 @@ def _whole(value: object, *, thousands: bool) -> int | None:
 
 
 def _lines(data: bytes, taken: Taken) -> list[str | Broken]:
-    """Return the lines of a file; the last one is empty where the file ends with a line's end."""
+    """Return the lines of a file; the last one is empty if the file ends with a line break."""
     encoding = _foreign(data)
     if encoding is None:
         return [_decoded(line) for line in re.split(rb"\r\n|\r|\n", data.removeprefix(BOM_UTF8))]
@@ -216,7 +218,7 @@ def _lines(data: bytes, taken: Taken) -> list[str | Broken]:
 
 
 def _foreign(data: bytes) -> str | None:
-    """Return the encoding of a text that cannot be UTF-8."""
+    """Return the likely encoding of a text that is not UTF-8."""
     for mark, name in (
         (BOM_UTF32_LE, "utf-32"), (BOM_UTF32_BE, "utf-32"), (BOM_UTF16_LE, "utf-16"), (BOM_UTF16_BE, "utf-16"),
     ):  # fmt: skip
@@ -242,7 +244,7 @@ def _owners_but_damaged(text: str) -> frozenset[Names]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any] | Broken:
-    """Return an object, unless two of its fields have one name."""
+    """Return a JSON object; raise an error if two of its fields have the same name."""
     record = dict(pairs)
     if len(record) == len(pairs):
         return record
@@ -251,7 +253,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any] | Broken:
 
 
 def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
-    """Read JSON Lines."""
+    """Yield the records of JSON Lines."""
     for number, line in enumerate(lines, start=1):
         if isinstance(line, Broken):
             yield number, line
@@ -267,7 +269,7 @@ def _objects(lines: Sequence[str | Broken]) -> Iterator[Row]:
 
 
 def _listed(lines: Sequence[str]) -> Iterator[Row]:
-    """Read one JSON list of records, as pandas and R write a table that is not in lines."""
+    """Yield the records of a JSON list, as pandas and R write tables."""
     text, decoder = "\n".join(lines), json.JSONDecoder(object_pairs_hook=_once)
     at, number, counted = text.index("[") + 1, 1, 0
     blanks = re.compile(r"[\s,]*")
@@ -290,7 +292,7 @@ NAMED = re.compile(r'"(person|episode)"\s*:\s*(?:("(?:[^"\\]|\\.)*")|(-?\d+)(?=\
 
 
 def _owners(text: str) -> frozenset[Names]:
-    """Return whose a broken line was, by what is left of it; it may hold several records, whole or in part."""
+    """Return the people and episodes that a broken line names; it may hold several records or parts of them."""
     found: dict[str, list[str]] = {"person": [], "episode": []}
     for key, quoted, number in NAMED.findall(text):
         try:
@@ -304,7 +306,7 @@ def _owners(text: str) -> frozenset[Names]:
 
 
 def _named(rows: Sequence[Row], columns: Mapping[str, str], file: Path) -> list[Row]:
-    """Call the fields of objects as a log does: as the user says, and without regard to case."""
+    """Yield records with the column names of a log, from the user's names in any case."""
     keys = Counter(key for _, record in rows if isinstance(record, dict) for key in record)
     _check(columns, [key.lower() for key in keys], file)
     source = {name: columns.get(name, name) for name in COLUMNS}
@@ -343,7 +345,7 @@ def _declared(line: str) -> str | None:
 
 
 def _separator(texts: Sequence[str], columns: Mapping[str, str]) -> str:
-    """Return what separates the columns that the first line names."""
+    """Return the separator of the columns in the first line."""
     if not texts:
         return ","
     declared = _declared(texts[0])
@@ -373,7 +375,7 @@ def _check(columns: Mapping[str, str], there: Sequence[str], file: Path) -> None
 
 
 def _table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path, taken: Taken) -> Iterator[Row]:
-    """Read a table whose first line names the columns; an empty cell stands for null."""
+    """Yield the records of a table whose first line has the column names; an empty cell is None."""
     yield from ((number, line) for number, line in enumerate(lines, start=1) if isinstance(line, Broken))
     texts = [line if isinstance(line, str) else "" for line in lines]
     first = next((k for k, text in enumerate(texts) if text.strip()), 0)
@@ -387,7 +389,7 @@ def _table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path
 
 
 def _split(texts: Sequence[str], separator: str) -> tuple[list[tuple[int, list[str]]], list[Row]]:
-    """Return the cells of each row with its line, and the row at which reading has to end, if there is one."""
+    """Return the cells of each row with its line, and the row at which the table breaks off, if there is one."""
     reader = csv.reader((f"{text}\n" for text in texts), delimiter=separator, strict=True, skipinitialspace=True)
     rows: list[tuple[int, list[str]]] = []
     while True:
@@ -448,7 +450,7 @@ def _matched(
 
 
 def _have_an_index(width: int, rows: Sequence[tuple[int, list[str]]]) -> bool:
-    """Return whether rows begin with their number, for which R's `write.table` writes no name of a column."""
+    """Return whether rows begin with a number that has no column name, as R's `write.table` writes them."""
     wide = [cells for _, cells in rows if len(cells) == width + 1]
     if not any(cells[-1] for cells in wide):  # an empty column at the end, as spreadsheets add
         return False

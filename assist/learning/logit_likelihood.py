@@ -1,13 +1,14 @@
-"""How likely the choices of many people are where terms speak for them besides cost, with gradients; compiled.
+"""The likelihood of many people's choices with terms, and its derivatives.
 
-A suggestion adds logit(theta) to the exponent of the suggested choice (eq. 6), so that a choice is a multinomial logit
-all in all:
+A suggestion adds logit(theta) to the exponent of the suggested choice (equation 6), so that choices are multinomial
+logit:
 
     P(a) proportional to exp(-beta excess(a) + sum_j w_j f_j(a) + logit(theta) [a is suggested]),
 
-mixed with a lapse. People's parameters are rows of coordinates (b, l, w_1 ... w_J): beta = small expm1(b), a scale
-that is linear below `small` and logarithmic above; l = logit(theta) at the beginning of an episode. Theta moves by
-eq. 7 with h* for the person's cost-to-go; where it has met 0 or 1, what came before no longer matters.
+mixed with a lapse. A person's parameters are a row of coordinates (b, l, w_1 ... w_J). Here beta = small expm1(b), a
+scale that is linear below `small` and logarithmic above, and l = logit(theta) at the beginning of an episode. Theta
+changes by equation 7 with h* as the person's cost-to-go. Once it is clipped to 0 or 1, its earlier values do not
+matter.
 """
 
 from __future__ import annotations
@@ -23,18 +24,14 @@ from planner.system.arrays import read_only
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import Method
+from .likelihood import SMALL, Method
 from .maximum_likelihood import largest_beta
 from .observations import Ints, Observations
-from .profiles import SMALL
 
-BETA, THETA = 0, 1
-"""The coordinates that everybody has; those of terms follow."""
+BETA, THETA, FIRST_TERM = 0, 1, 2
+"""Indices of the coordinates of beta, theta and the first term; those of other terms follow."""
 
-FIRST_TERM = 2
-CERTAIN = 1e-9  # theta nearer to 0 or 1 than this is taken for this near
-FAR = 12.0
-"""The logarithm of the odds that the largest weight gives to what choices usually differ by."""
+CERTAIN = 1e-9  # smallest distance of theta to 0 and 1 in the logit
 
 
 @dataclass(frozen=True)
@@ -46,20 +43,20 @@ class Steps:
     people : tuple of str
     terms : tuple of str
     person : int array, shape (N,)
-        Places in `people`, ascending.
+        Ascending indices into `people`.
     speaks : float array, shape (N, A, 2 + J)
-        What coordinates multiply: minus the excess cost (0 where that is infinite), whether it is suggested, terms.
+        Factors of the coordinates: minus the excess cost (0 if infinite), whether the choice is suggested, terms.
     possible : bool array, shape (N, A)
-        Which choices are made without a lapse: those that lead into no dead end needlessly.
+        Whether each choice is possible without a lapse; avoidable actions into dead ends are not.
     options : int array, shape (N,)
-        How many choices there are.
+        Number of choices.
     chosen : int array, shape (N,)
     gain : float array, shape (N,)
-        What the suggestion changed the person's value by, in units of the trust update; 0 without one.
+        Change of the person's value by the suggestion, in units of the trust update; 0 without one.
     begins : bool array, shape (N,)
-        Where an episode begins.
+        Whether an episode begins at each step.
     told : bool
-        Whether anything was ever suggested.
+        Whether there is any suggestion.
     """
 
     people: tuple[str, ...]
@@ -81,12 +78,12 @@ class Steps:
 
     @classmethod
     def of(cls, observations: Sequence[Observations], method: Method) -> Steps:
-        """Put observations together; who occurs several times (with other tasks) is one person.
+        """Return the steps of observations; observations with the same name (in other tasks) are one person's.
 
         Raises
         ------
         ValueError
-            No observations, or not all with the same terms.
+            There are no observations, or their terms differ.
         """
         if not observations:
             raise ValueError("terms need people; there are no observations")
@@ -119,18 +116,18 @@ class Steps:
         )  # fmt: skip
 
     def only(self, steps: NDArray[np.bool_]) -> Steps:
-        """Give some of the steps, shape (N,); of an episode all or none. Everybody keeps their place."""
+        """Return some of the steps, shape (N,), in whole episodes; people keep their indices."""
         names = ("person", "speaks", "possible", "options", "chosen", "gain", "begins")
         return replace(self, **{name: getattr(self, name)[steps] for name in names})
 
     def together(self) -> Steps:
-        """Give the steps as if one person had taken all of them."""
+        """Return the steps as those of one person."""
         return replace(self, people=("everybody",), person=np.zeros(len(self), dtype=np.int64))
 
 
 @dataclass(frozen=True)
 class Ranges:
-    """Where coordinates may lie.
+    """Ranges of the coordinates.
 
     Attributes
     ----------
@@ -145,22 +142,23 @@ class Ranges:
 
     @classmethod
     def of(cls, steps: Steps, largest: float) -> Ranges:
-        """Give beta the range up to `largest`, theta that from 0 to 1, and weights what can be told apart."""
+        """Return ranges: beta up to `largest`, theta from 0 to 1, and weights as far as data can distinguish them."""
         small = SMALL * largest
         seen = steps.speaks[:, :, FIRST_TERM:]
         spread = np.max(seen, axis=1, where=steps.possible[:, :, None], initial=-np.inf) - np.min(
             seen, axis=1, where=steps.possible[:, :, None], initial=np.inf
         )
         usual = [float(np.median(column[column > 0])) if (column > 0).any() else 1.0 for column in spread.T]
-        ends = np.array([logit(1 - SMALL), *(FAR / size for size in usual)])
+        # The largest weight gives log-odds of 12 to a typical difference of a term between two choices.
+        ends = np.array([logit(1 - SMALL), *(12.0 / size for size in usual)])
         return cls(small, np.array([0.0, *-ends]), np.array([np.log1p(largest / small), *ends]))
 
     def beta(self, coordinate: Floats) -> Floats:
-        """Give beta by its coordinate."""
+        """Return beta for a coordinate."""
         return np.asarray(self.small * np.expm1(coordinate), dtype=np.float64)
 
     def theta(self, coordinate: Floats) -> Floats:
-        """Give theta by its coordinate; the ends of its range stand for 0 and 1."""
+        """Return theta for a coordinate; the ends of its range are 0 and 1."""
         value = expit(coordinate)
         value = np.where(coordinate <= self.low[THETA], 0.0, np.where(coordinate >= self.high[THETA], 1.0, value))
         return np.asarray(value, dtype=np.float64)
@@ -168,7 +166,7 @@ class Ranges:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The log-likelihood of each person's choices, and what it changes by.
+    """The log-likelihood of each person's choices, and its derivatives.
 
     Attributes
     ----------
@@ -184,13 +182,13 @@ class Likelihood:
 
     @classmethod
     def of(cls, observations: Sequence[Observations], method: Method) -> Likelihood:
-        """Take what a method takes for granted; a rate of the trust update that it does not know is 0."""
+        """Return the likelihood with the options of a method; an unknown learning rate is 0."""
         steps = Steps.of(observations, method)
         ranges = Ranges.of(steps, largest_beta(observations, method))
         return cls(steps, ranges, method.lapse, method.eta or 0.0)
 
     def with_terms(self, terms: Iterable[str]) -> Likelihood:
-        """Give the likelihood where only some of the terms speak for choices."""
+        """Return the likelihood with some of the terms only."""
         wanted = set(terms)
         places = [FIRST_TERM + j for j, term in enumerate(self.steps.terms) if term in wanted]
         kept = [BETA, THETA, *places]
@@ -201,20 +199,20 @@ class Likelihood:
         )
 
     def log_probability(self, at: Floats) -> Floats:
-        """Give the log-probability of each step's choice, shape (N,), with coordinates of shape (K, 2 + J)."""
+        """Return the log-probability of each step's choice, shape (N,), at coordinates of shape (K, 2 + J)."""
         return self._evaluate(at, np.ones(len(at), dtype=bool))[0]
 
     def derivatives(self, at: Floats, who: NDArray[np.bool_] | None = None) -> tuple[Floats, Floats, Floats]:
-        """Give for each person the log-likelihood (K,), its gradient (K, P) and its curvature (K, P, P).
+        """Return each person's log-likelihood (K,), its gradient (K, P) and its curvature (K, P, P).
 
-        The curvature is that of the logit alone, without what lapses and trust's path add: never negative, so that it
-        serves Newton's method (and, at a maximum, Laplace's approximation).
+        The curvature is that of the logit alone, without lapses and the path of theta. It is positive semidefinite, as
+        Newton's method and Laplace's approximation need.
 
         Parameters
         ----------
         at : float array, shape (K, P)
         who : bool array, shape (K,), optional
-            Of whom to give it; the others have zeros.
+            Whether to compute each person; the others have zeros.
         """
         chosen, gradient, curvature = self._evaluate(at, np.ones(len(at), dtype=bool) if who is None else who)
         value = np.asarray(np.bincount(self.steps.person, chosen, len(at)), dtype=np.float64)
@@ -234,7 +232,7 @@ def _evaluate(
     at: Floats, who: NDArray[np.bool_], bounds: Ints, speaks: Floats, possible: NDArray[np.bool_], options: Ints,
     chosen: Ints, gain: Floats, begins: NDArray[np.bool_], small: float, lapse: float, eta: float, told: bool,
 ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
-    """Give log-probabilities of the choices (N,), gradients (K, P) and curvatures (K, P, P)."""
+    """Return log-probabilities of the choices (N,), gradients (K, P) and curvatures (K, P, P)."""
     count, size = at.shape
     logs = np.zeros(len(chosen))
     gradient, curvature = np.zeros((count, size)), np.zeros((count, size, size))
@@ -296,12 +294,12 @@ def _evaluate(
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of everybody's coordinates beforehand: independent and normal.
+    """Independent normal priors of the coordinates.
 
     Attributes
     ----------
     mean, precision : float arrays, shape (P,)
-        A precision of 0 says nothing.
+        Mean and precision; a precision of 0 is a flat prior.
     """
 
     mean: Floats
@@ -309,37 +307,32 @@ class Prior:
 
     @classmethod
     def none(cls, size: int) -> Prior:
-        """Say nothing."""
+        """Return a flat prior."""
         return cls(np.zeros(size), np.zeros(size))
 
 
-ROUNDS = 100
-LONGEST = 2.0  # step of a coordinate
-ENOUGH = 1e-7  # what a step has to promise the log-likelihood
-
-
 def maximise(
-    likelihood: Likelihood, start: Floats, fixed: NDArray[np.bool_], prior: Prior | None = None, rounds: int = ROUNDS
+    likelihood: Likelihood, start: Floats, fixed: NDArray[np.bool_], prior: Prior | None = None, rounds: int = 100
 ) -> tuple[Floats, Floats, Floats]:
-    """Find everybody's best coordinates by Newton's method, all people at once.
+    """Return the coordinates of largest likelihood of all people, by Newton's method.
 
     Parameters
     ----------
     likelihood : Likelihood
     start : float array, shape (K, P)
     fixed : bool array, shape (K, P)
-        Which coordinates stay as they are.
+        Whether each coordinate is fixed.
     prior : Prior, optional
     rounds : int
-        The most steps.
+        Largest number of steps.
 
     Returns
     -------
     at : float array, shape (K, P)
     value : float array, shape (K,)
-        The log-likelihood there, the prior's density included up to a constant.
+        Log-likelihood at these coordinates, plus the prior's log-density up to a constant.
     curvature : float array, shape (K, P, P)
-        Of the same.
+        Curvature of the same function.
     """
     low, high = likelihood.ranges.low, likelihood.ranges.high
     prior = prior or Prior.none(start.shape[1])
@@ -359,15 +352,16 @@ def maximise(
     length = np.ones(len(at))
     for _ in range(rounds):
         stuck = fixed | ((at <= low) & (gradient < 0)) | ((at >= high) & (gradient > 0))
-        for _ in range(2):  # the second time without those that would leave their range
+        for _ in range(2):  # the second time without coordinates that would leave their range
             slope = np.where(stuck, 0.0, gradient)
             bend = np.where(stuck[:, :, None] | stuck[:, None], 0.0, curvature) + (1e-9 + stuck[:, :, None]) * unit
             step = np.linalg.solve(bend, slope[:, :, None])[:, :, 0]
             stuck = stuck | ((at <= low) & (step < 0)) | ((at >= high) & (step > 0))
-        step *= np.minimum(1.0, LONGEST / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
+        # No coordinate moves by more than 2 in a step, since the quadratic model is local.
+        step *= np.minimum(1.0, 2.0 / np.maximum(np.abs(step).max(axis=1), 1e-300))[:, None]
         tried = np.clip(at + length[:, None] * step, low, high)
         promised = (slope * step).sum(axis=1)
-        going = promised * length > ENOUGH
+        going = promised * length > 1e-7  # smaller gains of log-likelihood are not worth a step
         if not going.any():
             break
         new = value_at(tried, going)

@@ -1,12 +1,12 @@
-"""Expertise, influence and trust of a person, from what they did.
+"""Maximum-likelihood estimates of a person's expertise, influence and trust.
 
-Maximum likelihood under the model of `people.decision`, with h* for the person's cost-to-go: beta, and where there were
-suggestions the theta that each episode began with and the rate eta of the trust update. Intervals are those of the
-profile likelihood: all values that a likelihood-ratio test at the level does not reject, the other parameters at
-their best (Wilks 1938). Nothing ends at infinity: who never errs gets `largest_beta` as an estimate and as the end
-of an interval, and `Estimate.open_above` says so.
+The model is that of `people.decision`, with h* as the person's cost-to-go. The parameters are beta and, if there were
+suggestions, the initial theta of each episode and the learning rate eta. Intervals are those of the profile likelihood:
+all values that a likelihood-ratio test does not reject, with the other parameters at their maximum (Wilks 1938).
+Estimates are finite: for a person who never errs, `largest_beta` is the estimate and the end of the interval, and
+`Estimate.open_above` is true.
 
-How a likelihood is maximised stands in `profiles`.
+`profiles` maximises the likelihood.
 """
 
 from __future__ import annotations
@@ -24,24 +24,18 @@ from .likelihood import Method, thetas
 from .observations import Observations
 from .profiles import BETA, ETA, THETA, Profiles
 
-NEAR = 0.5
-"""What the grid's values may fall short of the profile."""
-
-NOTHING_LESS = 1e-6
-"""A likelihood that falls short of the largest by so little is taken for it."""
-
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter's maximum-likelihood value, and its interval.
+    """A parameter's maximum-likelihood estimate, and its interval.
 
     Attributes
     ----------
     value : float
     interval : (float, float)
-        All values that are not rejected lie in it. It may end where the parameter's range does.
+        It contains all values that are not rejected. It may end at the end of the parameter's range.
     open_below, open_above : bool
-        Whether it does: what is recorded does not bound the parameter on that side.
+        Whether it ends there, that is, the data do not bound the parameter on that side.
     """
 
     value: float
@@ -51,30 +45,30 @@ class Estimate:
 
     @property
     def identified(self) -> bool:
-        """Whether the interval is less than the parameter's whole range."""
+        """Whether the interval is smaller than the parameter's range."""
         return not (self.open_below and self.open_above)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What was learned about a person.
+    """The estimates of one person.
 
     Attributes
     ----------
     observations : Observations
     beta : Estimate
-        Per cost unit.
+        Expertise, per cost unit.
     theta, eta : Estimate or None
-        Influence at the beginning of an episode, and rate of the trust update; None without suggestions, eta also
-        where it was given.
+        Influence at the beginning of an episode, and learning rate of the trust update. None without suggestions; eta
+        is None also if it was given.
     log_likelihood : float
-        At the estimates, lapses included.
+        Value at the estimates, including lapses.
     known_eta : float or None
-        The rate that was given.
+        The given learning rate.
     method : Method
-        How it was learned.
+        Options of the estimation.
     weights : mapping of str to Estimate
-        Of the terms that speak for choices besides cost; empty where none were asked for.
+        Estimate of each term's weight; empty without terms.
     """
 
     observations: Observations
@@ -87,7 +81,7 @@ class Fit:
     weights: Mapping[str, Estimate] = field(default_factory=dict)
 
     def probabilities(self) -> Floats:
-        """Give the probability of each choice at the estimates, shape (N, A), lapses included."""
+        """Return the probability of each choice at the estimates, shape (N, A), including lapses."""
         o = self.observations
         bias = o.features @ np.array([weight.value for weight in self.weights.values()]) if self.weights else None
         if o.own is not None:
@@ -97,7 +91,7 @@ class Fit:
         return lapse(influence(p, o.suggested, self.thetas()), o.applicable, self.method.lapse)
 
     def thetas(self) -> Floats:
-        """Give theta before each step at the estimates, shape (N,); 0.5 throughout without suggestions."""
+        """Return theta before each step at the estimates, shape (N,); 0.5 everywhere without suggestions."""
         if self.theta is None:
             return np.full(len(self.observations), 0.5)
         eta = self.eta.value if self.eta is not None else self.known_eta
@@ -106,7 +100,7 @@ class Fit:
 
 
 def largest_beta(observations: Sequence[Observations], method: Method) -> float:
-    """Give the end of the range of beta: `Method.largest_beta`, or what it stands for where that is None."""
+    """Return the end of the range of beta: `Method.largest_beta`, or its default for these observations."""
     if method.largest_beta is not None:
         return method.largest_beta
     sizes = [o.excess[(o.excess > 0) & np.isfinite(o.excess)] for o in observations]
@@ -120,17 +114,17 @@ def maximum_likelihood(
     jobs: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> list[Fit]:
-    """Estimate the parameters of each person.
+    """Return the estimates of each person.
 
     Parameters
     ----------
     observations : sequence of Observations
-        One for each person.
+        Observations of each person.
     method : Method, optional
     jobs : int
-        Threads.
+        Number of threads.
     progress : callable, optional
-        Called with how many people have been finished since the last call.
+        Called with the number of people who have been finished since the last call.
     """
     method = method or Method()
     largest = largest_beta(observations, method)
@@ -148,7 +142,7 @@ def maximum_likelihood(
 
 
 def _fit(observations: Observations, method: Method, largest: float) -> Fit:
-    """Estimate one person's parameters."""
+    """Return one person's estimates."""
     profiles = Profiles(observations, method, largest)
     best, at = profiles.maximum()
     at = _to_the_end(profiles, best, at)
@@ -159,10 +153,11 @@ def _fit(observations: Observations, method: Method, largest: float) -> Fit:
 
 
 def _to_the_end(profiles: Profiles, best: float, at: Floats) -> Floats:
-    """Take the end of a coordinate's range for a maximum that the end does not fall short of.
+    """Return the maximum, moved to the end of a coordinate's range if the likelihood there is as large.
 
-    Where nobody errs, the likelihood rises for ever but soon by less than numbers can tell.
+    For a person without errors, the likelihood increases in beta without end, but soon by less than rounding errors.
     """
+    as_large = best - 1e-6  # values of the log-likelihood that differ by less count as equal
     for axis in (BETA, THETA, ETA):
         if not profiles.free(axis):
             continue
@@ -170,16 +165,16 @@ def _to_the_end(profiles: Profiles, best: float, at: Floats) -> Floats:
             moved = at.copy()
             moved[axis] = end
             value = profiles.at(moved)
-            if axis == BETA and value < best - NOTHING_LESS:
+            if axis == BETA and value < as_large:
                 value, moved = profiles.largest(BETA, end, at)
-            if value >= best - NOTHING_LESS:
+            if value >= as_large:
                 at = moved
                 break
     return at
 
 
 def _estimate(profiles: Profiles, axis: int, at: Floats, best: float, drop: float) -> Estimate:
-    """Give a coordinate's estimate with the interval of all that is not rejected."""
+    """Return a coordinate's estimate with the interval of all values that are not rejected."""
     grid, middle = profiles.axes[axis], float(at[axis])
     coarse = profiles.coarse(axis)
     ends = []
@@ -192,10 +187,11 @@ def _estimate(profiles: Profiles, axis: int, at: Floats, best: float, drop: floa
         order = slice(None, None, side)
         beyond = (grid[order] - middle) * side > 0
         outwards, values = grid[order][beyond].tolist(), coarse[order][beyond]
-        kept = 0  # of these so many are not rejected
+        kept = 0  # number of these that are not rejected
         for count in range(len(outwards), 0, -1):
             short = best - drop - values[count - 1]
-            if short <= 0 or (short <= NEAR and margin(outwards[count - 1]) >= 0):
+            # The profile likelihood is assumed to exceed the grid's values by at most 0.5.
+            if short <= 0 or (short <= 0.5 and margin(outwards[count - 1]) >= 0):
                 kept = count
                 break
         inside = outwards[kept - 1] if kept else middle

@@ -1,17 +1,17 @@
-"""What a person takes for the cost-to-go, from the mistakes that they repeat.
+"""Estimates of a person's perceived cost-to-go from repeated mistakes.
 
-A hierarchical model: h(x) = h*(x) + sigma eps(x), with eps(x) standard normal for each state and the same whenever
-the person comes by (`human.perceived_cost_to_go`), and Boltzmann choices given h. The eps are integrated out by
-Laplace's approximation at their most likely values, which are also the smoothed h; beta and sigma maximise what
-remains, the marginal likelihood (Tierney and Kadane 1986).
+The model is hierarchical: h(x) = h*(x) + sigma eps(x), where eps(x) is standard normal for each state and lasting
+(`decision.perceived_cost_to_go`), and choices given h are Boltzmann (5). The eps are integrated out by Laplace's
+approximation at their mode, which also gives the estimate of h. Beta and sigma maximise the marginal likelihood
+(Tierney and Kadane 1986).
 
-Beta and sigma are told apart by repetition alone. Who passes each state once gives the same actions for a large
-beta with misconceptions as for a smaller one without. Theta and its changes are taken as given, with h* in the
-trust update; lapses are only where a person walks into a dead end that they could avoid.
+Only repetition distinguishes beta and sigma: for a person who visits each state once, a large beta with misconceptions
+gives the same actions as a smaller beta without. Theta and its changes are taken from the plain estimates, with h* in
+the trust update. Only an avoidable action into a dead end counts as a lapse.
 
-The curvature is a matrix of as many rows as there are uncertain states, and nonzero only where two of them could be
-chosen in one step. States are put into an order in which these are near each other (reverse Cuthill-McKee), so that it
-is a narrow band along the diagonal: the memory is known before it is taken.
+The curvature is a matrix with one row per uncertain state. It is nonzero only for two states that were alternatives in
+one step. Ordering the states by reverse Cuthill-McKee makes it a narrow band, whose memory is known before it is
+allocated.
 """
 
 from __future__ import annotations
@@ -34,37 +34,31 @@ from .maximum_likelihood import Fit
 from .observations import Ints, Observations
 
 WHOLE = 1000
-"""Up to so many states the curvature is a whole matrix: as fast as a band, or faster."""
-
-MEMORY_LIMIT_MB = 500
-"""What the curvature may take for one person."""
-
-LARGEST_SIGMA = 5.0
-"""Where the search for sigma ends, in units of the smallest mistake that the person could make."""
+"""Number of states up to which the curvature is a dense matrix, which is then as fast as a band."""
 
 
 @dataclass(frozen=True)
 class MisconceptionFit:
-    """A person's misconception.
+    """The estimated misconception of a person.
 
     Attributes
     ----------
     sigma : float
         Standard deviation, in cost units.
     interval : (float, float)
-        By the profile likelihood.
+        Interval by the profile likelihood.
     open_above : bool
-        Whether the interval ends where the search does, at `LARGEST_SIGMA`.
+        Whether the interval ends at the end of the search, `Method.largest_sigma`.
     beta : float
-        Expertise where mistakes may come from misconceptions: no smaller than that of the plain model.
+        Expertise in the model with misconceptions; it is at least that of the plain model.
     log_likelihood, without : float
         Marginal log-likelihood at these values, and the largest one for sigma = 0.
     states : int array, shape (M,)
-        The states about which the person's choices say something, ascending.
+        States on whose perceived cost-to-go the person's choices depend, ascending.
     cost_to_go, perceived : float arrays, shape (M,)
-        h* of them, and the most likely h.
+        h* of these states, and the mode of h.
     seen : int array, shape (M,)
-        In how many of the person's choices each could have been chosen.
+        Number of steps in which each state was an alternative.
     """
 
     sigma: float
@@ -84,7 +78,7 @@ class MisconceptionFit:
 
 
 def fit_misconception(fitted: Fit) -> MisconceptionFit:
-    """Estimate sigma and h of a person.
+    """Return the estimates of a person's sigma and h.
 
     Parameters
     ----------
@@ -95,12 +89,11 @@ def fit_misconception(fitted: Fit) -> MisconceptionFit:
     sizes = fitted.observations.excess
     sizes = sizes[(sizes > 0) & np.isfinite(sizes)]
     unit = float(sizes.min()) if len(sizes) else 1.0
-    top = LARGEST_SIGMA * unit
     largest = 10.0 / unit
     start = float(np.clip(fitted.beta.value, 1e-3 * largest, largest))
 
     def best_beta(sigma: float) -> tuple[float, float]:
-        """Give the best beta for a sigma, and the marginal log-likelihood."""
+        """Return the best beta for a sigma, and the marginal log-likelihood."""
         low, high = np.log(start / 20), np.log(min(start * 20, 4 * largest))
         found = minimize_scalar(
             lambda x: -model.marginal(float(np.exp(x)), sigma)[0], bounds=(low, high), method="bounded",
@@ -108,7 +101,8 @@ def fit_misconception(fitted: Fit) -> MisconceptionFit:
         )  # fmt: skip
         return float(np.exp(found.x)), -float(found.fun)
 
-    tried = unit * np.array([0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, LARGEST_SIGMA])
+    tried = unit * (fitted.method.largest_sigma / 5.0) * np.array([0.0, 0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0])
+    top = float(tried[-1])
     values = np.array([best_beta(sigma)[1] for sigma in tried])
     place = int(values.argmax())
     low, high = tried[max(place - 1, 0)], tried[min(place + 1, len(tried) - 1)]
@@ -151,23 +145,23 @@ def fit_misconception(fitted: Fit) -> MisconceptionFit:
 
 @dataclass(frozen=True)
 class Uncertain:
-    """What a person's choices depend on whose cost they may be mistaken about.
+    """The alternatives of a person's choices whose perceived cost is uncertain.
 
     Attributes
     ----------
     kept : bool array, shape (N,)
-        Which choices say something.
+        Whether each choice depends on uncertain costs.
     possible : bool array, shape (N, A)
-        Which alternatives they have, but for needless ways into dead ends.
+        Whether each slot is an alternative; avoidable actions into dead ends are not.
     index : int array, shape (N, A)
-        The place of each alternative in the next three; M for goals, about which nobody is mistaken.
+        Index of each alternative in the next three arrays; M for goals, which are recognised.
     states : int array, shape (M,)
     cost_to_go : float array, shape (M,)
-        h* of them.
+        h* of these states.
     seen : int array, shape (M,)
-        In how many of the choices each could have been chosen.
+        Number of steps in which each state was an alternative.
     band : int or None
-        How far apart the alternatives of one choice are, at most; None where a whole matrix is no larger or no slower.
+        Largest difference of two indices in one choice; None if a dense matrix is used.
     """
 
     kept: NDArray[np.bool_]
@@ -180,15 +174,15 @@ class Uncertain:
 
     @classmethod
     def of(cls, o: Observations, whole: int = WHOLE) -> Uncertain:
-        """Find them; up to `whole` states are kept in ascending order."""
-        # A needless way into a dead end is a lapse, and a choice that is none says nothing.
+        """Return the uncertain alternatives; up to `whole` states stay in ascending order."""
+        # An avoidable action into a dead end is a lapse, and a single alternative carries no information.
         kept = np.isfinite(o.regret) & np.isfinite(o.cost_to_go) & (o.applicable.sum(axis=1) > 1)
         possible = o.applicable & np.isfinite(o.excess)
         uncertain = possible & ~o.goal & kept[:, None]
         states, first, inverse, seen = np.unique(
             o.targets[uncertain], return_index=True, return_inverse=True, return_counts=True
         )
-        index = np.full(o.targets.shape, len(states))  # goal states share a last place, which stays 0
+        index = np.full(o.targets.shape, len(states))  # goal states share the last index, whose z stays 0
         index[uncertain] = inverse
         h, band = o.ahead[uncertain][first], None
         if len(states) > whole:
@@ -206,33 +200,34 @@ class Uncertain:
 
 
 def _near_each_other(index: Ints, size: int) -> Ints:
-    """Order so many states such that those between which somebody could choose are near each other."""
-    ascending = np.sort(index, axis=1)  # a chain through each choice's alternatives joins them well enough
+    """Return an order of states in which the alternatives of one choice are near each other."""
+    ascending = np.sort(index, axis=1)  # a chain through each choice's alternatives is a sufficient graph
     one, other = ascending[:, :-1].ravel(), ascending[:, 1:].ravel()
     joined = (one != other) & (other < size)
     pairs = coo_array((np.ones(joined.sum()), (one[joined], other[joined])), shape=(size, size)).tocsr()
     return np.asarray(reverse_cuthill_mckee((pairs + pairs.T).tocsr(), symmetric_mode=True), dtype=np.int64)
 
 
-def require_memory(observations: Sequence[Observations]) -> None:
-    """Refuse people whose misconceptions would take too much memory, before any is taken.
+def require_memory(observations: Sequence[Observations], limit_mb: float) -> None:
+    """Check the memory that people's misconceptions would take, before it is allocated.
 
     Raises
     ------
     MemoryError
+        The misconceptions of a person would exceed the limit.
     """
     for o in observations:
         uncertain = Uncertain.of(o)
-        if uncertain.megabytes > MEMORY_LIMIT_MB:
+        if uncertain.megabytes > limit_mb:
             raise MemoryError(
                 f"person '{o.person}': misconceptions about {len(uncertain.states):,} states take about "
-                f"{uncertain.megabytes:,.0f} MB, and {MEMORY_LIMIT_MB:,} are allowed; fit fewer of their episodes at a "
+                f"{uncertain.megabytes:,.0f} MB, and {limit_mb:,.0f} are allowed; fit fewer of their episodes at a "
                 "time, or no misconceptions"
             )
 
 
 class MarginalLikelihood:
-    """Choices among alternatives whose costs are uncertain, each state's by one number z = beta sigma eps."""
+    """The marginal likelihood of choices with uncertain costs: z = beta sigma eps for each state."""
 
     def __init__(self, fitted: Fit, whole: int = WHOLE) -> None:
         o: Observations = fitted.observations
@@ -248,7 +243,7 @@ class MarginalLikelihood:
         self.z = np.zeros(len(self.states) + 1)
 
     def _terms(self, beta: float, z: Floats) -> tuple[float, Floats]:
-        """Log-likelihood of the choices given z, and the probability of each, shape (N, A)."""
+        """Return the log-likelihood of the choices given z, and the probability of each alternative, shape (N, A)."""
         with np.errstate(invalid="ignore"):
             u = np.where(self.possible, -beta * self.excess + self.offset - z[self.index], -np.inf)
         top = u.max(axis=1, keepdims=True)
@@ -258,7 +253,7 @@ class MarginalLikelihood:
         return float(picked.sum()), weights / total
 
     def marginal(self, beta: float, sigma: float) -> tuple[float, Floats]:
-        """Give the marginal log-likelihood, and the most likely z, shape (M,)."""
+        """Return the marginal log-likelihood, and the mode of z, shape (M,)."""
         m = len(self.states)
         if not len(self.chosen):
             return 0.0, np.zeros(m)
@@ -290,7 +285,7 @@ class MarginalLikelihood:
         return value - determinant / 2, z[:m]
 
     def _solved(self, p: Floats, variance: float, b: Floats) -> tuple[Floats, float]:
-        """Solve (curvature + 1 / variance) x = b; give x, shape (M,), and the logarithm of the determinant."""
+        """Return the solution of (curvature + 1 / variance) x = b, shape (M,), and the logarithm of the determinant."""
         m = len(self.states)
         if self.band is None:
             factor = cho_factor(_curvature(p, self.index, m) + np.eye(m) / variance)
@@ -303,7 +298,7 @@ class MarginalLikelihood:
 
 @njit(nogil=True)
 def _curvature(p: Floats, index: Ints, m: int) -> Floats:
-    """Minus the second derivatives of the choices' log-likelihood by z, shape (M, M)."""
+    """Return minus the second derivatives of the log-likelihood by z, shape (M, M)."""
     result = np.zeros((m + 1, m + 1))
     for i in range(p.shape[0]):
         for a in range(p.shape[1]):
@@ -316,7 +311,7 @@ def _curvature(p: Floats, index: Ints, m: int) -> Floats:
 
 @njit(nogil=True)
 def _band(p: Floats, index: Ints, m: int, band: int) -> Floats:
-    """The same, the diagonal and what is below it: entry (i, j) in row i - j and column j of shape (band + 1, M)."""
+    """Return the lower band of the same matrix: entry (i, j) in row i - j and column j, shape (band + 1, M)."""
     result = np.zeros((band + 1, m))
     for i in range(p.shape[0]):
         for a in range(p.shape[1]):

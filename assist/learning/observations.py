@@ -1,4 +1,4 @@
-"""What a person could choose from and what they chose, in costs: how much worse than the best each choice is."""
+"""A person's recorded choices with their costs: how much worse than the best each choice is."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Chances:
-    """The chance of each choice at each step, without suggestions and lapses; N steps of up to A choices.
+    """The probability of each choice at each step, without suggestions and lapses; N steps of up to A choices.
 
     Attributes
     ----------
     beta : float array, shape (G,)
-        Ascending.
+        Ascending values.
     chance : float array, shape (N, A, G)
     """
 
@@ -36,7 +36,7 @@ class Chances:
         read_only(self)
 
     def at(self, beta: float) -> Floats:
-        """Return the chances for one beta, shape (N, A)."""
+        """Return the probabilities for one beta, shape (N, A)."""
         low = int(np.clip(np.searchsorted(self.beta, beta) - 1, 0, len(self.beta) - 2))
         share = np.clip((beta - self.beta[low]) / (self.beta[low + 1] - self.beta[low]), 0.0, 1.0)
         return (1 - share) * self.chance[:, :, low] + share * self.chance[:, :, low + 1]
@@ -44,15 +44,15 @@ class Chances:
 
 @dataclass(frozen=True)
 class EvaluatedStates:
-    """What is known of the states that choices lead to; n states.
+    """Cost-to-go and plan lengths of n states to which choices lead.
 
     Attributes
     ----------
     h : float array, shape (n,)
-        h*, infinite at dead ends; NaN where it is not known.
+        h*, infinite in dead ends; NaN if unknown.
     lengths : float array, shape (n,), or None
-        How many actions the shortest of the cheapest plans has, as `CostToGo.plan_lengths` counts; infinite where that
-        is not known, None where no action is free.
+        Number of actions of the shortest optimal plan (`CostToGo.plan_lengths`); infinite if unknown. None if no action
+        is free.
     """
 
     h: Floats
@@ -65,7 +65,7 @@ class EvaluatedStates:
 
     @classmethod
     def of(cls, costs: CostToGo, states: Ints, h: Floats, at: Ints, size: int) -> EvaluatedStates:
-        """Take in h* of some states, shape (N,), NaN where it is not known; `at` are their places among all."""
+        """Return the data of some states; h* has shape (N,), NaN if unknown; `at` are their places among all."""
         known = ~np.isnan(h)
         own, lengths = np.full(size, np.nan), None
         own[at] = h
@@ -77,7 +77,7 @@ class EvaluatedStates:
 
 @dataclass(frozen=True)
 class Observations:
-    """What one person could choose from and what they chose; N steps of up to A choices.
+    """One person's recorded choices; N steps of up to A choices.
 
     Attributes
     ----------
@@ -85,33 +85,33 @@ class Observations:
     episodes : tuple of str
         The names of their episodes.
     excess : float array, shape (N, A)
-        Q(x, a) - min over a' of Q(x, a'), in cost units, for h* in place of h: how much an action costs more than
-        the best. Infinite for a needless action into a dead end, 0 where all actions lead to one.
+        Q(x, a) - min over a' of Q(x, a'), in cost units, with h* in place of h. Infinite for an avoidable action into a
+        dead end, 0 if all actions lead to one.
     optimal : bool array, shape (N, A)
-        Whether a cheapest way to the goal begins with the choice, as `planner.optimal_choices` has it: where actions
-        are free, one with the fewest actions.
+        Whether an optimal plan begins with the choice (`planner.optimal_choices`); if actions are free, an optimal plan
+        with the fewest actions.
     applicable : bool array, shape (N, A)
     targets : int array, shape (N, A)
-        The state after each choice.
+        Successor of each choice.
     ahead : float array, shape (N, A)
-        h* of the targets.
+        h* of the successors.
     chosen, suggested : int arrays, shape (N,)
-        Slots; `NOTHING` where nothing was suggested.
+        Slots; `NOTHING` without a suggestion.
     gain : float array, shape (N,)
-        V(x_r) - V(x) of the suggested action, in cost units; 0 where nothing was suggested.
+        V(x_r) - V(x) of the suggested action, in cost units; 0 without a suggestion.
     begins : bool array, shape (N,)
-        Where an episode begins.
+        Whether an episode begins at each step.
     state : int array, shape (N,)
     cost_to_go : float array, shape (N,)
         h* of the state.
     goal : bool array, shape (N, A)
-        Which targets are goal states.
+        Whether each successor is a goal state.
     terms : tuple of str
-        What besides cost may speak for a choice.
+        Names of the terms.
     features : float array, shape (N, A, terms)
-        How much of it each choice has.
+        Value of each term for each choice.
     own : Chances, optional
-        The chance of each choice under a choice model of one's own; None: they choose by cost-to-go.
+        Choice probabilities of a user's choice model; None if people choose by cost-to-go.
     """
 
     person: str
@@ -142,7 +142,7 @@ class Observations:
 
     @property
     def regret(self) -> Floats:
-        """What each action cost more than the best one, shape (N,)."""
+        """The excess cost of each action over the best one, shape (N,)."""
         return self.excess[np.arange(len(self)), self.chosen]
 
     @property
@@ -152,7 +152,7 @@ class Observations:
 
     @property
     def suboptimal(self) -> int:
-        """How many actions were not optimal choices."""
+        """The number of actions that were not optimal choices."""
         return int(self.mistake.sum())
 
 
@@ -163,19 +163,19 @@ def observe(
     terms: tuple[str, ...] = (),
     features: Floats | None = None,
 ) -> list[Observations]:
-    """Give each person's observations, in the order of `recording.people`.
+    """Return each person's observations, in the order of `recording.people`.
 
     Parameters
     ----------
     recording : Recording
     known : EvaluatedStates
-        Of the states that `recording.wanted()` names; others are not read.
+        Data of the states that `recording.wanted()` returns; others are not read.
     goal : bool array, shape (states,)
-        Which of them are goal states.
+        Whether each state is a goal state.
     terms : tuple of str
-        The names of what besides cost may speak for a choice.
+        Names of the terms.
     features : float array, shape (N, A, terms), optional
-        How much of it each choice has.
+        Value of each term for each choice.
     """
     r = recording
     features = np.zeros((*r.applicable.shape, 0)) if features is None else features
@@ -191,7 +191,7 @@ def observe(
         optimal &= length == length.min(axis=1, keepdims=True)
     rows = np.arange(len(r))
     told = r.suggested != NOTHING
-    # V = -h*: the cost-to-go is exact, so that it equals the smallest Q.
+    # V = -h*, because the exact cost-to-go equals the smallest Q.
     expected = np.where(told, ahead[rows, np.maximum(r.suggested, 0)], best)
     with np.errstate(invalid="ignore"):
         gain = np.where(expected == best, 0.0, best - expected)

@@ -1,4 +1,4 @@
-"""All that a log says of one person: estimates, a check of the model, misconceptions."""
+"""The results for one person: estimates, a check of the model, and misconceptions."""
 
 from __future__ import annotations
 
@@ -14,18 +14,16 @@ from .maximum_likelihood import Estimate, Fit
 from .misconception_fit import MisconceptionFit
 from .observations import Ints
 
-STRIKING = 0.01  # below this probability of the check the model is said not to fit
-
 Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PersonEstimate:
-    """What was learned about one person.
+    """The results for one person.
 
-    A parameter about which the person's actions say nothing is None, and its interval the whole range; without
-    suggestions theta and eta have no interval either, nor has eta where it was given. Where terms were asked for,
-    other people's actions say something about everybody, so that there is always an estimate.
+    A parameter that the data do not identify is None, and its interval is the whole range. Without suggestions, theta
+    and eta have no interval; eta has none if it was given. With terms, the model is hierarchical, so that every person
+    has estimates.
 
     Attributes
     ----------
@@ -33,7 +31,7 @@ class PersonEstimate:
     check : Check
     misconception : MisconceptionFit or None
     left_out : int
-        Actions that were left out, since the cost-to-go after one of the choices is not known.
+        Number of excluded actions, for which the cost-to-go after some choice is unknown.
     """
 
     fit: Fit
@@ -45,7 +43,7 @@ class PersonEstimate:
 
     @property
     def person(self) -> str:
-        """Who it is."""
+        """The name of the person."""
         return self.fit.observations.person
 
     @property
@@ -70,7 +68,7 @@ class PersonEstimate:
 
     @property
     def eta(self) -> float | None:
-        """Rate of the trust update."""
+        """Learning rate of the trust update."""
         return _value(self.fit.eta, self.fit)
 
     @property
@@ -80,7 +78,7 @@ class PersonEstimate:
 
     @property
     def weights(self) -> dict[str, float]:
-        """Weights of the terms that speak for choices besides cost, by name."""
+        """Weights of the terms, by name."""
         return {name: estimate.value for name, estimate in self.fit.weights.items()}
 
     @property
@@ -90,17 +88,17 @@ class PersonEstimate:
 
     @property
     def actions(self) -> int:
-        """How many actions this rests on."""
+        """The number of actions that were used."""
         return len(self.fit.observations)
 
     @property
     def suboptimal_actions(self) -> int:
-        """How many actions were not optimal choices."""
+        """The number of actions that were not optimal choices."""
         return self.fit.observations.suboptimal
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the estimates has to know."""
+        """Remarks on the reliability of the estimates."""
         o, beta = self.fit.observations, self.fit.beta
         notes = []
         if self.left_out:
@@ -119,17 +117,17 @@ class PersonEstimate:
         for name, estimate in others:
             if estimate is not None and not estimate.identified:
                 notes.append(f"these actions say nothing about {name}")
-        if self.check.p is not None and self.check.p < STRIKING:
+        if self.check.p is not None and self.check.p < 0.01:
             notes.append(f"the model does not fit (p = {self.check.p:.3f}): {_words(self.check)}")
         return notes
 
     def as_dict(self, facts: Callable[[Ints], list[list[str]]] | None = None) -> dict[str, Any]:
-        """Give all of it as plain data.
+        """Return the results as plain data.
 
         Parameters
         ----------
         facts : callable, optional
-            Gives what holds in states, shape (M,), for the states of a misconception.
+            Returns the facts that hold in states, shape (M,), for the states of a misconception.
         """
         o = self.fit.observations
         told = o.suggested != NOTHING
@@ -157,7 +155,7 @@ class PersonEstimate:
 
 
 def nothing_known(person: str, error: str, left_out: int = 0) -> dict[str, Any]:
-    """Give as plain data what is known of a person of whom nothing could be used, and why."""
+    """Return the record, as plain data, of a person without usable actions, with the reason."""
     record: dict[str, Any] = {"person": person}
     for name in ("beta", "theta", "eta"):
         record |= _estimate(name, None)

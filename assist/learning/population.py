@@ -1,16 +1,16 @@
-"""What people are like in general: the distribution of beta and theta that their actions speak for.
+"""The distribution of beta and theta over people, estimated from their actions by empirical Bayes.
 
-Empirical Bayes. Each person's likelihood is evaluated in the cells of a grid over (beta, theta); a distribution of
-people is a share of each cell, and the one is sought under which all that was recorded is most likely:
+Each person's likelihood L_k is evaluated in the cells of a grid over (beta, theta). A distribution is a share of each
+cell. The estimate maximises the likelihood of all records:
 
     sum over people k of log( sum over cells g of share(g) L_k(g) ).
 
-Within families: beta uniform or log-uniform on a range or log-normal, theta uniform on a range or normal, all cut
-off at the ends of the grid; or free of any family ("histogram", Laird 1978). The result is a `Mixture`, from which
-people can be drawn and simulated.
+It is restricted to families, truncated at the ends of the grid: beta is uniform or log-uniform on a range, or
+log-normal; theta is uniform on a range, or normal. Or it is unrestricted ("histogram", Laird 1978). The result is a
+`Mixture`, from which people can be drawn.
 
-The people who were recorded are a sample, and by chance differ from those whom they stand for. `Margin.mean` and
-`spread` are those of the distribution; `Margin.recorded` are those of the sample, from what each of them did.
+The recorded people are a sample that differs from the distribution by chance. `Margin.mean` and `spread` are those of
+the distribution; `Margin.recorded` are those of the sample.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from scipy.special import chdtri, logit, ndtr
 
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population, Range
+from ..people.trust_rules import EquationSeven, LogitSteps, rule_of
 from .hierarchy import Hierarchy
 from .likelihood import Method, log_likelihood
 from .logit_likelihood import BETA, FIRST_TERM, THETA
@@ -33,7 +34,6 @@ from .maximum_likelihood import largest_beta
 from .observations import Observations
 
 BETA_FAMILIES = ("uniform", "log-uniform", "log-normal")
-THETA_FAMILIES = ("uniform", "normal")
 CELLS = (48, 25)  # of beta and theta
 ETAS = 21  # values of eta that are tried from 0 to 1
 
@@ -46,16 +46,15 @@ class Margin:
     ----------
     family : str
     parameters : tuple of float
-        Of the family: ends of the range, or location and scale (of the logarithm, where log-normal).
+        Parameters of the family: ends of the range, or location and scale (of the logarithm if log-normal).
     edges : tuple of float
-        Of the cells.
+        Edges of the cells.
     shares : tuple of float
         The probability of each cell.
     mean, spread : float
         Mean and standard deviation of the distribution.
     recorded : (float, float)
-        Mean and standard deviation among the people who were recorded: each may be in any cell, by what they did and
-        how common that cell is.
+        Mean and standard deviation among the recorded people, from each person's posterior over the cells.
     """
 
     family: str
@@ -68,7 +67,7 @@ class Margin:
 
     @classmethod
     def of(cls, family: str, parameters: tuple[float, ...], edges: Floats, shares: Floats, recorded: Floats) -> Margin:
-        """Work out means and spreads from the shares of the cells; within a cell people are spread evenly."""
+        """Return the margin with means and spreads from the shares of cells, which are uniform within each cell."""
         low, high = edges[:-1], edges[1:]
         if family.endswith("uniform"):  # the ends of the range lie within cells
             ends = np.exp(parameters) if family == "log-uniform" else parameters
@@ -84,7 +83,7 @@ class Margin:
         )
 
     def pieces(self) -> list[tuple[float, Range]]:
-        """Give the cells that hold anybody, each with its share; rare ones (together a thousandth) are left out."""
+        """Return the non-empty cells with their shares, without rare ones that sum to a thousandth."""
         if self.family == "uniform":
             return [(1.0, (self.parameters[0], self.parameters[1]))]
         order = np.argsort(self.shares)
@@ -97,23 +96,25 @@ class Margin:
 
 @dataclass(frozen=True)
 class PopulationFit:
-    """The distribution of people that a log speaks for.
+    """The estimated distribution of people.
 
     Attributes
     ----------
     people : int
-        From how many people it was learned.
+        Number of people in the data.
     beta : Margin
     theta : Margin or None
-        None where nothing was ever suggested.
+        None without suggestions.
     eta : float or None
-        Rate of the trust update, the same for all people; None where what was recorded says nothing about it.
+        Learning rate of the trust update, the same for all people; None if the data do not depend on it.
     log_likelihood : float
-        Of all that was recorded.
+        Log-likelihood of all records.
     shares : float array, shape (B, T)
         The probability of each cell of (beta, theta).
     weights : mapping of str to (float, float)
-        Mean and standard deviation of each term's weight; empty where no terms were asked for.
+        Mean and standard deviation of each term's weight; empty without terms.
+    trust : dict, optional
+        The trust rule, as `people.trust_rules.plain_rule` writes it, if it was fitted.
     """
 
     people: int
@@ -123,19 +124,20 @@ class PopulationFit:
     log_likelihood: float
     shares: Floats
     weights: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    trust: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         self.shares.flags.writeable = False
 
     def population(self, sigma: Range = (0.0, 0.0), theta: Range = (0.5, 0.95)) -> Mixture:
-        """Give the population to draw people from.
+        """Return the population from which people can be drawn.
 
         Parameters
         ----------
         sigma : (float, float)
             Range of people's misconceptions.
         theta : (float, float)
-            Range of influence where nothing was learned about it; the paper's unless given.
+            Range of influence if the data have no suggestions; by default the paper's.
         """
         heard = [(1.0, theta)] if self.theta is None else self.theta.pieces()
         if self.beta.family == "histogram" and self.theta is not None:  # beta and theta may depend on each other
@@ -157,7 +159,7 @@ class PopulationFit:
         return Mixture(parts, tuple(share / total for share, _, _ in pieces))
 
     def as_dict(self, sigma: Range = (0.0, 0.0)) -> dict[str, Any]:
-        """Give all of it as plain data, the population included."""
+        """Return the results as plain data, including the population."""
         mixture = self.population(sigma)
         return {
             "people": self.people,
@@ -166,6 +168,7 @@ class PopulationFit:
             "eta": self.eta,
             "log_likelihood": self.log_likelihood,
             **({"weights": {name: list(one) for name, one in self.weights.items()}} if self.weights else {}),
+            **({} if self.trust is None else {"trust": dict(self.trust)}),
             "parts": [
                 {"share": share, **part.as_dict()} for share, part in zip(mixture.shares, mixture.parts, strict=True)
             ],
@@ -173,17 +176,17 @@ class PopulationFit:
 
 
 def mixture(record: dict[str, Any]) -> Mixture:
-    """Read the population of a `PopulationFit.as_dict` back.
+    """Return the population of a `PopulationFit.as_dict`.
 
     Parameters
     ----------
     record : dict
-        As `fit --population` writes it.
+        A record, as `fit --population` writes it.
 
     Raises
     ------
     ValueError
-        It is none.
+        It is no such record.
     """
     try:
         parts, shares = [], []
@@ -198,6 +201,22 @@ def mixture(record: dict[str, Any]) -> Mixture:
         raise ValueError(f"expected a population as `kitassist fit --population` writes it ({what})") from None
 
 
+def trust_of(record: dict[str, Any]) -> EquationSeven | LogitSteps | None:
+    """Return the trust rule of a `PopulationFit.as_dict`; None if none was fitted.
+
+    Raises
+    ------
+    ValueError
+        The entry is no trust rule.
+    """
+    plain = record.get("trust")
+    if plain is None:
+        return None
+    if not isinstance(plain, dict):
+        raise ValueError(f"trust {plain!r}; expected an object as `kitassist fit --trust --population` writes it")  # noqa: TRY004
+    return rule_of(plain)
+
+
 def fit_population(
     observations: Sequence[Observations],
     method: Method | None = None,
@@ -205,18 +224,18 @@ def fit_population(
     family: str | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> PopulationFit:
-    """Estimate the distribution of beta and theta over people.
+    """Return the estimated distribution of beta and theta over people.
 
     Parameters
     ----------
     observations : sequence of Observations
-        One for each person.
+        Observations of each person.
     method : Method, optional
-        Where its eta is None, the one rate is estimated that fits all people together best.
+        If its eta is None, one rate for all people is estimated.
     family : str, optional
-        "histogram", or one of beta's families; otherwise the family that fits best.
+        "histogram", or one of beta's families; by default the family with the largest likelihood.
     progress : callable, optional
-        Called with how many of `ETAS` rates have been tried since the last call.
+        Called with the number of the `ETAS` rates that have been tried since the last call.
     """
     method = method or Method()
     if not observations:
@@ -231,7 +250,7 @@ def fit_population(
     theta = (edges_theta[1:] + edges_theta[:-1]) / 2 if told else np.array([0.5])
 
     def likelihoods(eta: float) -> tuple[Floats, float]:
-        """Give the likelihood of each person in each cell, up to a factor, and the factors' logarithm."""
+        """Return the likelihood of each person in each cell up to a factor, and the factors' logarithms."""
         values = np.array([log_likelihood(o, beta, theta, np.array([eta]), method)[:, :, 0] for o in observations])
         top = values.max(axis=(1, 2), keepdims=True)
         return np.exp(values - top), float(top.sum())
@@ -257,7 +276,7 @@ def fit_population(
         found = [
             _families(table, (one, other), (edges_beta, edges_theta))
             for one in families
-            for other in (THETA_FAMILIES if told else ("none",))
+            for other in (("uniform", "normal") if told else ("none",))
         ]
         score, names, values = max(found, key=lambda result: result[0])
         parts = [_cells(names[0], values[:2], edges_beta), _cells(names[1], values[2:], edges_theta)]
@@ -278,7 +297,7 @@ def fit_population(
 
 
 def population_of(found: Hierarchy) -> PopulationFit:
-    """Describe the population that people with terms were taken from.
+    """Return the population of the hierarchical model.
 
     Parameters
     ----------
@@ -308,13 +327,13 @@ def population_of(found: Hierarchy) -> PopulationFit:
 
 
 def _within(edges: Floats, mean: Floats | float, spread: Floats | float) -> Floats:
-    """Give the share of each cell under a normal distribution, cut off at the ends of the cells."""
+    """Return the share of each cell under a normal distribution, truncated at the ends of the cells."""
     shares = np.diff(ndtr((edges - mean) / spread), axis=-1)
     return np.asarray(shares / np.maximum(shares.sum(axis=-1, keepdims=True), 1e-300), dtype=np.float64)
 
 
 def _summit(x: Floats, y: Floats) -> float:
-    """The highest point of the parabola through the highest value and its neighbours."""
+    """Return the maximum of the parabola through the largest value and its neighbours."""
     k = int(y.argmax())
     if k in (0, len(x) - 1):
         return float(x[k])
@@ -324,7 +343,7 @@ def _summit(x: Floats, y: Floats) -> float:
 
 
 def _free(table: Floats, rounds: int) -> tuple[Floats, float]:
-    """Maximise over all shares, shape (B, T), by the EM algorithm from equal ones; give them and the score."""
+    """Return the shares, shape (B, T), of largest likelihood by the EM algorithm from equal shares, and the score."""
     flat = table.reshape(len(table), -1)
     shares = np.full(flat.shape[1], 1 / flat.shape[1])
     for _ in range(rounds):
@@ -334,7 +353,7 @@ def _free(table: Floats, rounds: int) -> tuple[Floats, float]:
 
 
 def _cells(family: str, parameters: Floats, edges: Floats) -> Floats:
-    """Give the probability of each cell under a family, cut off at the ends of the cells."""
+    """Return the probability of each cell under a family, truncated at the ends of the cells."""
     if family == "none":
         return np.ones(1)
     first, second = parameters
@@ -351,7 +370,7 @@ def _cells(family: str, parameters: Floats, edges: Floats) -> Floats:
 def _families(
     table: Floats, families: tuple[str, str], edges: tuple[Floats, Floats]
 ) -> tuple[float, tuple[str, str], Floats]:
-    """Maximise over the parameters of a pair of families; give score, families and parameters."""
+    """Return the best score, families and parameters over the parameters of a pair of families."""
     free, _ = _free(table, 30)  # where to begin
 
     def parameters(x: Floats) -> Floats:

@@ -1,11 +1,11 @@
-"""The largest log-likelihood of one person, with none or one of beta, theta and eta given.
+"""The profile likelihood of one person: the maximum with none or one of beta, theta and eta fixed.
 
-Theta is cut off at 0 and 1, so that the likelihood has kinks, and narrow ridges between them. They lie where they can
-be computed. Let S be the change of V that all suggestions of an episode promise up to some step. Trust after that step
-is theta + eta S, or eta (S - S') where it was last cut off at 0, after a step with S', or 1 + eta (S - S') likewise. So
-it is newly cut off on the lines theta = -eta S, theta = 1 - eta S and eta = 1 / |S - S'| only, and between them the
-likelihood is smooth. A grid has points between any two of these lines. From the best of them, for many values of beta,
-a pattern search goes on (Hooke and Jeeves 1961).
+Theta is clipped to [0, 1], so that the likelihood has kinks with narrow ridges between them. The kinks can be computed.
+Let S be the sum of the changes of V that an episode's suggestions promise up to some step. Theta after that step is
+theta + eta S if it was never clipped. If it was last clipped to 0 or 1 after a step with the sum S', it is
+eta (S - S') or 1 + eta (S - S'). So it can be clipped only on the lines theta = -eta S, theta = 1 - eta S and
+eta = 1 / |S - S'|, and the likelihood is smooth between them. The grid has points between any two of these lines. A
+pattern search (Hooke and Jeeves 1961) starts from the best points, for many values of beta.
 """
 
 from __future__ import annotations
@@ -17,31 +17,22 @@ import numpy as np
 from planner.system.jit import njit
 
 from ..people.decision import NOTHING, Floats
-from .likelihood import Data, Method, alone, on_grid, with_trust
+from .likelihood import SMALL, Data, Method, alone, on_grid, with_trust
 from .observations import Observations
 
 BETA, THETA, ETA = 0, 1, 2
 
-SMALL = 1e-3  # beta is searched on a scale that is linear below this share of its range, and logarithmic above
-POINTS = (48, 21, 17)  # of the grid over beta, theta, eta, without those that are put between lines
-FIRST = np.array([0.003, 0.012])  # near the ends, where logarithms are steep
-MOST = 24
-"""Sums of changes whose lines are looked at, the smallest ones: those of larger sums lie close together."""
-
-HOPELESS = 3.0
-"""A point of a grid whose log-likelihood falls short of the best by more is no place to begin."""
-
-RIDGES = 5
-"""Of so many sums a search also moves along the lines."""
+POINTS = (48, 21, 17)  # numbers of grid points of beta, theta and eta, without those between lines
+FIRST = np.array([0.003, 0.012])  # additional points near the ends, where the likelihood changes fast
 
 
 class Profiles:
-    """The log-likelihood of one person on coordinates (log1p(beta / small), theta, eta), maximised.
+    """Maximisation of one person's log-likelihood in the coordinates (log1p(beta / small), theta, eta).
 
     Attributes
     ----------
     axes : tuple of float array
-        The grid along each coordinate. One that is known has one point.
+        Grid points of each coordinate; a known coordinate has one.
     """
 
     def __init__(self, observations: Observations, method: Method, largest: float) -> None:
@@ -73,13 +64,13 @@ class Profiles:
         return float(on_grid(self.data, beta, point[THETA : THETA + 1], point[ETA : ETA + 1])[0, 0, 0])
 
     def coarse(self, axis: int) -> Floats:
-        """Give the largest value of the grid for each of its points along one coordinate."""
+        """Return the largest grid value for each point of one coordinate."""
         if axis == THETA:
             return self._lines(self.axes[BETA][1::2], ETA, self.axes[THETA])[0].max(axis=0)
         return self.over_theta[0].max(axis=1 if axis == BETA else 0)
 
     def maximum(self) -> tuple[float, Floats]:
-        """Return the largest log-likelihood, and where it is."""
+        """Return the largest log-likelihood, and its coordinates."""
         values, theta = self.over_theta
         cells = _peaks(values, 6)
         cells += [(b, int(values[b].argmax())) for b in range(0, len(values), 3)]
@@ -87,14 +78,14 @@ class Profiles:
         return self._climbed(starts, self.step, 18)
 
     def largest(self, axis: int, value: float, near: Floats) -> tuple[float, Floats]:
-        """Return the largest log-likelihood with one coordinate given, and where it is.
+        """Return the largest log-likelihood with one fixed coordinate, and its coordinates.
 
         Parameters
         ----------
         axis : int
         value : float
         near : float array, shape (3,)
-            Where to search besides.
+            A further starting point.
         """
         fixed = np.array([value])
         if axis == BETA:
@@ -105,7 +96,8 @@ class Profiles:
             line = ETA if axis == THETA else THETA
             betas = self.axes[BETA][1::2]
             values, places = (found[:, 0] for found in self._lines(betas, line, fixed))
-            spread = [b for b in range(0, len(values), 6) if values[b] > values.max() - HOPELESS]
+            # Searches also start at every sixth line, unless its log-likelihood is too far below the largest.
+            spread = [b for b in range(0, len(values), 6) if values[b] > values.max() - 3.0]
             best = [b for (b,) in _peaks(values, 2)] + spread
             starts = [np.insert([betas[b], places[b]], axis, value) for b in best]
         starts.append(near.copy())
@@ -115,25 +107,26 @@ class Profiles:
         return self._climbed(starts, step, 12)
 
     def _climbed(self, starts: list[Floats], step: Floats, halvings: int) -> tuple[float, Floats]:
-        """Return the largest value that is reached from one of several points, and where it is."""
+        """Return the largest value that a search from one of several points reaches, and its coordinates."""
         best, at = -np.inf, starts[0]
+        ridges = self.sums[:5]  # along the lines of the smallest sums, a search also moves
         for start in starts:
-            value = _climb(self.data, start, step.copy(), halvings, self.low, self.high, self.small, self.sums[:RIDGES])
+            value = _climb(self.data, start, step.copy(), halvings, self.low, self.high, self.small, ridges)
             if value > best:
                 best, at = value, start
         return best, at
 
     def _lines(self, coordinates: Floats, axis: int, others: Floats) -> tuple[Floats, Floats]:
-        """Give the largest values of the grid along theta or eta, and where, shapes (coordinates, others)."""
+        """Return the largest grid values along theta or eta, and their places, both of shape (coordinates, others)."""
         ends, count = (self.low[axis], self.high[axis]), POINTS[axis] if self.free(axis) else 1
         return _on_lines(self.data, self.beta(coordinates), axis, others, self.sums, self.gaps, *ends, count)
 
 
 def _sums(data: Data) -> tuple[Floats, Floats]:
-    """Give the changes of V that suggestions promise up to each step of an episode, and the gaps between two."""
+    """Return the sums of promised changes of V up to each step of an episode, and the differences between two sums."""
     sums, gaps = [np.zeros(0)], [np.zeros(0)]
     for gain in np.split(data.gain[data.heard], np.flatnonzero(data.anew)):
-        finite = gain[: np.flatnonzero(np.append(~np.isfinite(gain), True))[0]]  # an infinite one ends trust
+        finite = gain[: np.flatnonzero(np.append(~np.isfinite(gain), True))[0]]  # after an infinite change, theta is 0
         own = _smallest(finite.cumsum())
         sums.append(own)
         own = np.append(own, 0.0)
@@ -142,13 +135,14 @@ def _sums(data: Data) -> tuple[Floats, Floats]:
 
 
 def _smallest(values: Floats) -> Floats:
+    """Return the 24 smallest sums by absolute value; the lines of larger ones are close together."""
     found = np.unique(values.round(9))
     found = found[found != 0]
-    return found[np.argsort(np.abs(found), kind="stable")[:MOST]]
+    return found[np.argsort(np.abs(found), kind="stable")[:24]]
 
 
 def _peaks(values: Floats, count: int) -> list[tuple[int, ...]]:
-    """Give the best cells that have no better neighbour, best first."""
+    """Return the cells with the largest values among those without a better neighbour, best first."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     inner = (slice(1, -1),) * values.ndim
     peak = np.ones(values.shape, dtype=bool)
@@ -172,9 +166,9 @@ def _on_lines(
     high: float,
     count: int,
 ) -> tuple[Floats, Floats]:
-    """Give the largest values at points along theta or eta, and where they are, shapes (betas, others).
+    """Return the largest values at points along theta or eta, and their places, both of shape (betas, others).
 
-    There is a point between any two kinks. The other of theta and eta is one of `others`.
+    There is a point between any two kinks. `others` are the values of the other parameter.
     """
     n = len(data.heard)
     result, where = np.full((len(betas), len(others)), -np.inf), np.empty((len(betas), len(others)))
@@ -195,7 +189,7 @@ def _on_lines(
 
 @njit(nogil=True)
 def _places(axis: int, other: float, sums: Floats, gaps: Floats, low: float, high: float, count: int) -> Floats:
-    """Give points along theta or eta: evenly spaced, the kinks, and the middles between any two of these."""
+    """Return points along theta or eta: a regular grid, the kinks, and the midpoints between any two of these."""
     if count == 1:
         return np.full(1, low)
     points = np.empty(count + 2 * len(sums) + len(gaps))
@@ -229,11 +223,11 @@ def _climb(
 ) -> float:
     """Improve a point in place by a pattern search; return its log-likelihood.
 
-    Besides single coordinates it moves along the lines theta = -eta S and theta = 1 - eta S.
+    It moves along single coordinates, and along the lines theta = -eta S and theta = 1 - eta S.
 
-    Compiled, since people are fitted in parallel, which an optimiser in Python would keep from happening: scipy's
-    Nelder-Mead finds the same maxima in twice the time; Powell and L-BFGS-B end up to 0.5 below them (at the kinks) for
-    six and seven of 20 people on `kitting/paper`.
+    It is compiled so that people can be fitted in parallel threads. Of scipy's optimisers, Nelder-Mead finds the same
+    maxima in twice the time; Powell and L-BFGS-B end up to 0.5 below them (at kinks) for six and seven of 20 people on
+    `kitting/paper`.
     """
     n = len(data.heard)
     own, told, rest = np.empty(n), np.empty(n), np.empty(n)

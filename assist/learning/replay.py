@@ -1,8 +1,7 @@
-"""Recorded actions as the task has them: what people could choose from in every step, and what they chose.
+"""Replay of logs in a task: the alternatives and the choice of people at every step.
 
-`replay` follows each episode of a log through the task, one step of all episodes at a time, and gives a `Recording`.
-Nothing here needs a cost-to-go: only the choices of states that were visited are asked for, so that a task may have
-any number of states.
+`replay` applies the actions of each episode, one step of all episodes at a time, and returns a `Recording`. It needs
+the choices of visited states only, and no cost-to-go. So a task may have any number of states.
 """
 
 from __future__ import annotations
@@ -24,44 +23,37 @@ from ..people.terms import NOTHING_YET, Situation, Vocabulary, goals_met
 from .log import Entry, Fault, Log, in_order
 from .log_files import Names
 
-OF_STEPS = (
-    "episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested", "actions", "last", "previous",
-)  # fmt: skip
-"""What a recording has of each step, but for who took it."""
-
 
 @dataclass(frozen=True)
 class Recording:
-    """What people could choose from, step by step, and what they chose; N steps of up to A choices.
+    """The alternatives and choices of people, step by step; N steps of up to A choices.
 
-    The steps of an episode are in order, episodes of a person follow each other in the order of their names, and so
-    do people.
+    Steps are sorted by person, episode and step; people and episodes are in the order of their names.
 
     Attributes
     ----------
     people : tuple of str
-        Their names.
+        Names of the people.
     episodes : tuple of str
-        The name of each episode.
+        Names of the episodes.
     person, episode : int arrays, shape (N,)
-        Places in the two.
+        Indices into the two.
     step : int array, shape (N,)
-        As the log counts.
+        Step number in the log.
     state : int array, shape (N,)
-        The state in which the choice was made: a number of the `CostToGo` that the log was replayed on.
+        State in which the choice was made, as a number of the replayed task's `CostToGo`.
     applicable : bool array, shape (N, A)
-        Which slots hold a choice; they are filled from the left, in the order of the actions' numbers.
+        Whether each slot holds a choice; slots are filled from the left, in the order of the actions' numbers.
     targets : int array, shape (N, A)
-        The state after each choice; the state itself in empty slots.
+        Successor of each choice; the state itself in empty slots.
     costs : float array, shape (N, A)
-        What each costs, in cost units.
+        Cost of each choice, in cost units.
     chosen, suggested : int arrays, shape (N,)
-        Slots; `NOTHING` where nothing was suggested.
+        Slots; `NOTHING` without a suggestion.
     actions : int array, shape (N, A)
-        The ground action in each slot; `WAIT` in empty ones, and where the person could only stand still.
+        Ground action of each slot; `WAIT` in empty slots, and if the person could only wait.
     last, previous : int arrays, shape (N,)
-        The ground action of the person's choice before, and the state in which they made it; `NOTHING_YET` where an
-        episode begins.
+        Ground action of the person's previous choice, and its state; `NOTHING_YET` at the beginning of an episode.
     """
 
     people: tuple[str, ...]
@@ -88,19 +80,19 @@ class Recording:
         return len(self.state)
 
     def wanted(self) -> NDArray[np.int64]:
-        """Give the states whose cost-to-go the choices depend on, ascending: those that a choice leads to."""
+        """Return the states whose cost-to-go is needed, ascending: the successors of choices."""
         return np.unique(self.targets[self.applicable])
 
     def evaluated(self, h: NDArray[np.float64]) -> tuple[Recording, dict[str, int]]:
-        """Leave out choices that depend on a cost-to-go that is not known; say how many of whom.
+        """Return the recording without choices whose cost-to-go is unknown, and how many of each person are excluded.
 
-        Where something was suggested in such a choice, nobody knows what that did to trust, so that the rest of the
-        episode is left out as well.
+        If there was a suggestion at such a choice, its effect on trust is unknown. Then the rest of the episode is
+        excluded as well.
 
         Parameters
         ----------
         h : float array, shape (states,)
-            The cost-to-go, NaN where it is not known.
+            Cost-to-go; NaN if unknown.
         """
         rows = np.arange(len(self))
         unknown = (self.applicable & np.isnan(h[self.targets])).any(axis=1)
@@ -110,23 +102,23 @@ class Recording:
         kept = ~unknown & (lost < np.maximum.accumulate(np.where(begins, rows, 0)))
         who, person = np.unique(self.person[kept], return_inverse=True)
         counts = np.bincount(self.person[~kept], minlength=len(self.people))
-        left = replace(
-            self,
-            people=tuple(self.people[k] for k in who),
-            person=person,
-            **{name: getattr(self, name)[kept] for name in OF_STEPS},
-        )
+        of_steps = (
+            "episode", "step", "state", "applicable", "targets", "costs", "chosen", "suggested", "actions", "last",
+            "previous",
+        )  # fmt: skip
+        steps = {name: getattr(self, name)[kept] for name in of_steps}
+        left = replace(self, people=tuple(self.people[k] for k in who), person=person, **steps)
         return left, {self.people[k]: int(counts[k]) for k in np.flatnonzero(counts)}
 
 
 def situation(recording: Recording, costs: CostToGo) -> Situation:
-    """Give what people could choose from, and what they had done last, in the form that terms look at.
+    """Return the alternatives and the last actions of people, in the form on which terms depend.
 
     Parameters
     ----------
     recording : Recording
     costs : CostToGo
-        The one that the log was replayed on.
+        Cost-to-go of the replayed task.
     """
     r = recording
     met = np.zeros(len(costs), dtype=np.int64)
@@ -146,33 +138,33 @@ def replay(
     drop: Sequence[str] = (),
     rename: Mapping[str, str] | None = None,
 ) -> tuple[Recording, list[Fault]]:
-    """Follow recorded actions through the task.
+    """Apply recorded actions in the task, and return the recording and its faults.
 
-    What the robot did itself is no choice of anybody: it moves the task on before the person chooses. What comes
-    after the goal is left out.
+    The robot's own actions are no choices: they change the state before the person chooses. Actions after the goal are
+    excluded.
 
     Parameters
     ----------
     log : Log
     answers : CostToGo
-        Only its `choices` and `is_goal` are asked for.
+        Cost-to-go of the task; only its `choices` and `is_goal` are used.
     drop : sequence of str
-        Actions that are no choices, each by its name and the first of its arguments; they are left out. A log may say
-        so of standing still, or of a ground action that never changes anything, which the grounded task leaves out.
+        Actions that are no choices, each by its name and possibly its first arguments; they are ignored. Examples are
+        waiting, and ground actions without effect, which the grounded task does not contain.
     rename : mapping of str to str, optional
-        Names in the log, and what the task calls those actions.
+        The task's names for action names in the log.
 
     Returns
     -------
     recording : Recording
-        Of all episodes that can be followed.
+        All episodes that can be replayed.
     faults : list of Fault
-        What the replay has found, in the order of the lines; those of `log.faults` are not among them.
+        Faults of the replay, in the order of the lines; `log.faults` are not included.
 
     Raises
     ------
     ValueError
-        `drop` or `rename` has a name that is nowhere in the log, or in the task.
+        `drop` or `rename` has a name that the log, or the task, does not have.
     """
     matcher = Matcher(answers.task.actions)
     renamed = {old.lower(): new.lower() for old, new in (rename or {}).items()}
@@ -217,7 +209,7 @@ def replay(
 
 
 def _check_names(log: Log, matcher: Matcher, dropped: set[Words], renamed: Mapping[str, str]) -> None:
-    """Refuse names that stand for nothing: they are misspelt."""
+    """Check that names exist in the log and the task, as others are misspelt."""
     called = log.called
     if not called:
         return
@@ -247,7 +239,7 @@ class _Event:
 
     @classmethod
     def of(cls, entry: Entry, dropped: set[Words], renamed: Mapping[str, str]) -> list[_Event]:
-        """Give what happens in a line of the log, in that order."""
+        """Return the events of a line of the log, in order."""
         events = []
         if entry.executed is not None:
             events.append(cls(entry, words_of(entry.executed, renamed), None, robot=True))
@@ -260,7 +252,7 @@ class _Event:
 
 @dataclass(frozen=True)
 class _Choice:
-    """What a person could choose from in one step, and what they chose; slots as in `Recording`."""
+    """A person's alternatives and choice at one step; slots as in `Recording`."""
 
     entry: Entry
     state: int
@@ -271,7 +263,7 @@ class _Choice:
 
 
 class _Walk:
-    """An episode in progress: what happens in it, and where that has led."""
+    """An episode during the replay: its remaining events, and the state reached."""
 
     def __init__(self, events: list[_Event]) -> None:
         self.events = events
@@ -283,8 +275,8 @@ class _Walk:
         self, event: _Event, state: int, actions: NDArray[np.int32], targets: NDArray[np.signedinteger],
         matcher: Matcher,
     ) -> None:  # fmt: skip
-        """Follow an event from a state; raise `UnmatchedError` where it cannot happen there."""
-        if not len(actions):  # the person can only stand still
+        """Apply an event in a state; raise an `UnmatchedError` if it is not possible there."""
+        if not len(actions):  # the person can only wait
             targets = np.array([state], dtype=np.int64)
         chosen = matcher.slot(event.action, actions)
         suggested = NOTHING if event.suggestion is None else matcher.slot(event.suggestion, actions)
@@ -293,7 +285,7 @@ class _Walk:
         self.state = int(targets[chosen])
 
     def unknown(self, start: int, matcher: Matcher) -> list[Fault]:
-        """Name the lines from an event on that fit no action of the task, whatever the state."""
+        """Return the faults of lines, from an event on, that match no action of the task in any state."""
         found = []
         for event in self.events[start:]:
             for words in (event.action, event.suggestion):
@@ -304,7 +296,7 @@ class _Walk:
 
 
 def _recording(walks: Sequence[_Walk], costs: NDArray[np.float64]) -> Recording:
-    """Arrange what episodes consist of."""
+    """Return the recording of the choices of all episodes."""
     people = tuple(sorted({walk.taken[0].entry.person for walk in walks}, key=in_order))
     number = {person: place for place, person in enumerate(people)}
     taken = [(episode, choice) for episode, walk in enumerate(walks) for choice in walk.taken]

@@ -1,4 +1,4 @@
-"""How people decide: what they can do, how they choose, take advice and come to trust it, and the belief in them."""
+"""Models of people: choices, influence and trust, populations, and the belief in a person."""
 
 from planner.system.lazy_imports import lazy_exports
 

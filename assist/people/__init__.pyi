@@ -20,6 +20,7 @@ from .human import Human as Human
 from .human import HumanModel as HumanModel
 from .human import Mixture as Mixture
 from .human import Population as Population
+from .human import advice_takers as advice_takers
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
 from .terms import NOTHING_YET as NOTHING_YET
@@ -29,3 +30,10 @@ from .terms import Term as Term
 from .terms import Vocabulary as Vocabulary
 from .terms import features as features
 from .terms import goals_met as goals_met
+from .trust_rules import EquationSeven as EquationSeven
+from .trust_rules import Event as Event
+from .trust_rules import LogitSteps as LogitSteps
+from .trust_rules import TrustRule as TrustRule
+from .trust_rules import constant as constant
+from .trust_rules import outcome as outcome
+from .trust_rules import outcome_at_disagreement as outcome_at_disagreement

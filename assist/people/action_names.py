@@ -1,8 +1,8 @@
-"""Names of actions as people and programs write them, and which ground action is meant.
+"""Matching of action names, as people and programs write them, to ground actions.
 
-`(fetch box-a)` and `fetch box-a` are PDDL, `fetch(box-a)` and `place(hammer, slot-1)` are what unified-planning and
-others print; case does not matter. An action may be given by its name and the first of its arguments where exactly one
-applicable ground action begins so.
+`(fetch box-a)` and `fetch box-a` are PDDL notation; `fetch(box-a)` and `place(hammer, slot-1)` are the notation of
+unified-planning and others. Case does not matter. The last arguments may be omitted if exactly one applicable ground
+action matches.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Words = tuple[str, ...]
 
 
 FORMS = re.compile(r"\((?P<inner>[^()]*)\)|(?P<name>[^\s(),]+)\s*\((?P<arguments>[^()]*)\)|(?P<plain>[^()]*)")
-"""(name argument ...), name(argument, ...) and name argument ..."""
+"""Pattern of (name argument ...), name(argument, ...) and name argument ..."""
 
 
 class UnmatchedError(ValueError):
-    """Words that stand for no applicable action, or for several."""
+    """The words match no applicable action, or several."""
 
 
 def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
@@ -35,7 +35,7 @@ def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
     action : str
         As `(name argument ...)`, `name(argument, ...)` or `name argument ...`.
     renamed : mapping of str to str, optional
-        What an action's name stands for.
+        Name in the task for names that differ from it.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def words_of(action: str, renamed: Mapping[str, str] | None = None) -> Words:
 
 
 def wrong_form(action: str) -> str | None:
-    """Return what is wrong with the brackets of an action; None if nothing is."""
+    """Return what is wrong with the brackets of an action; None if they are right."""
     if FORMS.fullmatch(action.strip()):
         return None
     opened, closed = action.count("("), action.count(")")
@@ -59,7 +59,7 @@ def wrong_form(action: str) -> str | None:
 
 
 class Matcher:
-    """Finds the ground action that is meant."""
+    """Finds the ground action that matches some words."""
 
     def __init__(self, actions: Sequence[str]) -> None:
         self.actions = actions
@@ -69,11 +69,11 @@ class Matcher:
         self.beginnings = {words[:end] for words in self.words for end in range(1, len(words) + 1)}
 
     def slot(self, words: Words, options: NDArray[np.int32]) -> int:
-        """Give the slot of the action that is meant among those that are applicable (ground actions, ascending)."""
+        """Return the slot of the matching action among the applicable ones (ground actions, ascending)."""
         if not len(options):
             if words == (STAND_STILL[1:-1],):
                 return 0
-            raise UnmatchedError(f"{_shown(words)} is not applicable; here one can only stand still, {STAND_STILL}")
+            raise UnmatchedError(f"{_shown(words)} is not applicable; a person can only wait here, {STAND_STILL}")
         number = self.number.get(words)
         if number is not None:
             slot = int(np.searchsorted(options, number))
@@ -89,7 +89,7 @@ class Matcher:
         raise UnmatchedError(f"{why}; {self._nearest(words, options)}")
 
     def unknown(self, words: Words) -> str | None:
-        """Say why words stand for no action of the task, in whatever state; None if they may."""
+        """Return why words match no action of the task in any state; None if they may match one."""
         if not words:
             return "an empty action"
         if words in self.beginnings or words == (STAND_STILL[1:-1],):
@@ -102,7 +102,7 @@ class Matcher:
         return f"{_shown(words)} is no action of the task{why}"
 
     def _nearest(self, words: Words, options: NDArray[np.int32]) -> str:
-        """Name the applicable actions that are nearest in writing, three at the most."""
+        """Return up to three applicable actions of similar spelling."""
         applicable = [self.actions[option] for option in options]
         near = difflib.get_close_matches(_shown(words), applicable, n=3, cutoff=0.5) or applicable[:3]
         return f"nearest of the {len(applicable)} applicable: {', '.join(near)}"

@@ -1,4 +1,4 @@
-"""How numbers are read that callers give: any integer or real counts, and what makes no sense is named in one line."""
+"""Checks of callers' numbers: any integer or real type is accepted, and an invalid value is one clear error."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Seed = int | np.random.Generator
-"""A number of 0 or more, or a generator, from which one is drawn."""
+"""An integer of 0 or more, or a generator from which one is drawn."""
 
 MOST = 1e15
-"""Costs, rates and sizes are at most this: sums of larger ones are no longer exact, and products overflow."""
+"""Largest cost, rate or size: sums of larger numbers are not exact in floating point, and products overflow."""
 
 
 def whole(name: str, value: object, least: int = 0) -> int:
-    """Read a whole number; a truth value is none."""
+    """Return a value as an int; truth values are refused."""
     try:
         number = None if isinstance(value, bool | np.bool_) else operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -29,7 +29,7 @@ def whole(name: str, value: object, least: int = 0) -> int:
 
 
 def wholes(name: str, values: ArrayLike, least: int = 0) -> NDArray[np.int64]:
-    """Read whole numbers, as many as there are."""
+    """Return values as an int array."""
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or (array < least).any() or (array > np.iinfo(np.int64).max).any():
         raise ValueError(f"{name} {values!r}: expected whole numbers of {least} or more")
@@ -37,7 +37,7 @@ def wholes(name: str, values: ArrayLike, least: int = 0) -> NDArray[np.int64]:
 
 
 def number(name: str, value: object) -> float:
-    """Read a number; a truth value is none, and nor is an array. What no float holds is infinite."""
+    """Return a value as a float; truth values and arrays are refused. A number too large for a float is infinite."""
     real = None if isinstance(value, bool | np.bool_) else value
     try:
         read = float(real) if isinstance(real, Real) else None
@@ -49,7 +49,7 @@ def number(name: str, value: object) -> float:
 
 
 def span(name: str, value: object) -> tuple[float, float]:
-    """Read two numbers, from one to the other."""
+    """Return a value as a range of two numbers."""
     pair = list(value) if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) else []
     if len(pair) != 2:
         raise ValueError(f"{name} {value!r}: expected two numbers, low and high")
@@ -58,7 +58,7 @@ def span(name: str, value: object) -> tuple[float, float]:
 
 
 def positive(name: str, value: object) -> float:
-    """Read a number above 0, such as a limit."""
+    """Return a value as a float above 0, such as a limit."""
     limit = number(name, value)
     if not limit > 0:
         raise ValueError(f"{name} {value!r}: expected more than 0")
@@ -66,5 +66,5 @@ def positive(name: str, value: object) -> float:
 
 
 def entropy(seed: Seed) -> int:
-    """Return the number from which random streams are made."""
+    """Return the seed of random streams."""
     return int(seed.integers(2**63)) if isinstance(seed, np.random.Generator) else whole("seed", seed)

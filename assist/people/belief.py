@@ -1,9 +1,9 @@
 """Belief over a person's expertise and influence.
 
-The hidden pair (beta, theta) is kept on a small `Grid`; a belief is an array of probabilities of shape
-(..., B, T). Beta never changes. Theta moves by a known map, whose result is shared between the two
-neighbouring grid points so that its mean is kept (`shares`); snapping to the nearest point would freeze
-trust whenever a step is shorter than half a cell.
+The hidden pair (beta, theta) takes the values of a small `Grid`. A belief is an array of probabilities of shape
+(..., B, T). Beta never changes. Theta moves by a known map. Its result is divided between the two neighbouring grid
+points, so that its mean is exact (`shares`). Rounding to the nearest point would freeze trust whenever a step is
+shorter than half a cell.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .human import Mixture, Population
 
 
 class ImpossibleObservationError(ValueError):
-    """An observation that has probability zero under a belief."""
+    """The observation has probability zero under the belief."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Grid:
 
     @classmethod
     def regular(cls, population: Population | Mixture, betas: int = 6, thetas: int = 10) -> Grid:
-        """Divide the population's range of beta into equal cells (their middles), and [0, 1] for theta."""
+        """Return a grid with the midpoints of equal cells of the population's range of beta, and [0, 1] for theta."""
         low, high = population.beta
         edges = np.linspace(low, high, betas + 1)
         middles = (edges[1:] + edges[:-1]) / 2
@@ -63,17 +63,17 @@ class Grid:
         return len(self.beta), len(self.theta)
 
     def spreads(self, belief: Floats) -> tuple[Spread, Spread]:
-        """Describe where beta and theta lie under a belief, shape (B, T)."""
+        """Return the means and intervals of beta and theta under a belief, shape (B, T)."""
         theta = Spread.of(self.theta, belief.sum(axis=0), limits=(0.0, 1.0))
         return Spread.of(self.beta, belief.sum(axis=1)), theta
 
     def shares(self, theta: ArrayLike) -> tuple[NDArray[np.int64], Floats]:
-        """Share values of theta between neighbouring grid points.
+        """Divide values of theta between neighbouring grid points.
 
         Returns
         -------
         low : int array
-            The grid point at or below; `low + 1` is the one above.
+            The grid point at or below each value; `low + 1` is the one above.
         weight : float array
             The share of `low + 1`; `low` has the rest.
         """
@@ -83,13 +83,11 @@ class Grid:
         return low.astype(np.int64), np.clip(weight, 0.0, 1.0)
 
     def prior(self, population: Population | Mixture) -> Floats:
-        """Give the belief, shape (B, T), in a person drawn from a population.
+        """Return the belief, shape (B, T), in a person drawn from a population.
 
-        That in a mixture is the mixture of those in its parts.
-
-        Beta is uniform over the grid's values in the population's range (over the nearest one, where
-        none is). The uniform density of theta is shared between grid points like single values are,
-        so that its mean is exact.
+        For a mixture, it is the mixture of the parts' beliefs. Beta is uniform over the grid's values in the
+        population's range, or on the nearest one if there is none. The uniform density of theta is divided between
+        grid points as single values are, so that its mean is exact.
         """
         if isinstance(population, Mixture):
             parts = zip(population.shares, population.parts, strict=True)
@@ -102,7 +100,7 @@ class Grid:
         low, high = population.theta
         knots = np.unique(np.concatenate([[low, high], self.theta[(self.theta > low) & (self.theta < high)]]))
         theta = np.zeros(len(self.theta))
-        if high > low:  # between knots the shares are linear, so that the middle stands for the interval
+        if high > low:  # between knots the shares are linear, so that the midpoint represents the interval
             nodes, mass = (knots[1:] + knots[:-1]) / 2, np.diff(knots) / (high - low)
         else:
             nodes, mass = np.array([low]), np.array([1.0])
@@ -113,12 +111,12 @@ class Grid:
 
 
 ROUNDING = 1e-9
-"""Differences up to this come from rounding."""
+"""Differences up to this size count as rounding errors."""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Where a distribution over ascending values lies: its mean, and the ends of its middle part.
+    """The mean of a distribution over ascending values, and the ends of its central interval.
 
     Attributes
     ----------
@@ -133,19 +131,19 @@ class Spread:
     def of(
         cls, values: Floats, chances: Floats, *, level: float = 0.9, limits: tuple[float, float] = (0.0, np.inf)
     ) -> Spread:
-        """Describe a distribution; NaN where the chances are.
+        """Return the mean and the interval of a distribution; NaN if its probabilities are.
 
-        Each value stands for a cell, and its chance is spread evenly over this cell; evenly in the logarithm, where
-        the values are a geometric sequence. As much chance lies below the interval as above it. Where the mean of a
-        skewed distribution would lie outside, the interval is extended to it.
+        Each value represents a cell over which its probability is uniform, or log-uniform if the values are a
+        geometric sequence. The probabilities below and above the interval are equal. If the mean of a skewed
+        distribution lies outside, the interval is extended to it.
 
         Parameters
         ----------
         values, chances : float arrays, shape (n,)
         level : float
-            The chance of what lies within the interval, from 0 to 1.
+            The probability of the interval, from 0 to 1.
         limits : pair of float
-            Between which values are possible; cells end there.
+            Smallest and largest possible value, at which cells end.
         """
         if not 0 <= level <= 1:
             raise ValueError(f"level {level:g}: expected a number from 0 to 1")
@@ -167,7 +165,7 @@ class Spread:
 
 
 def _quantile(edges: Floats, chances: Floats, below: float) -> float:
-    """Give the largest value below which cells, ascending, have no more than so much chance."""
+    """Return the largest value below which ascending cells have at most the probability `below`."""
     total = np.concatenate([[0.0], chances.cumsum()])
     cell = min(int(np.searchsorted(total, below + ROUNDING, side="right")), len(chances)) - 1
     inside = np.clip((below - total[cell]) / max(chances[cell], ROUNDING), 0, 1)
@@ -175,7 +173,7 @@ def _quantile(edges: Floats, chances: Floats, below: float) -> float:
 
 
 def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: Floats) -> Floats:
-    """Update beliefs by Bayes' rule, then move theta.
+    """Return beliefs after an observation: Bayes' rule, followed by the trust update of theta.
 
     b'(beta, theta') proportional to sum over theta of b(beta, theta) P(a | x, r, beta, theta) T(theta' | theta)
 
@@ -183,9 +181,9 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
     ----------
     belief : float array, shape (N, B, T)
     likelihood : float array, shape (N, B, T)
-        Probability of what was observed.
+        Probability of the observation.
     low, weight : int and float arrays, shape (N, T)
-        Where theta moves, as `Grid.shares` gives it.
+        New theta of each grid point, as `Grid.shares` returns it.
 
     Returns
     -------
@@ -194,7 +192,7 @@ def update(belief: Floats, likelihood: Floats, low: NDArray[np.int64], weight: F
     Raises
     ------
     ImpossibleObservationError
-        An observation of probability zero.
+        The observation has probability zero.
     """
     joint = belief * likelihood
     evidence = joint.sum(axis=(1, 2))

@@ -1,8 +1,7 @@
-"""How people choose: the one place where a choice model is made, and what everything else knows of it.
+"""Choice models: the probability of every choice in every state, for each type of person.
 
-A choice model gives the chance of every choice in every state, for each type of person. Filter, policies, search,
-bounds and simulation work with these chances alone, so that whatever has this form can be put in the place of the
-paper's: terms and habits (`Weighted`), or a function of one's own.
+Filter, policies, solvers, bounds and simulation use these probabilities only. So any function of this form can replace
+the paper's model: terms and habits (`Weighted`), or a function of the user.
 """
 
 from __future__ import annotations
@@ -16,38 +15,35 @@ import numpy as np
 from .choices import Choices
 from .decision import Floats, choice, perceived_value
 
-BALANCED = 1e-9
-"""How far the chances of a state may be from adding up to 1."""
-
 
 class ChoiceModelError(ValueError):
-    """A choice model that fails, or gives no chances."""
+    """A choice model fails, or does not return probabilities."""
 
 
 class ChoiceModel(Protocol):
-    """Any callable of this form.
+    """A choice model: any callable of this form.
 
-    Trust (eq. 7) looks at V(x) = -min_a Q(x, a), unless the callable has an attribute `value`: a function of
-    (choices, q) that gives V, shape (n,).
+    Trust (equation 7) depends on V(x) = -min_a Q(x, a), unless the callable has an attribute `value`: a function of
+    (choices, q) that returns V, shape (n,).
     """
 
     def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-        """Give the chance of each choice, shape (B, n, A): 0 in empty slots, adding up to 1 where there is a choice.
+        """Return the probability of each choice, shape (B, n, A): 0 in empty slots, with sum 1 if there is a choice.
 
         Parameters
         ----------
         choices : Choices
-            n states of up to A choices.
+            The n states with up to A choices each.
         q : float array, shape (n, A)
-            Perceived costs, infinite in empty slots and where a dead end follows.
+            Perceived costs, infinite in empty slots and for choices into dead ends.
         beta : float array, shape (B,)
-            The types of people: how expert they are, or what else the model makes of these numbers.
+            Types of people: their expertise, or another parameter of the model.
         """
         ...
 
 
 def boltzmann(choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-    """Choose by cost-to-go alone, as in the paper (eq. 5); a `ChoiceModel`.
+    """Return the probabilities of choice by cost-to-go alone, as in the paper (equation 5); a `ChoiceModel`.
 
     Parameters
     ----------
@@ -65,20 +61,20 @@ def boltzmann(choices: Choices, q: Floats, beta: Floats, /) -> Floats:
 
 @dataclass(frozen=True)
 class Weighted:
-    """Choose by cost-to-go and terms; a `ChoiceModel`.
+    """Choice by cost-to-go and terms; a `ChoiceModel`.
 
-    P(a | x, m) proportional to exp(-beta Q(x, a) + sum_j w_j f_j(x, a, m)), m being what the person did last.
+    P(a | x, m) proportional to exp(-beta Q(x, a) + sum_j w_j f_j(x, a, m)), where m is the person's last action.
 
     Attributes
     ----------
     weights : mapping of str to float
-        w_j of each term, by its name; a term that is not named has weight 0.
+        Weight w_j of each term by its name; other terms have weight 0.
     """
 
     weights: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-        """Give the chance of each choice, shape (B, n, A)."""
+        """Return the probability of each choice, shape (B, n, A)."""
         known = choices.terms or ()
         if unknown := self.weights.keys() - set(known):
             named = ", ".join(sorted(unknown))
@@ -90,12 +86,12 @@ class Weighted:
 
 
 def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> Floats:
-    """Give what a choice model says, shape (B, n, A), having looked at it.
+    """Return the checked probabilities of a choice model, shape (B, n, A).
 
     Raises
     ------
     ChoiceModelError
-        No chances: another shape, numbers below 0 or that are none, or a state where they do not add up to 1.
+        The shape is wrong, a number is negative or not finite, or the sum in a state is not 1.
     """
     p = chooses(choices, q, beta)
     if chooses is boltzmann:
@@ -106,7 +102,8 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
         raise ChoiceModelError(f"{named}: gives an array of shape {p.shape}; expected {shape}: types, states, choices")
     wanted = choices.applicable.any(axis=1).astype(float)
     total = p.sum(axis=2)
-    wrong = ~((p >= 0) & (choices.applicable | (p == 0))).all(axis=2) | ~(np.abs(total - wanted) <= BALANCED)
+    unbalanced = ~(np.abs(total - wanted) <= 1e-9)  # more than rounding errors, or NaN
+    wrong = ~((p >= 0) & (choices.applicable | (p == 0))).all(axis=2) | unbalanced
     if wrong.any():
         b, x = np.argwhere(wrong)[0]
         raise ChoiceModelError(
@@ -117,7 +114,7 @@ def chances(chooses: ChoiceModel, choices: Choices, q: Floats, beta: Floats) -> 
 
 
 def value(chooses: ChoiceModel, choices: Choices, q: Floats) -> Floats:
-    """Give V(x), shape (n,), at which the trust of a choice model's people looks (eq. 7)."""
+    """Return V(x), shape (n,), by which theta changes (equation 7), for a choice model."""
     own = getattr(chooses, "value", perceived_value)
     v = np.asarray(own(choices, q), dtype=float)
     if v.shape != choices.h.shape or np.isnan(v).any():

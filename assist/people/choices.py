@@ -1,7 +1,7 @@
-"""A task as an assistant sees it: in every state, what the person can do and what it leads to.
+"""The choices of a person in every state of a task, as arrays.
 
-`Choices` is the rectangular form of a cost-to-go table: row `x` has one slot for each action that is
-applicable in state `x`. Everything else in this package works on these arrays and knows nothing of PDDL.
+`Choices` is the rectangular form of a cost-to-go table: row `x` has one slot for each action that is applicable in
+state `x`. The rest of this package uses these arrays, and does not depend on PDDL.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from planner.system.arrays import outline, read_only
 T = TypeVar("T", bound=np.generic)
 
 WAIT = -1
-"""The action number of standing still, the only choice in a state without applicable actions."""
+"""Action number of waiting, the only choice in a state without applicable actions."""
 
 STAND_STILL = "(wait)"
-"""What it is called."""
+"""Name of waiting."""
 
 
 BLOCK = 1 << 16
-"""States whose values are unpacked at a time."""
+"""Number of states whose values are unpacked at a time, which limits the memory to some megabytes."""
 
 
 def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Mix the bits of numbers, shape (...): each of a result depends on all of a number's (splitmix64's finaliser)."""
+    """Return a hash of each number, shape (...): every bit of it depends on all bits of the number (splitmix64)."""
     z = numbers + np.uint64(0x9E3779B97F4A7C15)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -38,12 +38,12 @@ def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def keys_of(known: CostToGo, states: ArrayLike) -> NDArray[np.uint64]:
-    """Give a key of states, shape (N,): a hash of their variables' values, however they are numbered.
+    """Return a key of each state, shape (N,): a hash of its variables' values, independent of its number.
 
     Parameters
     ----------
     known : CostToGo
-        Of their task, as a table or on demand: the keys are the same.
+        Cost-to-go of the task, as a table or on demand; the keys are the same.
     states : int array, shape (N,)
     """
     numbers = np.asarray(states, dtype=np.int64).reshape(-1)
@@ -56,7 +56,7 @@ def keys_of(known: CostToGo, states: ArrayLike) -> NDArray[np.uint64]:
 
 
 def require_goal(cost: float) -> None:
-    """Refuse a task by the cost-to-go of its initial state.
+    """Check that the cost-to-go of the initial state is finite.
 
     Raises
     ------
@@ -74,31 +74,31 @@ class Choices:
     Attributes
     ----------
     h : float array, shape (n,)
-        Exact cost-to-go, infinite at dead ends.
+        Exact cost-to-go, infinite in dead ends.
     goal : bool array, shape (n,)
     applicable : bool array, shape (n, A)
-        Which slots hold a choice; they are filled from the left.
+        Whether each slot holds a choice; slots are filled from the left.
     actions : int array, shape (n, A)
-        Ground action of each slot; `WAIT` where the person can only stand still (at cost 1).
+        Ground action of each slot; `WAIT` if the person can only wait (at cost 1).
     targets : int array, shape (n, A)
-        The state after the action; the state itself in empty slots.
+        Successor of each choice; the state itself in empty slots.
     costs : float array, shape (n, A)
         Cost of the action; 0 in empty slots.
     optimal : bool array, shape (n, A)
-        Whether a cheapest way to the goal can begin with the action.
+        Whether an optimal plan can begin with the action.
     names : tuple of str
-        The ground actions in PDDL.
+        The ground actions in PDDL notation.
     initial : int
         The state in which an episode begins.
     state : int array, shape (n,), or None
-        The task's state of each row, where a row is a state with what the person did before they came there
-        (`memory.remembered`); every state has a row. None: the rows are the task's states.
+        Task state of each row, if a row is a state with the memory of the person's last action (`memory.remembered`);
+        every state has a row. None if the rows are the task's states.
     terms : tuple of str, or None
-        The names of J terms, if any are worked out.
+        Names of the J terms in `features`.
     features : float array, shape (n, A, J), or None
-        What each of them says of each choice.
+        Value of each term for each choice.
     key : uint64 array, shape (n,), or None
-        What tells the task's state of each row from others (`keys_of`). None: its number does.
+        Key of each row's task state (`keys_of`). None if the state's number is the key.
     """
 
     h: NDArray[np.float64]
@@ -122,7 +122,7 @@ class Choices:
 
     @classmethod
     def of(cls, table: Table) -> Choices:
-        """Arrange the choices of a cost-to-go table."""
+        """Return the choices of a cost-to-go table."""
         space = table.space
         return cls.arranged(
             table.h.copy(), space.goal.copy(), space.transitions, table.optimal_choices(),
@@ -144,20 +144,20 @@ class Choices:
         initial: int = 0,
         key: NDArray[np.uint64] | None = None,
     ) -> Choices:
-        """Arrange compressed rows of choices, with standing still where nothing else can be done.
+        """Return choices from compressed rows, with waiting as the only choice where no action is applicable.
 
         Parameters
         ----------
         h, goal : float and bool arrays, shape (n,)
         rows : Transitions
-            The choices of all n states, m in all.
+            The m choices of all n states.
         optimal : bool array, shape (m,)
         names : tuple of str
             The ground actions.
         prices : sequence of int
-            What each of them costs.
+            Cost of each ground action.
         known : bool array, shape (n,), optional
-            Of which states the choices are known; the others have empty rows.
+            Whether the choices of each state are known; other states have empty rows.
         initial : int
         key : uint64 array, shape (n,), optional
         """
@@ -191,29 +191,29 @@ class Choices:
 
     @property
     def task_states(self) -> int:
-        """How many states the task has."""
+        """The number of states of the task."""
         return len(self) if self.state is None else int(self.state.max(initial=-1)) + 1
 
     @property
     def keys(self) -> NDArray[np.uint64]:
-        """What tells the task's state of each row from others, shape (n,)."""
+        """The key of each row's task state, shape (n,)."""
         return self.of_task(np.arange(self.task_states, dtype=np.uint64)) if self.key is None else self.key
 
     def task_state(self, row: int) -> int:
-        """Give the task's state of a row."""
+        """Return the task state of a row."""
         return row if self.state is None else int(self.state[row])
 
     def row(self, state: int) -> int:
-        """Give the row of a state of the task as if nothing had come before it, or else any row of it."""
+        """Return the row of a task state without memory, or any of its rows if there is none."""
         if self.state is None:
             return state
         return self.initial if self.state[self.initial] == state else int(np.searchsorted(self.state, state))
 
     def of_task(self, array: NDArray[T]) -> NDArray[T]:
-        """Give what is known of each of the task's states, shape (m, ...), for each row, shape (n, ...)."""
+        """Return data of task states, shape (m, ...), for each row, shape (n, ...)."""
         return array if self.state is None else array[self.state]
 
     def name(self, state: int, slot: int) -> str:
-        """Give the ground action in a slot of a state, in PDDL."""
+        """Return the ground action in a slot of a state, in PDDL notation."""
         action = int(self.actions[state, slot])
         return STAND_STILL if action == WAIT else self.names[action]

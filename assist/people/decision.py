@@ -1,8 +1,8 @@
-"""How a person decides, takes advice and comes to trust it: the equations of the model, on arrays.
+"""The model's equations of a person's decisions, on arrays: perceived cost, choice, influence and trust.
 
-Perceived cost, Boltzmann choice (eq. 5), influence (eq. 6) and trust (eq. 7), numbered as in Dahiya and Smith,
-"Adaptive Robot Assistance: Expertise and Influence in Multi-User Task Planning"; see `docs/model.md`.
-The same equations stand compiled in `compiled`.
+Boltzmann choice (5), influence (6) and trust (7) have the numbers of Dahiya and Smith, "Adaptive Robot Assistance:
+Expertise and Influence in Multi-User Task Planning"; see `docs/model.md`. `influence_kernels` has (6) and (7) for
+compiled code.
 """
 
 from __future__ import annotations
@@ -16,17 +16,16 @@ from .misconception import Misconception, Noise
 Floats = NDArray[np.float64]
 
 NOTHING = -1
-"""The suggestion slot that stands for no suggestion."""
+"""Slot number that means no suggestion."""
 
 
 def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Floats:
-    """Draw what a person takes for the cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
+    """Return a person's perceived cost-to-go of every state, shape (n,), or after every choice, shape (n, A).
 
-    h(x) = h*(x) + sigma * eps(x), eps standard normal: a lasting misconception, drawn once per person
-    and state of the task, whatever the person did before they came there; with `noise="action"` once per person
-    and choice, h(x, a) = h*(succ(x, a)) + sigma * eps(x, a), so that one state looks different from where one
-    comes. The goal is recognised (h = 0) and dead ends stay
-    infinite.
+    h(x) = h*(x) + sigma * eps(x) with eps standard normal is a lasting misconception. It is drawn once per person and
+    task state, whatever they did before. With `noise="action"` it is drawn once per person and choice, h(x, a) =
+    h*(succ(x, a)) + sigma * eps(x, a), so that a state looks different from different predecessors. The goal is
+    recognised (h = 0), and dead ends stay infinite.
 
     Parameters
     ----------
@@ -34,14 +33,14 @@ def perceived_cost_to_go(choices: Choices, sigma: float, rng: np.random.Generato
     sigma : float
         Standard deviation, in cost units.
     rng : numpy.random.Generator
-        One number is taken from it, whatever the size of the task: the person's seed (`Misconception`).
+        One number is drawn from it, whatever the size of the task: the person's seed (`Misconception`).
     noise : "state" or "action"
     """
     return Misconception.drawn(sigma, rng, noise).of(choices)
 
 
 def perceived_cost(choices: Choices, h: Floats) -> Floats:
-    """Give Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots; `h` as a `Human` has it.
+    """Return Q(x, a) = c(a) + h(succ(x, a)), shape (n, A), infinite in empty slots; `h` is that of a `Human`.
 
     Parameters
     ----------
@@ -52,7 +51,7 @@ def perceived_cost(choices: Choices, h: Floats) -> Floats:
 
 
 def perceived_value(choices: Choices, q: Floats) -> Floats:
-    """Give V(x) = -min_a Q(x, a), shape (n,), with V(goal) = 0.
+    """Return V(x) = -min_a Q(x, a), shape (n,), with V(goal) = 0.
 
     Parameters
     ----------
@@ -64,28 +63,28 @@ def perceived_value(choices: Choices, q: Floats) -> Floats:
 
 
 def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floats | None = None) -> Floats:
-    """Give the Boltzmann policy of eq. 5: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
+    """Return the Boltzmann policy of equation 5: P(a | x) proportional to exp(-beta Q(x, a) + bias(x, a)).
 
     Parameters
     ----------
     q : float array, shape (..., A)
-        Perceived costs; infinite where an action leads to a dead end.
+        Perceived costs; infinite if an action leads to a dead end.
     applicable : bool array, shape (..., A)
     beta : float or array, shape (...)
-        Expertise, 0 or more. At 0 the choice is uniform over the applicable actions; for any larger
-        value an action into a dead end is never chosen while there is another.
+        Expertise, 0 or more. At 0 the choice is uniform over the applicable actions. For any larger value an action
+        into a dead end is never chosen if there is another.
     bias : float array, shape (..., A), optional
-        What else speaks for each action, such as weighted terms; finite. There is none in the paper.
+        Finite terms in the exponent in addition to the cost; the paper has none.
 
     Returns
     -------
     float array, shape (..., A)
-        Probabilities; all zero where nothing is applicable. Where every action leads to a dead end the
-        choice is uniform, or only the bias speaks.
+        Probabilities; all are zero if no action is applicable. If every action leads to a dead end, the choice depends
+        on the bias only, and is uniform without one.
     """
     beta = np.asarray(beta, dtype=float)[..., None]
     best = np.min(q, axis=-1, keepdims=True, where=applicable, initial=np.inf)
-    # The best action's exponent is 0, so the largest weight is 1 whatever beta and the cost scale are.
+    # The best action's exponent is 0, so that the largest weight is 1 for any beta and any scale of costs.
     with np.errstate(invalid="ignore"):
         exponent = -beta * (q - best)
     exponent = np.where(np.isfinite(best) & (beta > 0), exponent, 0.0)
@@ -99,21 +98,21 @@ def choice(q: Floats, applicable: NDArray[np.bool_], beta: ArrayLike, bias: Floa
 
 
 def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
-    """Weigh a choice by a suggestion (eq. 6): theta for the suggested action, 1 - theta for the others.
+    """Return choice probabilities after a suggestion (equation 6): weight theta for its action, 1 - theta for others.
 
     Parameters
     ----------
     p : float array, shape (..., A)
         The choice without a suggestion.
     suggestion : int or array, shape (...)
-        The suggested slot, `NOTHING` where nothing is suggested.
+        The suggested slot; `NOTHING` without a suggestion.
     theta : float or array, shape (...)
-        Influence in [0, 1]; 0.5 leaves the choice as it is.
+        Influence in [0, 1]; 0.5 does not change the choice.
 
     Returns
     -------
     float array, shape (..., A)
-        Probabilities. A suggestion that would leave no action possible is ignored.
+        Probabilities. A suggestion after which no action would be possible is ignored.
     """
     suggestion = np.asarray(suggestion)[..., None]
     theta = np.asarray(theta, dtype=float)[..., None]
@@ -124,7 +123,7 @@ def influence(p: Floats, suggestion: ArrayLike, theta: ArrayLike) -> Floats:
 
 
 def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
-    """Mix a choice, shape (..., A), with a uniform one, which has the weight `rate`.
+    """Return the mixture of a choice, shape (..., A), and a uniform one of weight `rate`.
 
     Parameters
     ----------
@@ -137,22 +136,21 @@ def lapse(p: Floats, applicable: NDArray[np.bool_], rate: float) -> Floats:
 
 
 def trust(theta: ArrayLike, value: ArrayLike, expected: ArrayLike, eta: float, utility_scale: float = 1.0) -> Floats:
-    """Update theta after a suggestion (eq. 7).
+    """Return theta after a suggestion (equation 7).
 
     theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1)
 
-    A suggestion into a dead end, whose value is minus infinity, ends trust: theta' = 0. From one dead end to another
-    trust does not change, and with eta = 0 it never does, dead ends included.
+    The value of a dead end is minus infinity. So a suggestion into a dead end gives theta' = 0, and one from a dead end
+    to another does not change theta. With eta = 0, theta never changes.
 
     Parameters
     ----------
     theta : float or array
         Influence before the suggestion.
     value, expected : float or array
-        V(x), the person's value of the present state, and V(x_r), that of the state in which the
-        suggested action would end.
+        V(x) and V(x_r): the person's values of the present state and of the suggested action's successor.
     eta : float
-        Rate.
+        Learning rate.
     utility_scale : float
         The unit of V in cost units.
     """

@@ -1,13 +1,16 @@
-"""People: as they really are, as they are drawn from populations, and as a robot takes them to be.
+"""People, populations of people, and the robot's model of a person.
 
-`Human` has parameters that nobody sees, a `Population` or a `Mixture` of some gives people, and a `HumanModel` is what
-a robot takes for granted of a person whose beta and theta it does not know. How any of them chooses is a `ChoiceModel`.
+A `Human` has hidden parameters. People are drawn from a `Population` or a `Mixture` of populations. A `HumanModel` is
+the robot's model of a person whose beta and theta it does not know. How people choose is a `ChoiceModel`.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -23,21 +26,21 @@ from .misconception import Misconception, Noise
 
 @dataclass(frozen=True)
 class Human:
-    """A person as they really are.
+    """A person with their true parameters.
 
     Attributes
     ----------
     beta : float
         Expertise (per cost unit), 0 or more.
     theta : float
-        Influence of the robot at the beginning, in [0, 1].
+        Initial influence of the robot, in [0, 1].
     sigma : float
-        Standard deviation of their misconception, in cost units.
+        Standard deviation of the misconception, in cost units.
     h : float array, shape (n,) or (n, A), or Misconception
-        What they take for the cost-to-go of each state, or of what each choice leads to; or from what that follows
-        for any part of a task.
+        Perceived cost-to-go of each state, or after each choice; or the misconception from which it follows in any
+        part of a task.
     chooses : ChoiceModel
-        How they choose; the paper's unless given.
+        Choice model; by default the paper's.
     """
 
     beta: float
@@ -61,20 +64,20 @@ class Human:
             object.__setattr__(self, "h", h)
 
     def expects(self, choices: Choices) -> Floats:
-        """Give what they take for the cost-to-go in a task or a part of one, shape (n,) or (n, A)."""
+        """Return the perceived cost-to-go in a task or a part of it, shape (n,) or (n, A)."""
         return self.h.of(choices) if isinstance(self.h, Misconception) else self.h
 
     @property
     def weights(self) -> Mapping[str, float]:
-        """The weight of each term in how they choose."""
+        """The weight of each term of the choice."""
         return self.chooses.weights if isinstance(self.chooses, Weighted) else {}
 
     def chances(self, choices: Choices) -> Floats:
-        """Give the chance of each of their choices where nothing is suggested, shape (n, A)."""
+        """Return the probability of each choice without a suggestion, shape (n, A)."""
         return chances(self.chooses, choices, perceived_cost(choices, self.expects(choices)), np.array([self.beta]))[0]
 
     def value(self, choices: Choices) -> Floats:
-        """Give V(x), shape (n,), at which their trust looks."""
+        """Return V(x), shape (n,), by which theta changes (equation 7)."""
         return value(self.chooses, choices, perceived_cost(choices, self.expects(choices)))
 
 
@@ -89,11 +92,11 @@ class Population:
     ----------
     beta, theta, sigma : pair of float
     noise : "state" or "action"
-        Whether a person is mistaken about states, or about the outcome of each choice in each state.
+        Whether misconceptions are about states, or about the outcome of each choice.
     weights : mapping of str to pair of float
-        The range of each term's weight, by its name; other terms have weight 0.
+        Range of each term's weight, by its name; other terms have weight 0.
     chooses : ChoiceModel, optional
-        How they choose, in place of cost-to-go and terms.
+        Choice model, in place of cost-to-go and terms.
     """
 
     beta: Range = (0.1, 3.0)
@@ -124,9 +127,9 @@ class Population:
                 raise ValueError(f"{name} range ({low:g}, {high:g}): expected 0 <= low <= high <= {most:g}")
 
     def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
-        """Draw people for a task; with weights or without, they are otherwise the same.
+        """Return people drawn for a task; weights do not change their other parameters.
 
-        Without choices they are people for any part of any task, and the same as they would be with them.
+        Without `choices`, the same people are returned in a form that suits any part of any task.
         """
         people = []
         for _ in range(count):
@@ -137,21 +140,21 @@ class Population:
         return people
 
     def _model(self, rng: np.random.Generator) -> ChoiceModel:
-        """Draw how a person chooses."""
+        """Return the choice model of a person, with weights drawn from their ranges."""
         if not self.weights:
             return self.chooses or boltzmann
-        own = rng.spawn(1)[0]  # a stream of its own
+        own = rng.spawn(1)[0]  # a separate stream, so that weights change nothing else
         return Weighted({name: float(own.uniform(*span)) for name, span in self.weights.items()})
 
     @property
     def typical(self) -> ChoiceModel:
-        """How they choose as far as that is the same for all: every weight is the middle of its range."""
+        """The choice model of a typical person, with every weight at the middle of its range."""
         if not self.weights:
             return self.chooses or boltzmann
         return Weighted({name: (low + high) / 2 for name, (low, high) in self.weights.items()})
 
     def as_dict(self) -> dict[str, Any]:
-        """Give the ranges as plain data; weights and a model of one's own only where there are some."""
+        """Return the ranges as plain data; weights and a user's choice model only if there are any."""
         record: dict[str, Any] = {name: getattr(self, name) for name in ("beta", "theta", "sigma", "noise")}
         if self.weights:
             record["weights"] = dict(self.weights)
@@ -162,13 +165,13 @@ class Population:
 
 @dataclass(frozen=True)
 class Mixture:
-    """A population of several parts, of which each makes up a share: any distribution, piece by piece uniform.
+    """A population of several parts with shares: a piecewise uniform distribution.
 
     Attributes
     ----------
     parts : tuple of Population
     shares : tuple of float
-        They add up to 1.
+        Share of each part; they sum to 1.
     """
 
     parts: tuple[Population, ...]
@@ -188,34 +191,34 @@ class Mixture:
 
     @property
     def beta(self) -> Range:
-        """The range that holds all parts."""
+        """The smallest range that contains those of all parts."""
         return min(part.beta[0] for part in self.parts), max(part.beta[1] for part in self.parts)
 
     @property
     def theta(self) -> Range:
-        """The range that holds all parts."""
+        """The smallest range that contains those of all parts."""
         return min(part.theta[0] for part in self.parts), max(part.theta[1] for part in self.parts)
 
     @property
     def sigma(self) -> Range:
-        """The range that holds all parts."""
+        """The smallest range that contains those of all parts."""
         return min(part.sigma[0] for part in self.parts), max(part.sigma[1] for part in self.parts)
 
     @property
     def weights(self) -> Mapping[str, Range]:
-        """The range of each term's weight that holds all parts."""
+        """The range of each term's weight over all parts."""
         names = dict.fromkeys(name for part in self.parts for name in part.weights)
         spans = {name: [part.weights.get(name, (0.0, 0.0)) for part in self.parts] for name in names}
         return {name: (min(low for low, _ in own), max(high for _, high in own)) for name, own in spans.items()}
 
     @property
     def chooses(self) -> ChoiceModel | None:
-        """The choice model of one's own that all parts have, if they do."""
+        """The user's choice model of all parts, if they have one."""
         return self.parts[0].chooses
 
     @property
     def typical(self) -> ChoiceModel:
-        """How they choose as far as that is the same for all: every weight is the mean."""
+        """The choice model of a typical person, with every weight at its mean."""
         if not self.weights:
             return self.parts[0].typical
         mean = dict.fromkeys(self.weights, 0.0)
@@ -225,30 +228,59 @@ class Mixture:
         return Weighted(mean)
 
     def as_dict(self) -> dict[str, Any]:
-        """Give parts and shares as plain data."""
+        """Return parts and shares as plain data."""
         return {"parts": [part.as_dict() for part in self.parts], "shares": self.shares}
 
     def sample(self, choices: Choices | None, count: int, rng: np.random.Generator) -> list[Human]:
-        """Draw people for a task, or without choices for any part of any task."""
+        """Return people drawn for a task, or, without choices, for any part of any task."""
         shares = np.asarray(self.shares) / sum(self.shares)
         drawn = rng.choice(len(self.parts), size=count, p=shares)
         return [person for part in drawn for person in self.parts[part].sample(choices, 1, rng)]
 
 
+def advice_takers(
+    beta: Range = (0.1, 3.0), sigma: Range = (0.1, 1.0), *, center: float = 1.7, spread: float = 1.4,
+    chooses: ChoiceModel | None = None,
+) -> Mixture:  # fmt: skip
+    """Return a population as wide in influence as people are who were seen to take or decline advice.
+
+    logit(theta) is normal with mean `center` and standard deviation `spread`, in ten ranges of theta within which it is
+    uniform. In two public data sets, of 469 people who bet on cards and 91 who dated events, the fitted means are .4,
+    1.8 and 2.9, and the fitted standard deviations 1.2 to 1.6 (docs/people.md). The defaults are near the middle of
+    these: half of all people have an influence above .85, and one in nine below .5.
+
+    Parameters
+    ----------
+    beta, sigma : pair of float
+        As in `Population`.
+    center, spread : float
+        In log-odds.
+    chooses : ChoiceModel, optional
+        As in `Population`.
+    """
+    if not (-MOST <= center <= MOST and 0 < spread <= MOST):
+        raise ValueError(f"center {center:g}, spread {spread:g}: expected log-odds, and a spread above 0")
+    edges = np.linspace(0.0, 1.0, 11)
+    below = [0.0, *(NormalDist(center, spread).cdf(math.log(e / (1 - e))) for e in edges[1:-1].tolist()), 1.0]
+    parts = tuple(
+        Population(beta, (low, high), sigma, chooses=chooses) for low, high in itertools.pairwise(edges.tolist())
+    )
+    return Mixture(parts, tuple(np.diff(below).tolist()))
+
+
 @dataclass(frozen=True)
 class HumanModel:
-    """What the robot takes for granted about a person whose beta and theta it does not know.
+    """The robot's model of a person whose beta and theta it does not know.
 
     Attributes
     ----------
     choices : Choices
     q : float array, shape (n, A)
-        The person's perceived costs, or the exact ones where the robot does not know them.
+        The person's perceived costs, or the exact costs if the robot does not know them.
     eta : float
-        Rate of the trust update.
+        Learning rate of the trust update.
     lapse : float
-        Weight of a uniform choice in the robot's model of the person's choice, so that no applicable
-        action has probability zero and no belief dies.
+        Weight of a uniform choice in the robot's model, so that no applicable action has probability zero.
     utility_scale : float
         The unit of V in the trust update, in cost units.
     """
@@ -278,7 +310,7 @@ class HumanModel:
     def exact(
         cls, choices: Choices, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
-        """Model a person of whom only the task is known (`knowledge="exact"`): h* for their h."""
+        """Return the model of a person of whom only the task is known (`knowledge="exact"`): h* in place of h."""
         q = perceived_cost(choices, choices.h)
         return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)
 
@@ -286,6 +318,6 @@ class HumanModel:
     def own(
         cls, choices: Choices, human: Human, *, eta: float = 0.2, lapse: float = 1e-3, utility_scale: float = 1.0
     ) -> HumanModel:
-        """Model a person whose own perceived costs are known (`knowledge="own"`, as in the paper)."""
+        """Return the model of a person whose perceived costs are known (`knowledge="own"`, as in the paper)."""
         q = perceived_cost(choices, human.expects(choices))
         return cls(choices, q, eta=eta, lapse=lapse, utility_scale=utility_scale)

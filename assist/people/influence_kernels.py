@@ -1,8 +1,8 @@
-"""Influence and trust (eq. 6 and 7), compiled: for code that takes one person, one choice, one theta at a time.
+"""Influence and trust (equations 6 and 7), compiled, for one person, one choice and one theta at a time.
 
-What simulates, fits and searches calls these; the choice without a suggestion (eq. 5) comes to it as an array, from a
-`choice_model`. Where a loop was made faster by arranging an equation in another way (`person.qmdp`,
-`person.alpha_vectors`, `learning.likelihood`), tests hold it to those of `decision`.
+Simulation, fitting and solvers call these functions. The choice without a suggestion (equation 5) is an array from a
+`choice_model`. Some loops rearrange an equation for speed (`person.qmdp`, `learning.likelihood`); tests compare them
+with the equations of `decision`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ LARGEST = sys.float_info.max
 
 
 @njit()
-def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
-    """Weigh the chances of `count` choices by a suggestion (eq. 6), not normalised.
+def weigh_by_influence(p: Floats, count: int, suggestion: int, theta: float) -> None:
+    """Weigh the probabilities of `count` choices in place by a suggestion (equation 6), without normalisation.
 
-    A suggestion that leaves no action possible is ignored.
+    A suggestion after which no action would be possible is ignored.
     """
     others = 0.0
     for a in range(count):
@@ -32,12 +32,11 @@ def heed(p: Floats, count: int, suggestion: int, theta: float) -> None:
 
 
 @njit()
-def answer(theta: float, p: float, others: float) -> tuple[float, float]:
-    """Give the factors by which a suggestion changes the chance of the suggested choice, and of each other (eq. 6).
+def influence_factors(theta: float, p: float, others: float) -> tuple[float, float]:
+    """Return the factors by which a suggestion changes the probability of its choice and of each other (equation 6).
 
-    `p` and `others` are the chances of the suggested choice and of all others; they are given both, since 1 - p would
-    lose its digits where p is almost 1. No factor is infinite, not even where theta is the least number there is and
-    all others have no chance, which stays none.
+    `p` and `others` are the probabilities of the suggested choice and of all others. Both are parameters, because 1 - p
+    would lose precision if p is almost 1. No factor is infinite, even for the smallest theta and others = 0.
     """
     total = theta * p + (1.0 - theta) * others
     if total > 0.0:
@@ -46,8 +45,8 @@ def answer(theta: float, p: float, others: float) -> tuple[float, float]:
 
 
 @njit()
-def moved(theta: float, eta: float, gain: float) -> float:
-    """Give theta after a suggestion that changes the person's value by `gain` (eq. 7), in units of `eta`."""
+def update_trust(theta: float, eta: float, gain: float) -> float:
+    """Return theta after a suggestion that changes the person's value by `gain` (equation 7), in units of `eta`."""
     if eta == 0.0 or gain == 0.0:
         return theta
     return min(max(theta + eta * gain, 0.0), 1.0)

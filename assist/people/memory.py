@@ -1,11 +1,10 @@
-"""Choices with memory: what a person did last is a part of the state, where terms look at it.
+"""Choices with memory: the person's last action is part of the state if terms depend on it.
 
-`remembered` gives `Choices` again, whose rows are pairs of a state and what the person did before they came there. So
-filter, policies, search, bounds and simulation stay as they are. Only pairs that can be reached are rows, and those
-of a state that no term tells apart are one row: all that terms say of their choices is the same, and what a choice
-leads to does not depend on what came before. Terms that need no memory cost no row.
+`remembered` returns `Choices` whose rows are pairs of a task state and a memory. So filter, policies, solvers, bounds
+and simulation need no change. Only reachable pairs are rows. Memories of a state with equal terms are merged into one
+row, which is exact because successors do not depend on the memory. Terms that need no memory add no row.
 
-An episode begins without memory, and what the robot executes itself is nobody's choice.
+An episode begins without memory. Actions that the robot executes itself are no choices of the person.
 """
 
 from __future__ import annotations
@@ -22,27 +21,25 @@ from .choices import Choices
 from .terms import NOTHING_YET, TERMS, Ints, Situation, Term, Vocabulary, features, goals_met
 
 BLOCK = 1 << 22
-"""Numbers that terms give at a time."""
-
-LIMIT_MB = 4000.0
+"""Number of values of terms that are computed at a time, which limits the memory to some tens of megabytes."""
 
 
-def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_mb: float = LIMIT_MB) -> Choices:
-    """Arrange the choices of a task with what terms say of each; n rows, at least one for every state.
+def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_mb: float = 4000.0) -> Choices:
+    """Return the choices of a task with memory and the values of terms; n rows, at least one for every state.
 
     Parameters
     ----------
     table : Table
     terms : mapping of str to callable
     memory_limit_mb : float
-        What the result may take, in megabytes.
+        Memory limit of the result, in MB.
 
     Raises
     ------
     ValueError
-        A term that gives no finite number for each choice.
+        A term does not return a finite number for each choice.
     LimitError
-        The result would take more memory than is allowed.
+        The result would exceed the memory limit.
     """
     plain = Choices.of(table)
     if not terms:
@@ -50,7 +47,7 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     states, slots = np.nonzero(plain.applicable & ~plain.goal[:, None])
     edges = _Edges(plain, goals_met(table, np.arange(len(plain))), terms, states, slots)
     every, reached = np.arange(len(plain)), plain.targets[states, slots]
-    # The pairs: states that an episode may begin in, or that nothing leads to, then where each choice leads.
+    # The pairs: initial states and those without predecessors, then the successor of each choice.
     begins = np.union1d(plain.initial, np.setdiff1d(every, reached))
     to = np.concatenate([begins, reached])
     came = np.concatenate([np.full(len(begins), NOTHING_YET), np.arange(len(reached))])
@@ -59,11 +56,11 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
     needed = len(to) * plain.applicable.shape[1] * (26 + 8 * len(terms)) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
-            f"{len(to):,} pairs of a state and what was done before take {needed:,.0f} MB of memory, and "
+            f"{len(to):,} pairs of a state and a last action take {needed:,.0f} MB of memory, and "
             f"{memory_limit_mb:,.0f} MB are allowed; expected a smaller task, fewer terms or a higher memory limit"
         )
-    state = None if len(to) == len(plain) else to  # None: nobody remembers anything
-    anywhere = np.zeros(len(plain), dtype=np.int64)  # a row of each state: where a goal's choices would lead
+    state = None if len(to) == len(plain) else to  # None: no term depends on the memory
+    anywhere = np.zeros(len(plain), dtype=np.int64)  # a row of each state: successors of a goal's choices
     anywhere[to[::-1]] = np.arange(len(to))[::-1]
     follows = anywhere[plain.targets]
     follows[states, slots] = row[len(begins) :]
@@ -79,21 +76,21 @@ def remembered(table: Table, terms: Mapping[str, Term] = TERMS, *, memory_limit_
 
 
 def choices_of(table: Table | Choices, names: Iterable[str] = ()) -> Choices:
-    """Give a task's choices, with what the terms of some names say of each.
+    """Return a task's choices, with the values of some terms.
 
     Parameters
     ----------
     table : Table or Choices
-        Of choices that have been arranged already the terms are known, or none.
+        Cost-to-go, or choices that have these terms already.
     names : iterable of str
-        Without any, choices are those of the task's states.
+        Names of terms; without any, the rows are the task's states.
 
     Raises
     ------
     ValueError
         There is no such term.
     LimitError
-        They would take more memory than is allowed.
+        The choices would exceed the memory limit.
     """
     names = tuple(dict.fromkeys(names))
     known = (table.terms or ()) if isinstance(table, Choices) else tuple(TERMS)
@@ -109,7 +106,7 @@ def choices_of(table: Table | Choices, names: Iterable[str] = ()) -> Choices:
 
 
 class _Edges:
-    """The choices of a task, from each of which a memory comes, and what terms say after it."""
+    """The choices of a task, each of which gives a memory, and the terms with this memory."""
 
     def __init__(self, plain: Choices, goals: Ints, terms: Mapping[str, Term], states: Ints, slots: Ints) -> None:
         self.plain, self.goals, self.terms = plain, goals, terms
@@ -118,7 +115,7 @@ class _Edges:
         self.words = Vocabulary.of(plain.names)
 
     def features(self, to: Ints, came: Ints) -> NDArray[np.float64]:
-        """Give what terms say in states, shape (N,), that edges lead to, shape (N,): shape (N, A, J)."""
+        """Return the terms, shape (N, A, J), in states, shape (N,), after the choices that lead there, shape (N,)."""
         plain = self.plain
         step = max(1, BLOCK // (plain.applicable.shape[1] * max(1, len(self.terms))))
         blocks = []
@@ -137,9 +134,9 @@ class _Edges:
 
 
 def _merged(edges: _Edges, to: Ints, came: Ints) -> tuple[Ints, Ints]:
-    """Merge pairs of a state of which terms say the same: the row of each pair, and a pair of each row.
+    """Merge pairs of a state with equal terms; return the row of each pair, and one pair of each row.
 
-    Rows are in the order of their states. Numbers are compared by a hash of their bits, and then themselves.
+    Rows are in the order of their states. Terms are compared by a hash of their bits, and then exactly.
     """
     plain = edges.plain
     width = plain.applicable.shape[1] * len(edges.terms)

@@ -1,10 +1,9 @@
-"""What a person is mistaken about: a number for each state, drawn when it is asked for.
+"""A person's misconceptions: a random number for each state, computed on demand.
 
-A misconception eps(x) is a function of a person and a state. It comes from a generator that has no memory and counts
-nothing: the person's seed and the state's key are mixed to a number (the finaliser of splitmix64: Steele, Lea and
-Flood, "Fast splittable pseudorandom number generators", 2014), and that is made normal by the inverse of its
-distribution. So a task of any size has people without an array for each of them, and a person is the same whatever the
-order in which states are met, and however they are numbered: the key of a state is made of its variables' values.
+A misconception eps(x) is a function of the person's seed and the state's key, so that no array and no generator state
+is stored. The two are hashed (the finaliser of splitmix64: Steele, Lea and Flood, "Fast splittable pseudorandom number
+generators", 2014), and the inverse of the normal distribution function is applied. The key of a state is a hash of its
+variables' values. So a person is the same in a task of any size, whatever the order and the numbers of the states.
 """
 
 from __future__ import annotations
@@ -21,35 +20,35 @@ Noise = Literal["state", "action"]
 
 
 def standard_normal(seed: int, keys: ArrayLike) -> NDArray[np.float64]:
-    """Give a standard normal number for each key, the same for the same seed and key.
+    """Return a standard normal number for each key, a function of the seed and the key.
 
     Parameters
     ----------
     seed : int
         From 0 to 2**64 - 1.
     keys : uint64 array
-        Of any shape.
+        Keys, in an array of any shape.
     """
     from scipy.special import ndtri
 
     mixed = mix(np.asarray(keys, dtype=np.uint64) ^ mix(np.full(1, seed, dtype=np.uint64))[0])
-    # 53 bits, in the middle of their interval: never 0 nor 1.
+    # The midpoint of one of 2**53 intervals, which is neither 0 nor 1.
     uniform = ((mixed >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
     return np.asarray(ndtri(uniform), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Misconception:
-    """By how much somebody is wrong about what is still to come.
+    """The error of a person's perceived cost-to-go.
 
     Attributes
     ----------
     sigma : float
         Standard deviation, in cost units.
     seed : int
-        The person's own, from 0 to 2**64 - 1.
+        Seed of the person, from 0 to 2**64 - 1.
     noise : "state" or "action"
-        Whether it is about states, or about what each choice leads to.
+        Whether there is one error for each state, or one for each choice.
     """
 
     sigma: float
@@ -62,18 +61,18 @@ class Misconception:
 
     @classmethod
     def drawn(cls, sigma: float, rng: np.random.Generator, noise: Noise = "state") -> Misconception:
-        """Take the seed from a generator: one number, whatever the task."""
+        """Return a misconception whose seed is one number of a generator."""
         return cls(sigma, int(rng.integers(2**64, dtype=np.uint64)), noise)
 
     def of(self, choices: Choices) -> NDArray[np.float64]:
-        """Give what the person takes for the cost-to-go, shape (n,), or after each choice, shape (n, A).
+        """Return the perceived cost-to-go of each state, shape (n,), or after each choice, shape (n, A).
 
         The goal is recognised (0) and dead ends stay infinite.
 
         Parameters
         ----------
         choices : Choices
-            All of a task or any part of it.
+            A task or any part of it.
         """
         keys = choices.keys
         if self.noise == "action":

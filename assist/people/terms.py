@@ -1,17 +1,17 @@
-"""Terms: what else than cost speaks for a choice, as numbers that a person's weights multiply.
+"""Terms of a choice besides cost-to-go, which have a weight for each person.
 
-People do not choose by cost-to-go alone. With terms f_j and weights w_j they choose with
+With terms f_j and weights w_j, people choose with
 
     P(a | x, m) proportional to exp(-beta Q(x, a) + sum_j w_j f_j(x, a, m)),
 
-m being what they did last: the ground action, and the state in which they took it. A term is a function of a
-`Situation`, which has no domain in it: a log's steps are one (`learning`), and so are all states of a task with what
-may have come before them. Four are given, and anybody's own is a function like them.
+where the memory m is their last ground action and the state in which they took it. A term is a function of a
+`Situation`, which does not depend on the domain. The steps of a log are a situation (`learning`), and so are the states
+of a task with the memories that are possible there. There are four terms; users can add functions of the same form.
 
-goals       how many more goal facts hold after the action than before it
-arguments   the share of the action's arguments that are arguments of the last action, too
-name        whether the action has the name of the last action
-back        whether the action leads back to the state in which the last action was taken
+goals       number of goal facts after the action minus the number before it
+arguments   share of the action's arguments that are also arguments of the last action
+name        1 if the action has the name of the last action, else 0
+back        1 if the action leads back to the state in which the last action was taken, else 0
 """
 
 from __future__ import annotations
@@ -27,26 +27,25 @@ from numpy.typing import ArrayLike, NDArray
 from planner import CostToGo
 from planner.system.arrays import read_only
 
+from .choices import BLOCK
 from .decision import Floats
 
 Ints = NDArray[np.int64]
 
 NOTHING_YET = -1
-"""The last action, and the state in which it was taken, before the first choice of an episode."""
-
-BLOCK = 1 << 16  # states whose values are unpacked at a time
+"""Number of the last action, and of its state, before the first choice of an episode."""
 
 
 @dataclass(frozen=True)
 class Vocabulary:
-    """The words of M ground actions, as numbers; a last row stands for no action at all.
+    """Names and arguments of M ground actions, as numbers; the last row represents no action.
 
     Attributes
     ----------
     name : int array, shape (M + 1,)
-        The action's name; -1 in the last row.
+        Number of the action's name; -1 in the last row.
     arguments : int array, shape (M + 1, W)
-        Its arguments, each once, filled from the left; -1 in empty places.
+        Numbers of its distinct arguments, filled from the left; -1 in empty places.
     """
 
     name: Ints
@@ -57,7 +56,7 @@ class Vocabulary:
 
     @classmethod
     def of(cls, actions: Sequence[str]) -> Vocabulary:
-        """Read ground actions, each `(name arg ...)`."""
+        """Return the vocabulary of ground actions, each `(name arg ...)`."""
         words = [action[1:-1].split() for action in actions]
         number: dict[str, int] = {}
         rows = [[number.setdefault(word, len(number)) for word in dict.fromkeys(row[1:])] for row in words]
@@ -71,29 +70,29 @@ class Vocabulary:
 
 @dataclass(frozen=True)
 class Situation:
-    """Choices that people have, and what came before; N rows of up to A choices.
+    """Choices and memories of people: N rows of up to A choices.
 
     Attributes
     ----------
     names : tuple of str
-        The task's ground actions in PDDL.
+        The task's ground actions in PDDL notation.
     words : Vocabulary
-        Of these.
+        Vocabulary of these.
     state : int array, shape (N,)
     applicable : bool array, shape (N, A)
-        Which slots hold a choice.
+        Whether each slot holds a choice.
     actions : int array, shape (N, A)
-        Ground action of each slot; negative where there is none, or the person can only stand still.
+        Ground action of each slot; negative in empty slots, and for waiting.
     targets : int array, shape (N, A)
-        The state after each choice.
+        Successor of each choice.
     goals : int array, shape (N,)
-        How many goal facts hold in the state.
+        Number of goal facts that hold in the state.
     goals_after : int array, shape (N, A)
-        How many hold after each choice.
+        Number of goal facts that hold after each choice.
     last : int array, shape (N,)
-        The ground action that the person took last in this episode, `NOTHING_YET` at its first choice.
+        The person's last ground action in this episode; `NOTHING_YET` at the first choice.
     previous : int array, shape (N,)
-        The state in which they took it, `NOTHING_YET` likewise.
+        The state in which they took it; `NOTHING_YET` at the first choice.
     """
 
     names: tuple[str, ...]
@@ -112,20 +111,20 @@ class Situation:
 
 
 class Term(Protocol):
-    """Any function of this form."""
+    """A term of the choice: a function of a situation."""
 
     def __call__(self, s: Situation, /) -> Floats:
-        """Give a number for each choice, shape (N, A); what it says of empty slots does not matter."""
+        """Return a number for each choice, shape (N, A); numbers in empty slots are not used."""
         ...
 
 
 def goals(s: Situation) -> Floats:
-    """Count the goal facts that a choice gains, less those that it loses, shape (N, A)."""
+    """Return the number of goal facts that a choice gains minus those that it loses, shape (N, A)."""
     return (s.goals_after - s.goals[:, None]).astype(np.float64)
 
 
 def arguments(s: Situation) -> Floats:
-    """Give the share of a choice's arguments that the last action had, too, shape (N, A); 0 where it has none."""
+    """Return the share of a choice's arguments that the last action also had, shape (N, A); 0 without arguments."""
     own, last = s.words.arguments[s.actions], s.words.arguments[s.last]
     held = own >= 0
     shared = held & (own[:, :, :, None] == last[:, None, None, :]).any(axis=3)
@@ -133,22 +132,22 @@ def arguments(s: Situation) -> Floats:
 
 
 def name(s: Situation) -> Floats:
-    """Tell whether a choice has the name of the last action, shape (N, A): 1 or 0."""
+    """Return 1 if a choice has the name of the last action, else 0, shape (N, A)."""
     known = (s.last >= 0)[:, None] & (s.actions >= 0)
     return np.where(known, s.words.name[s.actions] == s.words.name[s.last][:, None], 0.0)
 
 
 def back(s: Situation) -> Floats:
-    """Tell whether a choice leads back to the state in which the last action was taken, shape (N, A): 1 or 0."""
+    """Return 1 if a choice leads back to the state in which the last action was taken, else 0, shape (N, A)."""
     return ((s.targets == s.previous[:, None]) & (s.previous >= 0)[:, None]).astype(np.float64)
 
 
 TERMS: Mapping[str, Term] = MappingProxyType({"goals": goals, "arguments": arguments, "name": name, "back": back})
-"""The terms that are given, by name."""
+"""The terms by name."""
 
 
 def features(situation: Situation, terms: Mapping[str, Term] = TERMS) -> Floats:
-    """Give all terms of all choices, shape (N, A, J), 0 in empty slots.
+    """Return all terms of all choices, shape (N, A, J), 0 in empty slots.
 
     Parameters
     ----------
@@ -159,7 +158,7 @@ def features(situation: Situation, terms: Mapping[str, Term] = TERMS) -> Floats:
     Raises
     ------
     ValueError
-        A term that gives no finite number for each choice.
+        A term does not return a finite number for each choice.
     """
     result = np.zeros((*situation.applicable.shape, len(terms)))
     for place, (called, term) in enumerate(terms.items()):
@@ -173,12 +172,12 @@ def features(situation: Situation, terms: Mapping[str, Term] = TERMS) -> Floats:
 
 
 def goals_met(costs: CostToGo, states: ArrayLike) -> Ints:
-    """Count the goal facts that hold in states, shape (N,).
+    """Return the number of goal facts that hold in each state, shape (N,).
 
     Parameters
     ----------
     costs : CostToGo
-        Of their task, as a table or on demand.
+        Cost-to-go of their task, as a table or on demand.
     states : int array, shape (N,)
     """
     numbers = np.asarray(states, dtype=np.int64).reshape(-1)

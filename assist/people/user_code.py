@@ -1,6 +1,6 @@
-"""Functions of the user's own, in a Python file and written `FILE.py:FUNCTION`.
+"""Functions of the user in a Python file, written `FILE.py:FUNCTION`.
 
-What goes wrong in one is reported in a line with its file and line, since it is not the caller's to mend.
+An error in such a function is reported in one line, with its file and line.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .decision import Floats
 
 
 class UserCodeError(ValueError):
-    """A file or function that there is not, or that fails."""
+    """A user's file or function does not exist, or fails."""
 
 
 def parse(text: str, folder: Path | None = None) -> tuple[Path, str] | None:
-    """Take FILE.py:FUNCTION apart, FILE being sought in a folder; None for what has no such form."""
+    """Return file and function of FILE.py:FUNCTION, with FILE relative to a folder; None for other texts."""
     path, colon, function = text.rpartition(":")
     return ((folder or Path()) / path, function) if colon else None
 
@@ -35,12 +35,12 @@ def load(file: Path, name: str) -> Callable[..., Any]:
 
     Raises
     ------
-    OwnError
+    UserCodeError
         There is no such file or function, or the file cannot be run.
     """
     if not file.is_file():
         raise UserCodeError(f"{file}: no such file")
-    # A name of its own for each file, under which its classes find their module.
+    # A unique module name for each file, so that its classes can be pickled.
     module_name = f"_own_{sha256(str(file.resolve()).encode()).hexdigest()[:12]}"
     spec = importlib.util.spec_from_file_location(module_name, file)
     if spec is None or spec.loader is None:
@@ -58,7 +58,7 @@ def load(file: Path, name: str) -> Callable[..., Any]:
 
 
 def described(error: Exception | SystemExit, file: Path) -> str:
-    """Say in one line what went wrong, and where in the user's file."""
+    """Return one line that describes an error and its line in the user's file."""
     line = error.lineno if isinstance(error, SyntaxError) else None
     for frame in traceback.extract_tb(error.__traceback__):
         if Path(frame.filename) == file or Path(frame.filename).resolve() == file.resolve():
@@ -70,13 +70,13 @@ def described(error: Exception | SystemExit, file: Path) -> str:
 
 @dataclass(frozen=True)
 class UserChoiceModel:
-    """A choice model of the user's own: a `ChoiceModel` that is loaded in every process in which it is needed.
+    """A user's choice model: a `ChoiceModel` that is loaded in every process that needs it.
 
     Attributes
     ----------
     file : Path
     name : str
-        Of the function in that file.
+        Name of the function in that file.
     """
 
     file: Path
@@ -84,23 +84,23 @@ class UserChoiceModel:
 
     @classmethod
     def load(cls, file: Path, name: str) -> UserChoiceModel:
-        """Load it once, so that what is wrong with the file is said now.
+        """Return the model of a function, which is loaded now, so that an error of the file is reported here.
 
         Raises
         ------
-        OwnError
+        UserCodeError
             As in `load`.
         """
         _loaded(file, name)
         return cls(file, name)
 
     def __call__(self, choices: Choices, q: Floats, beta: Floats, /) -> Floats:
-        """Give the chances that the function gives.
+        """Return the function's choice probabilities.
 
         Raises
         ------
         ChoiceModelError
-            It failed; with file and line.
+            The function failed; the message has file and line.
         """
         function = _loaded(self.file, self.name)
         try:
@@ -113,12 +113,12 @@ class UserChoiceModel:
 
     @property
     def __name__(self) -> str:
-        """What it is called in messages and records."""
+        """The name in messages and records."""
         return str(self)
 
     @property
     def value(self) -> Any:
-        """What trust looks at, if the function says so: it has no such attribute otherwise."""
+        """The function's attribute `value`, by which trust changes; an AttributeError if it has none."""
         return _loaded(self.file, self.name).value  # type: ignore[attr-defined]
 
 

@@ -1,4 +1,4 @@
-"""Experiments with simulated people: what is to be done, and its carrying out (extra `study`)."""
+"""Simulation studies: their description, execution and results (extra `study`)."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""Carrying out one cell of a study: drawing its people, preparing policies for them, and simulating their teams."""
+"""One cell of a study: sampling its people, preparing policies, and simulating teams."""
 
 from __future__ import annotations
 
@@ -30,12 +30,9 @@ from ..team.state import PolicyError, TeamPolicy
 from .study import OWN, Cell, Study
 from .tasks import costs_of
 
-MOST_EPISODES = 100_000_000
-TOLERANCE = 1e-3  # of people's values, in cost units; far below any cost that a policy weighs
-
 
 def pool_of(study: Study, cell: Cell) -> Pool:
-    """Draw a cell's pool, and solve the POMDP of each person.
+    """Draw a cell's pool of people, and solve the POMDP of each person.
 
     Parameters
     ----------
@@ -45,14 +42,15 @@ def pool_of(study: Study, cell: Cell) -> Pool:
     population, prior = _people(study, cell)
     task = _task_of(study, cell)
     whole = isinstance(task, Choices)
+    tolerance = 1e-3  # of values, in cost units; far below any cost that a policy weighs
     return Pool.sample(
-        task, study.pool, seed=study.luck(cell.repeat), setting=study.setting(cell),
-        population=population, prior=prior, solver=partial(qmdp, tolerance=TOLERANCE) if whole else qmdp,
+        task, study.pool, seed=study.seed_of(cell.repeat), setting=study.setting(cell),
+        population=population, prior=prior, solver=partial(qmdp, tolerance=tolerance) if whole else qmdp,
     )  # fmt: skip
 
 
 def policy_of(study: Study, name: str, pool: Pool) -> TeamPolicy:
-    """Make a team policy: one of the package's, or the study's own.
+    """Return a team policy of the package, or a policy of the user.
 
     Parameters
     ----------
@@ -66,16 +64,16 @@ def policy_of(study: Study, name: str, pool: Pool) -> TeamPolicy:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a cell.
+    """The results of a cell.
 
     Attributes
     ----------
     lines : str
         A line of JSON for each episode.
     seconds : dict
-        How long each part of the work took.
+        Wall-clock seconds of each part of the work.
     thresholds : dict
-        The threshold of each policy that weighs costs and made no suggestion to the largest teams of the first pool.
+        The suggestion threshold of each policy that made no suggestion to the largest teams of the first pool.
     """
 
     lines: str
@@ -111,7 +109,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
         for humans in condition.humans:
             teams = study.teams(cell.repeat, humans)
             episodes = simulate(
-                pool, chosen, humans=teams, episodes=len(teams), seed=study.luck(cell.repeat), name=name,
+                pool, chosen, humans=teams, episodes=len(teams), seed=study.seed_of(cell.repeat), name=name,
                 explain=cell.repeat == 0 and humans == max(condition.humans),
             )  # fmt: skip
             if episodes.suggestion_threshold is not None:
@@ -123,7 +121,7 @@ def carry_out(cell: Cell, study: Study) -> Outcome:
 
 
 def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterator[dict[str, Any]]:
-    """Give a line of `episodes.jsonl` for each episode; a person's parameters are rounded, the rest is exact."""
+    """Yield the record of `episodes.jsonl` for each episode. People's parameters are rounded to four digits."""
     for episode in episodes:
         draw, trial = divmod(episode.episode, trials)
         yield {
@@ -147,27 +145,27 @@ def _records(cell: Cell, episodes: Episodes, humans: int, trials: int) -> Iterat
 
 
 def _people(study: Study, cell: Cell) -> tuple[Population | Mixture, Population | Mixture]:
-    """Give from whom a cell's people are drawn, and from whom the robot takes them to be."""
+    """Return the population from which a cell's people are drawn, and the robot's prior."""
     populations = dict(study.populations)
     population = populations[cell.population]
     return population, population if cell.prior == OWN else populations[cell.prior]
 
 
 def _task_of(study: Study, cell: Cell) -> CostToGo | Choices:
-    """Give a cell's task, with the terms that its people look at."""
+    """Return a cell's task, with the terms that its people's choices depend on."""
     names = dict.fromkeys(name for people in _people(study, cell) for name in people.weights)
     return _task(dict(study.instances)[cell.instance], tuple(names))
 
 
-@cache  # cells of one task follow one another in a process
+@cache  # consecutive cells of a process often share the task
 def _task(instance: Instance, names: tuple[str, ...] = ()) -> CostToGo | Choices:
-    """Read and solve a task, once in each process for each set of terms; small ones are looked at whole."""
+    """Read and solve a task, once in each process for each set of terms. Small tasks are enumerated."""
     known = costs_of(instance)
     return choices_of(known, names) if isinstance(known, Table) and (names or is_whole(known)) else known
 
 
 def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
-    """Give a part of a task to try a setting on."""
+    """Return the task's choices, or those of a small truncated problem, for checking a setting."""
     if isinstance(task, Choices):
         return task, None
     region = StateCache(task).around(np.array([task.initial]))
@@ -177,12 +175,12 @@ def _part(task: CostToGo | Choices) -> tuple[Choices, LeafBounds | None]:
 
 @cache
 def _own(file: Path, name: str) -> UserPolicy:
-    """Load a policy of the study's own, once in each process."""
+    """Load a user's policy, once in each process."""
     return UserPolicy.load(file, name)
 
 
 def check(study: Study) -> None:
-    """Read all tasks and own policies and try all settings, so that what is wrong is said before the work begins.
+    """Check all tasks, user policies and settings, so that errors are reported before the work begins.
 
     Parameters
     ----------
@@ -192,9 +190,9 @@ def check(study: Study) -> None:
     ------
     InputFileError, planner.PDDLError
     """
-    once = replace(study, repeats=1)
-    if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > MOST_EPISODES:
-        raise InputFileError(f"{study.file}: {episodes:.3g} episodes; at most {MOST_EPISODES:,} are carried out")
+    once, most = replace(study, repeats=1), 100_000_000  # whose records take about 50 GB
+    if (episodes := study.repeats * sum(map(once.episodes, once.cells()))) > most:
+        raise InputFileError(f"{study.file}: {episodes:.3g} episodes; expected at most {most:,}")
     for _, files in study.instances:
         _task(files)
     for _, (file, name) in study.own_policies:

@@ -1,4 +1,7 @@
-"""Reading studies from TOML files. `docs/study.md` describes the form; every fault is named with file and place."""
+"""Reader of study protocols (TOML files), whose format `docs/study.md` describes.
+
+Every error names the file and the place in it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ from planner.system.typed_toml import (
 )
 
 from ..learning import population as populations
-from ..people.human import Mixture, Population
+from ..people.human import Mixture, Population, advice_takers
 from ..people.terms import TERMS
 from ..people.user_code import UserChoiceModel, UserCodeError, parse
 from ..team.policies import POLICIES
@@ -47,7 +50,7 @@ PROTOCOLS = Path(__file__).parent / "protocols"
 
 
 class ConditionTable(Struct, forbid_unknown_fields=True):
-    """A table of `conditions`; what it does not say it takes from the study."""
+    """A table of `conditions`. Missing fields have the study's values."""
 
     name: Text
     populations: Texts | None = None
@@ -86,7 +89,7 @@ class ReferenceTable(Struct, forbid_unknown_fields=True):
 
 
 class PopulationTable(Struct, forbid_unknown_fields=True):
-    """A table of `populations`: ranges, or a file."""
+    """A table of `populations`: ranges of parameters, or a file."""
 
     beta: Pair | None = None
     theta: Pair | None = None
@@ -95,6 +98,7 @@ class PopulationTable(Struct, forbid_unknown_fields=True):
     weights: dict[str, Pair] = {}
     people: Text | None = None
     file: Text | None = None
+    advice_takers: Truth = False
 
 
 class StudyTable(Struct, forbid_unknown_fields=True):
@@ -117,28 +121,28 @@ class StudyTable(Struct, forbid_unknown_fields=True):
     reference: ReferenceTable | None = None
 
 
-SettingTable = partial_of(Setting)
+SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable)
 
 
 def shipped() -> list[str]:
-    """Name the studies that come with the package."""
+    """Return the names of the bundled studies."""
     return sorted(path.stem for path in PROTOCOLS.glob("*.toml"))
 
 
 def read(study: str | Path, *, repeats: int | None = None) -> Study:
-    """Read a study: its file, or the name of one that comes with the package.
+    """Read a study from a file, or a bundled one by name.
 
     Parameters
     ----------
     study : str or Path
-        Files that the study names are sought beside it.
+        Paths in the file are relative to its folder.
     repeats : int, optional
-        Replaces the study's own number.
+        Replaces the study's own number of repeats.
 
     Raises
     ------
     InputFileError
-        What is wrong, where, and what would be right.
+        The file is invalid; the message names the place and the expected value.
     """
     file = Path(study)
     if file.suffix != ".toml":
@@ -154,14 +158,14 @@ def read(study: str | Path, *, repeats: int | None = None) -> Study:
 
 @dataclass(frozen=True)
 class Reader:
-    """Puts together what a file says: names that refer to something are looked up.
+    """Builds a study from the tables of a file; resolves names and paths.
 
     Attributes
     ----------
     file : Path
     table : StudyTable
     own : dict
-        The policies of the user's own that have been named so far, each with its file and function.
+        User policies named so far, each with its file and function.
     """
 
     file: Path
@@ -169,7 +173,7 @@ class Reader:
     own: dict[str, tuple[Path, str]] = field(default_factory=dict)
 
     def study(self) -> Study:
-        """Give the study."""
+        """Return the study."""
         table = self.table
         instances = self._instances()
         people = {name: self._population(name, own) for name, own in table.populations.items()}
@@ -211,7 +215,7 @@ class Reader:
     ) -> Condition:  # fmt: skip
         humans = tuple(sorted(set(own.humans or self.table.humans)))
         if humans[-1] > self.table.pool:
-            message = f"{humans[-1]} people in a team, and {self.table.pool} in a pool"
+            message = f"{humans[-1]} people in a team; expected at most {self.table.pool}, the size of the pool"
             raise fault(self.file, f"{place}.humans", message)
         settings = {}
         for number, part in enumerate(own.settings or [{}], start=1):
@@ -228,14 +232,14 @@ class Reader:
         )
 
     def _among(self, place: str, names: Iterable[str], allowed: Iterable[str]) -> tuple[str, ...]:
-        """Refuse names of what there is not; one that is given twice counts once."""
+        """Return the names without duplicates. Unknown names raise `InputFileError`."""
         for name in names:
             if name not in (known := tuple(allowed)):
                 raise fault(self.file, place, f"'{name}'; {meant(name, known)}")
         return tuple(dict.fromkeys(names))
 
     def _instances(self) -> tuple[tuple[str, Instance], ...]:
-        """Find the tasks; each is called by its file's name, or by its path where two have the same."""
+        """Return the tasks. Each is labelled with its file's name, or with its path if several files share the name."""
         folder = self.file.parent
         known = {name: bundled.files(name) for name in self.table.instances if not (folder / name).exists()}
         try:
@@ -248,11 +252,19 @@ class Reader:
         return tuple(zip(labels, problems, strict=True))
 
     def _population(self, name: str, content: dict[str, Any]) -> Population | Mixture:
-        """Read ranges, or the file that `kitassist fit --population` has written."""
+        """Read a population: ranges, or a file written by `kitassist fit --population`."""
         place = f"populations.{name}"
         table = convert(content, PopulationTable, self.file, place)
-        ranges = {key: getattr(table, key) for key in content if key not in ("file", "people")}
+        ranges = {key: getattr(table, key) for key in content if key not in ("file", "people", "advice_takers")}
         try:
+            if table.advice_takers:
+                if others := set(content) - {"advice_takers", "beta", "sigma"}:
+                    raise fault(
+                        self.file,
+                        place,
+                        f"advice_takers also sets {' and '.join(sorted(others))}; expected one of them",
+                    )
+                return advice_takers(**ranges)
             if table.file is None:
                 own = None if table.people is None else parse(table.people, self.file.parent)
                 if table.people is not None and own is None:
@@ -262,7 +274,7 @@ class Reader:
                 )
             ranges |= {} if table.people is None else {"people": table.people}
             if ranges:
-                raise fault(self.file, place, f"file says what {' and '.join(ranges)} would; expected one of them")
+                raise fault(self.file, place, f"file also sets {' and '.join(ranges)}; expected one of them")
             path = self.file.parent / table.file
             return self._known(place, populations.mixture(json.loads(path.read_text(encoding="utf-8"))))
         except InputFileError:
@@ -275,14 +287,14 @@ class Reader:
             raise fault(self.file, f"{place}{'.file' if table.file else ''}", str(error)) from None
 
     def _known(self, place: str, population: Population | Mixture) -> Population | Mixture:
-        """Refuse weights of terms that there are not."""
+        """Return the population, after checking that all its weights belong to known terms."""
         for name in population.weights:
             if name not in TERMS:
                 raise fault(self.file, f"{place}.weights", f"'{name}'; {meant(name, TERMS)}")
         return population
 
     def _policies(self, place: str, named: Iterable[str]) -> tuple[str, ...]:
-        """Read names of policies; one of the user's own is written FILE.py:FUNCTION and called by its function."""
+        """Return the names of policies. A user's policy FILE.py:FUNCTION is named after its function."""
         names = []
         for name in dict.fromkeys(named):
             own = parse(name, self.file.parent)
@@ -304,7 +316,7 @@ class Reader:
         return tuple(names)
 
     def _setting(self, place: str, content: dict[str, Any], base: Setting) -> Setting:
-        """Read a setting: what is not given is as in another."""
+        """Return a setting that replaces the given fields of `base`."""
         table = convert(content, SettingTable, self.file, place)
         try:
             return replace(base, **given(table))

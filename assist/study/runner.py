@@ -1,9 +1,9 @@
-"""Carrying a study out: in parallel, on this machine or on a cluster, resumable; and reading what came of it.
+"""Execution of studies, in parallel, on this machine or a cluster, and access to their results.
 
-A folder of results holds `study.json`, which says what was run, `episodes.jsonl` with a line for each episode, and
-`profile.jsonl` with the seconds that each cell took. The lines of a cell are added in one go when it has ended; what
-was cut off is run again. At the end the lines are put into the study's order, so that the same study gives the same
-bytes however the work was divided or interrupted.
+A folder of results contains `study.json` (the study), `episodes.jsonl` (one line for each episode) and `profile.jsonl`
+(the seconds of each cell). The lines of a cell are appended at once when the cell is complete; an interrupted cell is
+run again. At the end, the lines are sorted into the study's order. The same study therefore gives the same bytes,
+however the work was divided or interrupted.
 """
 
 from __future__ import annotations
@@ -37,9 +37,7 @@ if TYPE_CHECKING:
 EPISODES, PROFILE, ABOUT = "episodes.jsonl", "profile.jsonl", "study.json"
 KEY = tuple(field.name for field in fields(Cell))
 EPISODE = ("policy", "humans", "draw", "trial")
-"""What tells the episodes of a cell apart."""
-LISTS = ("people", "beta", "theta", "sigma", "actions", "helped", "finished")
-NUMBERS = ("interventions", "moves", "steps", "discounted_return")
+"""Fields that identify an episode within a cell."""
 
 
 @shows_progress
@@ -53,32 +51,31 @@ def run_study(
     progress: Wanted = None,
     warn: Callable[[str], None] | None = None,
 ) -> list[tuple[Cell, Exception]]:
-    """Carry a study out, and return the cells that failed, each with its error.
+    """Run a study, and return the cells that failed, each with its error.
 
     Parameters
     ----------
     study : Study
     out : path
-        The folder of results.
+        Folder of results.
     jobs : int
-        Worker processes.
+        Number of worker processes.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers do the work instead. They have to see the same files at the same
-        paths, and run one thread each.
+        Address of a Dask scheduler whose workers run the cells. The workers need the same files at the same paths, and
+        one thread each.
     resume : bool
-        Keep the cells that are in the folder, and run the rest. A cell of which a line is damaged is run again.
+        Keep the complete cells in the folder, and run the remaining ones. A cell with a damaged line is run again.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: how many episodes there are.
+        Receives the number of finished episodes, as in `planner.system.progress`.
     warn : callable, optional
-        Called with a line for each file of which something is damaged, with the number of the first such line.
+        Called with one line for each damaged file.
 
     Raises
     ------
     InputFileError
-        The folder holds results already and `resume` is not set; or they are those of another study, or of more
-        repeats than are asked for.
+        The folder contains results and `resume` is not set, or results of another study or of more repeats.
     DamagedFileError
-        `study.json` does not say whose results the folder holds.
+        `study.json` does not identify the study of the results.
     """
     assert callable(progress)
     out = Path(out)
@@ -107,7 +104,7 @@ def run_study(
 def _begin(
     study: Study, out: Path, resume: bool, order: Mapping[Cell, int], warn: Callable[[str], None]
 ) -> dict[Cell, str]:
-    """Prepare the folder; return the lines of each cell that is in it, whole."""
+    """Prepare the folder; return the lines of each cell that is complete."""
     about, episodes, profile = out / ABOUT, out / EPISODES, out / PROFILE
     known = {"schema": SCHEMA, "fingerprint": study.fingerprint()}
     kept: dict[Cell, str] = {}
@@ -118,12 +115,12 @@ def _begin(
         before = _about(out)
         if any(before.get(name) != value for name, value in known.items()):
             raise InputFileError(
-                f"{about}: these are results of another study, or of other files; choose another folder"
+                f"{about}: the results belong to another study or to changed files; expected another folder"
             )
         kept = _whole_cells(study, episodes, order, warn)
         found, damaged = _readable(profile, lambda record: isinstance(record["seconds"], dict))
         spent = [record for record, _ in found if _cell(record) in kept]
-        _say(damaged, "how long these cells took is forgotten", warn)
+        _say(damaged, "the times of these cells are lost", warn)
     remove_unfinished([out, out / "figures"])
     _write(about, [json.dumps({**known, "study": study.record()}, indent=1) + "\n"])
     _write(episodes, list(kept.values()))
@@ -132,9 +129,9 @@ def _begin(
 
 
 def _about(folder: Path) -> dict[str, Any]:
-    """Read what the results of a folder are of."""
+    """Read the description of a folder's results."""
     file = folder / ABOUT
-    lost = f"expected what `kitassist study` wrote; whose results {EPISODES} holds is not known: choose another folder"
+    lost = f"the study to which {EPISODES} belongs is unknown; choose another folder"
     try:
         about = json.loads(file.read_bytes().decode())
     except FileNotFoundError:
@@ -142,9 +139,9 @@ def _about(folder: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise DamagedFileError(file, None, f"is not text (UTF-8); {lost}") from None
     except json.JSONDecodeError as error:
-        raise DamagedFileError(file, error.lineno, f"is no JSON; {lost}") from None
+        raise DamagedFileError(file, error.lineno, f"is not valid JSON; {lost}") from None
     except (ValueError, RecursionError):
-        raise DamagedFileError(file, None, f"is no JSON; {lost}") from None
+        raise DamagedFileError(file, None, f"is not valid JSON; {lost}") from None
     if not isinstance(about, dict) or "schema" not in about:
         raise DamagedFileError(file, None, f"has no field 'schema'; {lost}")
     return about
@@ -153,7 +150,7 @@ def _about(folder: Path) -> dict[str, Any]:
 def _readable(
     file: Path, good: Callable[[dict[str, Any]], bool]
 ) -> tuple[list[tuple[dict[str, Any], str]], list[DamagedFileError]]:
-    """Give the records that are as they should be, each with its line, and what is wrong with the others."""
+    """Return the valid records, each with its line, and the errors of the others."""
     found, damaged = [], []
     for number, record in enumerate(each_record(file), start=1):
         if isinstance(record, DamagedFileError):
@@ -170,14 +167,14 @@ def _readable(
 
 
 def _say(damaged: Sequence[DamagedFileError], consequence: str, warn: Callable[[str], None]) -> None:
-    """Name the first of the damaged lines of a file, and how many there are."""
+    """Report the first damaged line of a file, and the number of damaged lines."""
     if damaged:
         more = f" (and {len(damaged) - 1} other damaged lines)" if len(damaged) > 1 else ""
         warn(f"{damaged[0]}{more}; {consequence}")
 
 
 def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Callable[[str], None]) -> dict[Cell, str]:
-    """Give the lines of the cells of which every episode is there, once, and undamaged."""
+    """Return the lines of the cells in which every episode occurs exactly once, undamaged."""
     found, damaged = _readable(file, _is_episode)
     lines: dict[Cell, dict[tuple[object, ...], str]] = {}
     broken = set()
@@ -197,18 +194,20 @@ def _whole_cells(study: Study, file: Path, order: Mapping[Cell, int], warn: Call
 
 
 def _is_episode(record: Mapping[str, Any]) -> bool:
-    """Whether a record has the fields of an episode, each of them of the right kind, and one entry for each person."""
+    """Whether a record has exactly the fields of an episode, with valid types and one entry for each person."""
     humans = record["humans"]
+    numbers = ("interventions", "moves", "steps", "discounted_return")
+    lists = ("people", "beta", "theta", "sigma", "actions", "helped", "finished")
     return (
-        all(isinstance(record[name], int | float) for name in NUMBERS)
-        and all(isinstance(record[name], list) and len(record[name]) == humans for name in LISTS)
-        and set(record) == {*KEY, *EPISODE, *LISTS, *NUMBERS}
+        all(isinstance(record[name], int | float) for name in numbers)
+        and all(isinstance(record[name], list) and len(record[name]) == humans for name in lists)
+        and set(record) == {*KEY, *EPISODE, *lists, *numbers}
     )
 
 
 def _cell(record: Mapping[str, Any]) -> Cell:
     cell = Cell(**{name: record[name] for name in KEY})
-    hash(cell)  # a field that is a list belongs to no cell
+    hash(cell)  # raises TypeError for a field that is a list
     return cell
 
 
@@ -218,10 +217,10 @@ def _write(file: Path, texts: Sequence[str]) -> None:
 
 
 def load_study(folder: str | Path) -> pd.DataFrame:
-    """Read a study's episodes, one row each, in the study's order.
+    """Read a study's episodes as a data frame, one row for each, in the study's order.
 
     The columns are the fields of `episodes.jsonl`, which `docs/study.md` describes, and two more:
-    `human_actions_per_person`, and `cut_off`: whether somebody had not finished at the step limit.
+    `human_actions_per_person`, and `cut_off`, whether a person had not finished at the step limit.
 
     Parameters
     ----------
@@ -230,9 +229,9 @@ def load_study(folder: str | Path) -> pd.DataFrame:
     Raises
     ------
     InputFileError
-        No results, or results that this version does not read.
+        There are no results, or results of another format.
     DamagedFileError
-        A line that is no record.
+        A line is not a valid record.
     MissingExtraError
         pandas is not installed.
     """
@@ -256,7 +255,7 @@ def load_study(folder: str | Path) -> pd.DataFrame:
 
 
 def without_suggestions(folder: str | Path) -> list[dict[str, Any]]:
-    """Return the records of cells in which a policy made no suggestion; `suggestion_thresholds` is by policy.
+    """Return the records of cells in which a policy made no suggestion. `suggestion_thresholds` is keyed by policy.
 
     Parameters
     ----------
@@ -266,7 +265,7 @@ def without_suggestions(folder: str | Path) -> list[dict[str, Any]]:
 
 
 def profile(folder: str | Path) -> dict[str, float]:
-    """Give how many seconds of the workers each part of a study took, the longest first.
+    """Return the total seconds of each part of a study over all workers, in decreasing order.
 
     Parameters
     ----------

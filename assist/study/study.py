@@ -1,9 +1,9 @@
-"""A study as data: who is assisted, in which tasks, by which policies, and how often all of it is repeated.
+"""A simulation study as data: populations, tasks, policies, settings and numbers of repeats.
 
-A study, which `assist.study.protocol` reads from a file, consists of conditions. Each draws pools of
-people from some populations, for some tasks, under some settings, and simulates teams of them. What is done in
-one go is a `Cell`: one pool. Its people and their luck depend on the study's seed and the number of the repeat
-alone, so that policies, team sizes, settings and conditions are compared on the same people with the same luck.
+A study, which `assist.study.protocol` reads from a file, consists of conditions. Each condition crosses populations,
+tasks, settings and priors; it draws pools of people and simulates teams of them. A `Cell` is the unit of work: one
+pool. Its people and random numbers depend only on the study's seed and the number of the repeat. Policies, team sizes,
+settings and conditions are therefore compared with common random numbers.
 """
 
 from __future__ import annotations
@@ -26,32 +26,39 @@ from ..people.user_code import UserChoiceModel
 from ..team.settings import Setting
 
 SCHEMA = 1
-"""The version of what `episodes.jsonl` and `summary.json` hold."""
+"""Version of the format of `episodes.jsonl` and `summary.json`."""
 
-OF_NO_CONSEQUENCE = {"file", "title", "repeats", "focus", "contrasts", "reference"}  # for what episodes there are
+IRRELEVANT = {
+    "file",
+    "title",
+    "repeats",
+    "focus",
+    "contrasts",
+    "reference",
+}  # for the episodes
 OWN = "own"
-"""The prior that is the population from which people are drawn."""
+"""The prior that equals the population from which people are drawn."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A part of a study: all its populations, tasks, settings and priors are crossed.
+    """A condition of a study, which crosses all its populations, tasks, settings and priors.
 
     Attributes
     ----------
     name : str
     populations : tuple of str
-        From whom people are drawn.
+        Populations from which people are drawn.
     instances : tuple of str
     policies : tuple of str
     humans : tuple of int
         Team sizes K.
     settings : tuple of pairs
-        The label of each, and the setting itself.
+        Labels and settings.
     priors : tuple of str
-        From which population the robot takes people to be drawn; `OWN`: from the one they are drawn from.
+        Populations that the robot assumes. `OWN`: the one from which people are drawn.
     repeats : int or None
-        The most that this condition is repeated; None: as often as the study.
+        Largest number of repeats of this condition; None: as many as the study.
     """
 
     name: str
@@ -66,14 +73,14 @@ class Condition:
 
 @dataclass(frozen=True)
 class Cell:
-    """What is done in one go: one pool of people, and all teams that are drawn from it.
+    """The unit of work: one pool of people, and all teams that are drawn from it.
 
     Attributes
     ----------
     condition, setting, prior, population, instance : str
         Names and labels.
     repeat : int
-        The number of the pool.
+        Number of the pool.
     """
 
     condition: str
@@ -90,22 +97,22 @@ class Cell:
 
 @dataclass(frozen=True)
 class Reference:
-    """What somebody has published, that a study is compared with.
+    """Published results that a study is compared with.
 
     Attributes
     ----------
     source : str
-        Where it stands.
+        Citation.
     name : str
-        What reports call it.
+        Name in reports.
     headline : tuple of pairs
-        The name and the percentage of each figure of the headline.
+        Name and percentage of each headline figure.
     interventions : tuple of pairs
-        Populations, and the interventions that they got on average.
+        Populations, and their mean number of interventions.
     declines : bool
-        Whether it is claimed that less is saved in large teams than in small ones.
+        Whether the source claims that the savings per person decline with the size of the team.
     contrasts : tuple of str
-        The study's contrasts that are claimed to be more than 1.
+        The study's contrasts that the source claims to exceed 1.
     """
 
     source: str
@@ -118,13 +125,13 @@ class Reference:
 
 @dataclass(frozen=True)
 class Contrast:
-    """Two groups of populations, of which it is asked how many more interventions the first get.
+    """Two groups of populations whose mean numbers of interventions are compared, as a ratio.
 
     Attributes
     ----------
     name : str
     of, to : tuple of str
-        Names of populations.
+        Populations of the numerator and of the denominator.
     """
 
     name: str
@@ -134,7 +141,7 @@ class Contrast:
 
 @dataclass(frozen=True)
 class Study:
-    """A study.
+    """A simulation study.
 
     Attributes
     ----------
@@ -142,21 +149,21 @@ class Study:
     title : str
     seed : int
     repeats : int
-        Pools that are drawn for each combination.
+        Number of pools that are drawn for each combination.
     pool : int
-        People in a pool.
+        Number of people in a pool.
     draws, trials : int
-        Teams that are drawn from each pool for each K, and episodes of each team.
+        Number of teams that are drawn from each pool for each K, and of episodes of each team.
     focus : str
         The policy that is compared with the others.
     populations : tuple of pairs
-        Names, and who they are.
+        Names and populations.
     instances : tuple of pairs
-        Labels, and their files.
+        Labels and tasks.
     own_policies : tuple of pairs
-        Names, and the file and function of each.
+        Names of user policies, with file and function.
     conditions : tuple of Condition
-        The headline is that of the first.
+        The first condition provides the headline.
     contrasts : tuple of Contrast
     reference : Reference or None
     """
@@ -177,11 +184,11 @@ class Study:
     reference: Reference | None
 
     def condition(self, name: str) -> Condition:
-        """Give a condition by its name."""
+        """Return the condition of this name."""
         return next(condition for condition in self.conditions if condition.name == name)
 
     def cells(self) -> Iterator[Cell]:
-        """Give all that is to be done, repeat by repeat, in the order of the results."""
+        """Yield all cells, repeat by repeat, in the order of the results."""
         for repeat in range(self.repeats):
             for condition in self.conditions:
                 if condition.repeats is not None and repeat >= condition.repeats:
@@ -193,23 +200,23 @@ class Study:
                                 yield Cell(condition.name, setting, prior, population, instance, repeat)
 
     def episodes(self, cell: Cell) -> int:
-        """Give how many episodes a cell has."""
+        """Return the number of episodes of a cell."""
         condition = self.condition(cell.condition)
         return len(condition.policies) * len(condition.humans) * self.draws * self.trials
 
     def episodes_of(self, cell: Cell) -> Iterator[tuple[str, int, int, int]]:
-        """Give the policy, team size, draw and trial of each episode of a cell."""
+        """Yield the policy, team size, draw and trial of each episode of a cell."""
         condition = self.condition(cell.condition)
         return product(condition.policies, condition.humans, range(self.draws), range(self.trials))
 
     def setting(self, cell: Cell) -> Setting:
-        """Give what a cell takes for granted."""
+        """Return the setting of a cell."""
         return dict(self.condition(cell.condition).settings)[cell.setting]
 
     def fingerprint(self) -> str:
-        """Give a digest of all that results depend on: the study, and the files that it names, but not `repeats`."""
+        """Return a digest of the study, without `repeats`, and of the files that it names."""
         digest = hashlib.sha256()
-        plain = {name: value for name, value in self._plain().items() if name not in OF_NO_CONSEQUENCE}
+        plain = {name: value for name, value in self._plain().items() if name not in IRRELEVANT}
         plain["schema"] = SCHEMA
         for name in ("instances", "own_policies"):
             plain[name] = [label for label, _ in getattr(self, name)]
@@ -227,22 +234,25 @@ class Study:
         return digest.hexdigest()
 
     def record(self) -> dict[str, Any]:
-        """Give the study as plain data, file names as texts."""
+        """Return the study as plain data, with paths as strings."""
         return json.loads(json.dumps(self._plain(), default=str))
 
     def _plain(self) -> dict[str, Any]:
-        return asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
+        plain = asdict(self) | {"populations": [(name, people.as_dict()) for name, people in self.populations]}
+        for condition, own in zip(plain["conditions"], self.conditions, strict=True):
+            condition["settings"] = tuple((label, setting.as_dict()) for label, setting in own.settings)
+        return plain
 
-    def luck(self, repeat: int) -> int:
-        """Give the seed of a repeat."""
+    def seed_of(self, repeat: int) -> int:
+        """Return the random seed of a repeat."""
         words = np.random.SeedSequence(self.seed, spawn_key=(repeat,)).generate_state(4)
         return int.from_bytes(words.tobytes(), "little")
 
     def teams(self, repeat: int, humans: int) -> NDArray[np.int64]:
-        """Give the team of each episode, shape (draws * trials, K): who has been drawn acts in some trials.
+        """Return the team of each episode, shape (draws * trials, K). Each drawn team acts in `trials` episodes.
 
-        A draw's team of K is part of its team of K + 1.
+        A draw's team of K people is part of its team of K + 1.
         """
-        rng = np.random.default_rng(np.random.SeedSequence(self.luck(repeat), spawn_key=(2,)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed_of(repeat), spawn_key=(2,)))
         drawn = rng.permuted(np.tile(np.arange(self.pool), (self.draws, 1)), axis=1)[:, :humans]
         return np.repeat(drawn, self.trials, axis=0)

@@ -1,4 +1,4 @@
-"""Tasks that people are simulated on: read, solved, and refused in one line where that cannot be."""
+"""Tasks of simulations: read and solved, or refused with a one-line error."""
 
 from __future__ import annotations
 
@@ -13,38 +13,40 @@ from ..people.choices import require_goal
 Known = TypeVar("Known", bound=CostToGo)
 
 
-LOOKED_AT_WHOLE = 200_000
-"""The largest task that is looked at whole where nothing else will do."""
+def table_of(instance: Instance, *, max_states: int = 200_000) -> Table:
+    """Read and solve a task whose states are all needed.
 
-
-def table_of(instance: Instance) -> Table:
-    """Read and solve a task that has to be looked at whole.
+    Parameters
+    ----------
+    instance : Instance
+    max_states : int
+        Largest number of states. The default takes about a second.
 
     Raises
     ------
     InputFileError
-        It has too many states, or its goal cannot be reached.
+        The task has too many states, or its goal is unreachable.
     planner.PDDLError
     """
     try:
-        table = sweep(load(instance), max_states=LOOKED_AT_WHOLE)
+        table = sweep(load(instance), max_states=max_states)
     except LimitError as error:
-        raise InputFileError(f"{instance}: {error}; expected a task of up to {LOOKED_AT_WHOLE:,} states") from None
+        raise InputFileError(f"{instance}: {error}; expected a task of up to {max_states:,} states") from None
     return _solvable(instance, table)
 
 
 def costs_of(instance: Instance, *, progress: Callable[[str, int, int | None], None] | None = None) -> CostToGo:
-    """Read and solve a task that people are to be simulated on; one that cannot be swept is asked on demand.
+    """Read and solve a task for simulation. States of tasks that are too large for a sweep are solved on demand.
 
     Parameters
     ----------
     progress : callable, optional
-        Of the sweep.
+        Receives the progress of the sweep.
 
     Raises
     ------
     InputFileError
-        Its goal cannot be reached.
+        The goal is unreachable.
     planner.PDDLError
     """
     task = load(instance)

@@ -1,0 +1,165 @@
+"""Logs of judgements with advice: people choose, see advice, and choose again.
+
+Such data tell how people take advice where no task in PDDL is involved. A log is a CSV file with a line for each
+judgement and the columns of `COLUMNS`; other columns are ignored. Choices are 0 or 1.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.arrays import outline, read_only
+from planner.system.errors import InputFileError
+
+from ..people.decision import Floats
+
+COLUMNS = (
+    "person", "sequence", "trial", "own_choice", "own_confidence", "advice", "final_choice", "outcome",
+    "feedback_shown",
+)  # fmt: skip
+OPTIONAL = "advice_confidence"
+OTHER_NAMES = {"feedback_shown": "feedback"}
+"""Names that columns may have instead."""
+ONE_ADVISOR = "sequence"
+"""A column that may be missing where each person has one advisor."""
+
+Confidence = Literal["own", "one"]
+
+
+@dataclass(frozen=True)
+class AdviceLog:
+    """Judgements with advice, ordered by person and trial; arrays of shape (N,).
+
+    Attributes
+    ----------
+    person : str array
+    first : bool array
+        Whether a row is its person's first.
+    sequence : int array
+        Number of the row's advisor among those of the person, from 0.
+    agrees : bool array
+        The advice is the person's own choice.
+    follows : bool array
+        The final choice is the advice.
+    right : bool array
+        The advice is the outcome.
+    shown : bool array
+        The outcome was shown after the judgement.
+    confidence : float array
+        Confidence in the own choice, at most 1; below 0 where the stated confidence contradicts the choice.
+    advice_confidence : float array
+        Distance of the advisor's confidence from even odds, minus a half, from -0.5 to 0.5; 0 where none was given.
+    """
+
+    person: NDArray[np.str_]
+    first: NDArray[np.bool_]
+    sequence: NDArray[np.int64]
+    agrees: NDArray[np.bool_]
+    follows: NDArray[np.bool_]
+    right: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
+    confidence: Floats
+    advice_confidence: Floats
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+    def __len__(self) -> int:
+        return len(self.person)
+
+    def of(self, rows: NDArray[np.bool_]) -> AdviceLog:
+        """Return the log of some rows, shape (N,); those of a person are all kept, or none is."""
+        return AdviceLog(**{name: array[rows] for name, array in vars(self).items()})
+
+
+def read_advice(
+    file: str | PathLike[str], *, confidence: Confidence = "own", leave_out: str | None = None, only: str | None = None
+) -> AdviceLog:
+    """Read a log of judgements with advice.
+
+    Parameters
+    ----------
+    file : path
+    confidence : "own" or "one"
+        What confidences, from 0 to 100, are about: the person's own choice, or the chance that choice 1 is right.
+    leave_out : str, optional
+        A column; rows where it is 1 are left out, as of people who failed checks of attention.
+    only : str, optional
+        `COLUMN=VALUE`; all other rows are left out.
+
+    Raises
+    ------
+    InputFileError
+        A column is missing, or a line has no number where one is expected; with the file and the line.
+    """
+    path = Path(file)
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.DictReader(stream)
+            header = reader.fieldnames or ()
+            names = {name: name if name in header else OTHER_NAMES.get(name, name) for name in COLUMNS}
+            missing = [name for name, own in names.items() if own not in header and name != ONE_ADVISOR]
+            if missing:
+                raise InputFileError(f"{path}:1: no column '{missing[0]}'; expected {', '.join(COLUMNS)}")
+            rows = [
+                (reader.line_num, row | {name: row.get(own) or "" for name, own in names.items()}) for row in reader
+            ]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputFileError(f"{path}: {error}") from None
+    column, _, wanted = (only or "").partition("=")
+    rows = [
+        (line, row)
+        for line, row in rows
+        if (leave_out is None or row.get(leave_out) != "1") and (only is None or row.get(column) == wanted)
+    ]
+    if not rows:
+        raise InputFileError(f"{path}: no judgement is left; expected a line for each")
+
+    def number(line: int, row: dict[str, str], name: str, most: float) -> float:
+        try:
+            value = float(row[name])
+        except (TypeError, ValueError):
+            raise InputFileError(f"{path}:{line}: {name} '{row[name]}'; expected a number") from None
+        if not 0 <= value <= most:
+            raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 to {most:g}")
+        return value
+
+    rows.sort(key=lambda entry: (entry[1]["person"], number(entry[0], entry[1], "trial", np.inf)))
+
+    def flag(line: int, row: dict[str, str], name: str) -> bool:
+        value = number(line, row, name, 1)
+        if value not in (0, 1):
+            raise InputFileError(f"{path}:{line}: {name} {value:g}; expected 0 or 1")
+        return value == 1
+
+    flags = ("own_choice", "advice", "final_choice", "outcome", "feedback_shown")
+    own, advice, final, outcome, shown = (
+        np.array([flag(line, row, name) for line, row in rows], dtype=bool) for name in flags
+    )
+    stated = np.array([number(line, row, "own_confidence", 100) for line, row in rows])
+    sure = stated / 100 if confidence == "own" else np.where(own, 1, -1) * (stated - 50) / 50
+    advised = np.array(
+        [
+            abs(number(line, row, OPTIONAL, 100) - 50) / 50 - 0.5 if row.get(OPTIONAL) and confidence == "one" else 0.0
+            for line, row in rows
+        ]
+    )
+    person = np.array([row["person"] for _, row in rows])
+    first = np.append(True, person[1:] != person[:-1])
+    numbers: list[int] = []
+    known: dict[str, int] = {}
+    for begins, (_, row) in zip(first.tolist(), rows, strict=True):
+        known = {} if begins else known
+        numbers.append(known.setdefault(row["sequence"], len(known)))
+    return AdviceLog(
+        person, first, np.array(numbers), own == advice, final == advice, advice == outcome, shown, sure, advised
+    )

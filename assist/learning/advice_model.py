@@ -1,0 +1,423 @@
+"""How people take advice: influence theta per person, rules by which it moves, and how well both predict.
+
+Model. logit(theta_0) is normal over people, with mean `mu` and standard deviation `sigma`; theta_0 is the same for all
+advisors of a person, and then moves for each advisor by a `Rule`. The final choice is the advice with probability
+LAPSE + (1 - 2 LAPSE) sigmoid(z). With c the confidence in the own choice and s = 1 where the advice is the own
+choice, -1 elsewhere, z is one of
+
+- base "A": logit(theta) + s (b0 + b1 c), which is equation (6) with a bonus b0 of the own choice;
+- base "E": a0 + a1 c where the advice is the own choice, else logit(theta) - b1 c: agreement does not inform theta;
+- base "EA": base "E" plus `advised` times the advisor's confidence, in all rows.
+
+The initial theta is integrated out by Gauss-Hermite quadrature, and its posterior is updated after each row, so that
+every row is predicted from the rows before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from planner.system.jit import njit
+
+from ..people.decision import Floats
+from ..people.trust_rules import LEAST
+from .advice_log import AdviceLog
+from .trust_scores import TrustComparison
+
+LAPSE = 0.0005
+"""Least probability of a final choice, so that no single answer decides a fit."""
+
+NODES = 31
+"""Nodes of the quadrature. Twice as many change no figure of two public data sets in the fifth digit."""
+
+STEPS, DELTA, COUNTS, RELIABILITY = range(4)
+"""Kinds of rules, as compiled code tells them apart."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A rule by which theta moves after each judgement.
+
+    Attributes
+    ----------
+    name : str
+        Name in tables of results.
+    kind : int
+        `STEPS`: a step is added to theta, or to its logit; it depends on agreement, confidence and outcome. `DELTA`:
+        theta moves by a share towards the outcome.
+        `COUNTS`: theta is the mean of a beta distribution that counts good and bad advice. `RELIABILITY`: logit theta
+        moves with the logit of the perceived share of right advice.
+    logit : bool
+        Whether steps are on the logit scale.
+    parameters : tuple of str
+        Names of the fitted parameters.
+    start : tuple of float
+        Values of the parameters at which a fit begins.
+    coefficients : callable
+        Maps the parameters to the eight numbers that compiled code reads; see `_moved`.
+    """
+
+    name: str
+    kind: int
+    logit: bool
+    parameters: tuple[str, ...]
+    start: tuple[float, ...]
+    coefficients: Callable[..., Sequence[float]]
+
+
+def _steps(
+    name: str, parameters: str, start: Sequence[float], coefficients: Callable[..., Sequence[float]],
+) -> Rule:  # fmt: skip
+    return Rule(name, STEPS, name.startswith("L "), tuple(parameters.split()), tuple(start), coefficients)
+
+
+def _rules() -> dict[str, Rule]:
+    """Return the rules by name; coefficients of steps are explained in `_moved`."""
+    every = [
+        _steps("none", "", (), lambda: (0,) * 8),
+        _steps("eq7 eta=.2, confidence units", "", (), lambda: (0, 0.2, 0, -0.2, 0, 0, 0, 0)),
+        _steps("eq7 eta=.2, unit steps", "", (), lambda: (0.2, 0, -0.2, 0, 0, 0, 0, 0)),
+    ]
+    for prefix, small in (("", 0.01), ("L ", 0.08)):
+        every += [
+            _steps(f"{prefix}drift", "e", (small / 5,), lambda e: (e, 0, e, 0, 0, 0, 0, 0)),
+            _steps(f"{prefix}eq7 fitted", "e", (small,), lambda e: (0, e, 0, -e, 0, 0, 0, 0)),
+            _steps(f"{prefix}eq7 gain/loss", "g l", (small, small), lambda g, down: (0, g, 0, -down, 0, 0, 0, 0)),
+            _steps(f"{prefix}outcome", "e", (small,), lambda e: (0, 0, 0, 0, e, -e, e, -e)),
+            _steps(
+                f"{prefix}outcome gain/loss", "g l", (small, 2 * small),
+                lambda g, down: (0, 0, 0, 0, g, -down, g, -down),
+            ),
+            _steps(f"{prefix}outcome at disagreement", "e", (small,), lambda e: (0, 0, 0, 0, 0, 0, e, -e)),
+            _steps(
+                f"{prefix}outcome at disagreement gain/loss", "g l", (small, 2 * small),
+                lambda g, down: (0, 0, 0, 0, 0, 0, g, -down),
+            ),
+            _steps(
+                f"{prefix}own belief + outcome at disagreement", "o g l", (small / 2, small, 2 * small),
+                lambda o, g, down: (0, o, 0, -o, 0, 0, g, -down),
+            ),
+            _steps(
+                f"{prefix}agreement + outcome at disagreement", "o g l", (small / 2, small, 2 * small),
+                lambda o, g, down: (o, 0, 0, 0, 0, 0, g, -down),
+            ),
+        ]  # fmt: skip
+    every += [
+        Rule("delta rule", DELTA, False, ("e",), (0.05,), lambda e: (e, 0, 0, 0, 0, 0, 0, 0)),
+        Rule("beta counts", COUNTS, False, ("n0", "w"), (20.0, 1.0), lambda n, w: (n, w, w, 1, 0, 0, 0, 0)),
+        Rule(
+            "beta counts, good/bad weights, forgetting", COUNTS, False, ("n0", "ws", "wf", "gam"),
+            (20.0, 1.0, 2.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 0, 0, 0, 0),
+        ),
+        Rule(
+            "beta counts at disagreement", COUNTS, False, ("n0", "w"), (20.0, 1.0),
+            lambda n, w: (n, w, w, 1, 1, 0, 0, 0),
+        ),
+        Rule(
+            "beta counts of own agreement", COUNTS, False, ("n0", "ws", "wf"), (20.0, 1.0, 0.5),
+            lambda n, s, f: (n, s, f, 1, 2, 0, 0, 0),
+        ),
+        Rule(
+            "perceived reliability", RELIABILITY, False, ("n0", "rk", "r0"), (2.0, 0.5, 0.65),
+            lambda n, k, r: (n, k, r, 0, 0, 0, 0, 0),
+        ),
+        Rule(
+            "perceived reliability at disagreement", RELIABILITY, False, ("n0", "rk", "r0"), (5.0, 1.0, 0.4),
+            lambda n, k, r: (n, k, r, 1, 0, 0, 0, 0),
+        ),
+    ]  # fmt: skip
+    return {rule.name: rule for rule in every}
+
+
+RULES = _rules()
+"""The rules that are compared, by name."""
+
+OF_NAMES = {
+    "constant": "none",
+    "paper": "eq7 fitted",
+    "outcome": "L outcome gain/loss",
+    "outcome-at-disagreement": "L agreement + outcome at disagreement",
+}
+"""Rules of logs by the names of `people.trust_rules.RULES`; V of advice is the confidence, for or against."""
+
+BASES = {
+    "A": {"mu": 2.0, "sigma": 1.0, "b0": 1.5, "b1": 1.5},
+    "E": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2},
+    "EA": {"mu": 0.5, "sigma": 1.5, "b1": 1.5, "a0": 3.3, "a1": 1.2, "advised": 2.0},
+}
+"""Parameters of each base, with values at which fits begin."""
+
+POSITIVE = {"sigma", "n0", "w", "ws", "wf"}
+UNIT = {"gam", "r0"}
+
+
+@dataclass(frozen=True)
+class AdviceModel:
+    """A base and a rule with their parameters.
+
+    Attributes
+    ----------
+    base : "A", "E" or "EA"
+    rule : Rule
+    values : tuple of float
+        Parameters of the base in the order of `BASES`, then those of the rule.
+    """
+
+    base: str
+    rule: Rule
+    values: tuple[float, ...]
+
+    @classmethod
+    def of(cls, base: str, rule: str, values: Sequence[float] | None = None) -> AdviceModel:
+        """Return the model of these names; with the values at which fits begin, unless values are given."""
+        known = RULES[rule]
+        return cls(base, known, tuple(values if values is not None else (*BASES[base].values(), *known.start)))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The parameters by name."""
+        return dict(zip((*BASES[self.base], *self.rule.parameters), self.values, strict=True))
+
+    def likelihood(self, log: AdviceLog) -> tuple[Floats, Floats]:
+        """Return the likelihood of each answer at each node, shape (N, K), and the log weights of the nodes, (K,)."""
+        own = self.parameters
+        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        start = np.clip(1 / (1 + np.exp(-(own["mu"] + own["sigma"] * nodes))), LEAST, 1 - LEAST)
+        rule = np.array(self.rule.coefficients(*self.values[len(BASES[self.base]) :]), dtype=float)
+        by_agreement = self.base != "A"
+        agree = np.array([own["a0"], own["a1"]] if by_agreement else [own["b0"], own["b1"]])
+        other = np.array([0.0 if by_agreement else own["b0"], own["b1"]])
+        found = np.empty((len(log), NODES))
+        _likelihood(
+            found, log.first, log.sequence, log.agrees, log.follows, log.right, log.shown, log.confidence,
+            log.advice_confidence * own.get("advised", 0.0), start, self.rule.kind, self.rule.logit, rule, by_agreement,
+            agree, other,
+        )  # fmt: skip
+        return found, np.log(weights / weights.sum())
+
+    def predictions(self, log: AdviceLog) -> Floats:
+        """Return the log probability of each answer, given the person's answers before it, shape (N,)."""
+        found, weights = self.likelihood(log)
+        with np.errstate(divide="ignore"):
+            logs = np.log(found)
+        total = np.cumsum(logs, axis=0)
+        begins = np.flatnonzero(log.first)
+        before = np.zeros((len(begins), found.shape[1]))
+        before[1:] = total[begins[1:] - 1]
+        total -= np.repeat(before, np.diff(np.append(begins, len(log))), axis=0)
+        joint = np.logaddexp.reduce(total + weights, axis=1)
+        earlier = np.append(0.0, joint[:-1])
+        earlier[begins] = 0.0
+        return np.asarray(joint - earlier)
+
+    def log_likelihood(self, log: AdviceLog) -> float:
+        """Return the log probability of all answers: the sum of `predictions`, computed a person at a time."""
+        found, weights = self.likelihood(log)
+        return float(_marginal(found, log.first, np.exp(weights)))
+
+    def fit(self, log: AdviceLog) -> AdviceModel:
+        """Return the model of largest marginal likelihood, found from this one's values and from none of its steps."""
+        names = (*BASES[self.base], *self.rule.parameters)
+
+        def inner(values: Sequence[float]) -> Floats:
+            return np.array([_to(name, value) for name, value in zip(names, values, strict=True)])
+
+        def model(point: Floats) -> AdviceModel:
+            return replace(self, values=tuple(_from(n, v) for n, v in zip(names, point.tolist(), strict=True)))
+
+        def loss(point: Floats) -> float:
+            with np.errstate(over="ignore"):
+                value = -model(point).log_likelihood(log)
+            return value / len(log) if math.isfinite(value) else 1e6
+
+        starts = [inner(self.values)]
+        if self.rule.kind == STEPS and self.rule.parameters:
+            starts.append(inner((*self.values[: len(BASES[self.base])], *(0.3 * v for v in self.rule.start))))
+        found = [minimize(loss, start, method="L-BFGS-B", options={"maxiter": 200}) for start in starts]
+        if self.rule.parameters and self.rule.kind == STEPS and not self.rule.logit:  # clips give kinks
+            found = [minimize(loss, one.x, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-4, "fatol": 1e-7})
+                     for one in found]  # fmt: skip
+        return model(min(found, key=lambda one: one.fun).x)
+
+
+def _to(name: str, value: float) -> float:
+    if name in POSITIVE:
+        return math.log(max(value, 1e-6))
+    return math.log(value / (1 - value)) if name in UNIT else value
+
+
+def _from(name: str, value: float) -> float:
+    if name in POSITIVE:
+        return math.exp(min(max(value, -15.0), 15.0))
+    return 1 / (1 + math.exp(-min(max(value, -30.0), 30.0))) if name in UNIT else value
+
+
+def fold_of(person: NDArray[np.str_], folds: int = 8) -> NDArray[np.int64]:
+    """Return the fold of each row's person, shape (N,): the number in their name, modulo the number of folds.
+
+    Where that leaves all people in one fold, as with names without numbers, it is the person's place in the log.
+    """
+    found = np.array([int("".join(filter(str.isdecimal, name)) or 0) % folds for name in person.tolist()])
+    return found if (found != found[0]).any() else np.unique(person, return_inverse=True)[1].astype(np.int64) % folds
+
+
+def held_out(log: AdviceLog, base: str, rule: str, folds: int = 8) -> Floats:
+    """Return the log probability of each answer, shape (N,), with parameters fitted to the people of other folds."""
+    fold, found = fold_of(log.person, folds), np.empty(len(log))
+    start = AdviceModel.of(base, rule)
+    for each in range(folds):
+        inside = fold == each
+        if inside.any():
+            start = start.fit(log.of(~inside))  # the fit of the fold before is a good start
+            found[inside] = start.predictions(log.of(inside))
+    return found
+
+
+def mean_and_error(log: AdviceLog, values: Floats) -> tuple[float, float]:
+    """Return the mean of values per row, shape (N,), and its standard error over people (ratio estimator)."""
+    begins = np.flatnonzero(log.first)
+    sums, counts = np.add.reduceat(values, begins), np.diff(np.append(begins, len(log)))
+    mean = sums.sum() / counts.sum()
+    people = len(begins)
+    return float(mean), float(math.sqrt(((sums - mean * counts) ** 2).sum() * people / (people - 1)) / counts.sum())
+
+
+def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> TrustComparison:
+    """Compare the trust rules of `OF_NAMES` on held-out people.
+
+    Parameters
+    ----------
+    log : AdviceLog
+    folds : int
+        Groups of people that are left out in turn.
+    level : float
+        Level of the intervals.
+
+    Raises
+    ------
+    ValueError
+        There are fewer than two people.
+    """
+    begins = np.flatnonzero(log.first)
+    if len(begins) < 2:
+        raise ValueError("one person; a comparison needs two or more, to learn from some about others")
+    base = base_of(log)
+    scores = {name: np.add.reduceat(held_out(log, base, rule, folds), begins) for name, rule in OF_NAMES.items()}
+    estimates = {name: AdviceModel.of(base, rule).fit(log).parameters for name, rule in OF_NAMES.items()}
+    counts = np.diff(np.append(begins, len(log))).astype(float)
+    return TrustComparison.of(scores, counts, estimates, level)
+
+
+def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
+    """Return, as plain data, the parameters of a rule of `OF_NAMES` that fit a log best."""
+    base = base_of(log)
+    model = AdviceModel.of(base, OF_NAMES[rule]).fit(log)
+    return {
+        "rule": rule, "base": base, "parameters": model.parameters, "log_likelihood": model.log_likelihood(log),
+        "people": int(log.first.sum()), "choices": len(log),
+    }  # fmt: skip
+
+
+def base_of(log: AdviceLog) -> str:
+    """Return the base for a log: "EA" where the advisor's confidence differs between rows, else "E"."""
+    return "EA" if np.ptp(log.advice_confidence) > 0 else "E"
+
+
+@njit()
+def _sigmoid(z: float) -> float:
+    return 1.0 / (1.0 + math.exp(-z)) if z > 0 else math.exp(z) / (1.0 + math.exp(z))
+
+
+@njit()
+def _logit(p: float) -> float:
+    return math.log(p / (1.0 - p))
+
+
+@njit()
+def _likelihood(
+    found: Floats, first: NDArray[np.bool_], sequence: NDArray[np.int64], agrees: NDArray[np.bool_],
+    follows: NDArray[np.bool_], right: NDArray[np.bool_], shown: NDArray[np.bool_], confidence: Floats, advised: Floats,
+    start: Floats, kind: int, logit: bool, rule: Floats, by_agreement: bool, agree: Floats, other: Floats,
+) -> None:  # fmt: skip
+    """Fill in the likelihood of each answer at each node, shape (N, K)."""
+    advisors = sequence.max() + 1
+    theta, good, bad = np.empty(advisors), np.empty(advisors), np.empty(advisors)
+    for k in range(len(start)):
+        for i in range(len(first)):
+            if first[i]:
+                for a in range(advisors):
+                    theta[a], good[a], bad[a] = start[k], 0.0, 0.0
+            a, c = sequence[i], confidence[i]
+            if agrees[i]:
+                z = agree[0] + agree[1] * c
+                if not by_agreement:
+                    z += _logit(theta[a])
+            else:
+                z = _logit(theta[a]) - other[0] - other[1] * c
+            p = LAPSE + (1.0 - 2.0 * LAPSE) * _sigmoid(z + advised[i])
+            found[i, k] = p if follows[i] else 1.0 - p
+            theta[a], good[a], bad[a] = _moved(
+                theta[a], good[a], bad[a], start[k], kind, logit, rule, agrees[i], right[i], shown[i], c
+            )
+
+
+@njit()
+def _marginal(found: Floats, first: NDArray[np.bool_], weights: Floats) -> float:
+    """Return the sum over people of the log of the mean, over nodes, of the product of a person's likelihoods."""
+    total, product = 0.0, weights.copy()
+    for i in range(len(first)):
+        if first[i] and i:
+            total += math.log(product.sum())
+            product[:] = weights
+        for k in range(len(weights)):
+            product[k] *= found[i, k]
+    return total + math.log(product.sum())
+
+
+@njit()
+def _moved(
+    theta: float, good: float, bad: float, start: float, kind: int, logit: bool, rule: Floats, agrees: bool,
+    right: bool, shown: bool, c: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Return theta and the counts of good and bad advice after a judgement.
+
+    The eight numbers of a rule of `STEPS`: a constant and a factor of the confidence at agreement, the same at
+    disagreement, the steps after right and after wrong advice at agreement, and the same at disagreement. Of `DELTA`:
+    the share. Of `COUNTS`: prior weight, weights of good and bad advice, what is kept of the counts each time, and
+    what is counted (0: all outcomes, 1: outcomes at disagreement, 2: agreement). Of `RELIABILITY`: prior weight,
+    slope, prior reliability, and whether only disagreement counts.
+    """
+    if kind == STEPS:
+        at = 0 if agrees else 2
+        step = rule[at] + rule[at + 1] * c
+        if shown:
+            step += rule[(4 if agrees else 6) + (0 if right else 1)]
+        if logit:
+            theta = _sigmoid(_logit(theta) + step)
+        else:
+            theta += step
+    elif kind == DELTA:
+        if shown:
+            theta += rule[0] * ((1.0 if right else 0.0) - theta)
+    elif kind == COUNTS:
+        if rule[4] == 2.0:
+            good += rule[1] * c if agrees else 0.0
+            bad += 0.0 if agrees else rule[2] * c
+        elif shown and (rule[4] == 0.0 or not agrees):
+            good = rule[3] * good + (rule[1] if right else 0.0)
+            bad = rule[3] * bad + (0.0 if right else rule[2])
+        theta = (rule[0] * start + good) / (rule[0] + good + bad)
+    else:
+        if shown and (rule[3] == 0.0 or not agrees):
+            good += 1.0 if right else 0.0
+            bad += 0.0 if right else 1.0
+        reliable = (rule[0] * rule[2] + good) / (rule[0] + good + bad)
+        theta = _sigmoid(_logit(start) + rule[1] * (_logit(reliable) - _logit(rule[2])))
+    return min(max(theta, LEAST), 1.0 - LEAST), good, bad

@@ -1,0 +1,292 @@
+"""Trust rules: how a person's influence theta moves after a suggestion, on arrays.
+
+The paper's rule is `EquationSeven`: theta moves by what the person thinks of the suggestion, whether they follow it or
+not. Real advice data support other rules better (docs/people.md): a theta of one's own that stays (`constant`), or that
+moves on the logit scale by the outcome of the advice (`outcome`, `outcome_at_disagreement`). All of these are
+`LogitSteps`. A rule of one's own is any frozen object with the attributes and the method of `TrustRule`.
+
+A rule is a deterministic map of theta and an `Event`. The robot's problem of one person evaluates it at its grid of
+theta, and a simulation at the people's own values, so that there is one definition of each rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arguments import MOST, number
+from .decision import Floats, trust
+
+Feedback = Literal["perceived", "true", "never"]
+
+LEAST = 0.01
+"""Least theta that logit steps lead to, and one minus the largest: a step from 0 or 1 on the logit scale leads nowhere.
+
+At .01 a suggestion divides the odds of an action by 99. Fits to two public data sets of advice use the same limits.
+"""
+
+
+@dataclass(frozen=True)
+class Event:
+    """A suggestion and what became of it; arrays that broadcast with theta.
+
+    Attributes
+    ----------
+    gain : float array
+        V(x_r) - V(x): what the person thinks that the suggested action gains, in cost units.
+    agrees : bool array
+        The person would choose the suggested action anyway: no action has a lower perceived cost.
+    followed : bool array
+        The person did what was suggested.
+    shown : bool array
+        The person sees whether the suggestion was right.
+    right : bool array
+        It was, as they see it.
+    """
+
+    gain: Floats
+    agrees: NDArray[np.bool_]
+    followed: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
+    right: NDArray[np.bool_]
+
+
+class TrustRule(Protocol):
+    """A map of theta and an event to the theta after it.
+
+    Attributes
+    ----------
+    uses_answer : bool
+        Whether the map depends on the person's answer, that is, on `followed` or `shown`.
+    feedback : "perceived", "true" or "never"
+        Whether people who follow a suggestion see that it was right: by the cost-to-go that they perceive (the
+        suggested action raises V), by the exact one (it is an optimal choice), or not at all.
+    """
+
+    @property
+    def uses_answer(self) -> bool:
+        """Whether the map depends on the answer."""
+        ...
+
+    @property
+    def feedback(self) -> Feedback:
+        """What people see of the outcome."""
+        ...
+
+    def update(self, theta: Floats, event: Event) -> Floats:
+        """Return theta after the event; the arrays of both broadcast."""
+        ...
+
+
+@dataclass(frozen=True)
+class EquationSeven:
+    """Equation (7) of the paper: theta' = clip(theta + eta (V(x_r) - V(x)) / utility_scale, 0, 1).
+
+    Attributes
+    ----------
+    eta : float
+        Rate; 0.2 in the paper's study.
+    utility_scale : float
+        Unit of V, in cost units.
+    uses_answer : bool
+        False: the rule does not use the answer.
+    feedback : str
+        "never": nor the outcome.
+    """
+
+    eta: float = 0.2
+    utility_scale: float = 1.0
+    uses_answer = False
+    feedback: Feedback = "never"
+
+    def update(self, theta: Floats, event: Event) -> Floats:
+        """Return theta after the event; equation (7)."""
+        return trust(theta, 0.0, event.gain, self.eta, self.utility_scale)
+
+
+@dataclass(frozen=True)
+class LogitSteps:
+    """A rule that adds a step to logit(theta), which depends on agreement and on the outcome as the person sees it.
+
+    Attributes
+    ----------
+    agreement : float
+        Step where the person would have chosen the suggested action anyway, in log-odds.
+    gain, loss : float
+        Step up after a suggestion that the person followed and saw to be right, and step down after one that they
+        followed and saw to be wrong, in log-odds; 0 or more.
+    at_agreement : bool
+        Whether these steps are also taken at agreement, in place of `agreement`.
+    feedback : "perceived", "true" or "never"
+        As in `TrustRule`.
+    """
+
+    agreement: float = 0.0
+    gain: float = 0.0
+    loss: float = 0.0
+    at_agreement: bool = False
+    feedback: Feedback = "perceived"
+
+    def __post_init__(self) -> None:
+        for name in ("agreement", "gain", "loss"):
+            object.__setattr__(self, name, number(name, getattr(self, name)))
+            if not abs(getattr(self, name)) <= MOST:
+                raise ValueError(f"{name} {getattr(self, name):g}: expected a step of at most {MOST:g} log-odds")
+        if min(self.gain, self.loss) < 0:
+            raise ValueError(f"gain {self.gain:g}, loss {self.loss:g}: expected 0 or more")
+        if self.feedback not in get_args(Feedback):
+            raise ValueError(f"feedback '{self.feedback}': expected one of {', '.join(get_args(Feedback))}")
+
+    @property
+    def uses_answer(self) -> bool:
+        """Whether a step depends on the outcome."""
+        return self.feedback != "never" and (self.gain > 0 or self.loss > 0)
+
+    def update(self, theta: Floats, event: Event) -> Floats:
+        """Return theta after the event, between `LEAST` and 1 - `LEAST` where it moves."""
+        seen = np.where(event.shown, np.where(event.right, self.gain, -self.loss), 0.0)
+        step = seen if self.at_agreement else np.where(event.agrees, self.agreement, seen)
+        start = np.clip(np.asarray(theta, dtype=float), LEAST, 1 - LEAST)
+        moved = np.clip(1 / (1 + np.exp(-step) * (1 - start) / start), LEAST, 1 - LEAST)
+        return np.where(step == 0, theta, moved)
+
+
+def constant() -> LogitSteps:
+    """Return the rule of a theta that never moves."""
+    return LogitSteps(feedback="never")
+
+
+def outcome(gain: float = 0.1, loss: float = 0.2, feedback: Feedback = "perceived") -> LogitSteps:
+    """Return the rule of a theta that moves by the outcome of what was followed, whatever the person thought of it.
+
+    Parameters
+    ----------
+    gain, loss, feedback
+        As in `LogitSteps`.
+    """
+    return LogitSteps(gain=gain, loss=loss, at_agreement=True, feedback=feedback)
+
+
+def outcome_at_disagreement(
+    agreement: float = 0.03, gain: float = 0.1, loss: float = 0.2, feedback: Feedback = "perceived"
+) -> LogitSteps:
+    """Return the rule of a theta that moves by agreement, and at disagreement by the outcome of what was followed.
+
+    The steps were chosen on the data of 813 people who judged cards and dates with advice (docs/people.md). There the
+    outcome was shown after advice that was declined, too; here people see the outcome of what they did.
+
+    Parameters
+    ----------
+    agreement, gain, loss, feedback
+        As in `LogitSteps`.
+    """
+    return LogitSteps(agreement, gain, loss, feedback=feedback)
+
+
+RULES: dict[str, Callable[..., TrustRule]] = {
+    "paper": EquationSeven,
+    "constant": constant,
+    "outcome": outcome,
+    "outcome-at-disagreement": outcome_at_disagreement,
+}
+"""Functions that make the shipped rules, by name."""
+
+
+def trust_rule(rule: str | TrustRule | None, eta: float, utility_scale: float) -> TrustRule:
+    """Return the rule of a name; the paper's (also for None) with the given rate and unit, others with default steps.
+
+    Raises
+    ------
+    ValueError
+        There is no rule of that name, or the object is none.
+    """
+    if rule is None:
+        rule = "paper"
+    if isinstance(rule, str):
+        if rule not in RULES:
+            raise ValueError(f"trust '{rule}': expected one of {', '.join(RULES)}, or a rule")
+        return EquationSeven(eta, utility_scale) if rule == "paper" else RULES[rule]()
+    for name in ("uses_answer", "feedback", "update"):
+        if not hasattr(rule, name):
+            raise ValueError(f"trust {rule!r}: expected a name, or an object with uses_answer, feedback and update")
+    return rule
+
+
+def plain_rule(name: str, rule: TrustRule) -> dict[str, Any]:
+    """Return a shipped rule as plain data, from which `rule_of` makes an equal one.
+
+    Raises
+    ------
+    ValueError
+        The rule is the user's own.
+    """
+    if not isinstance(rule, EquationSeven | LogitSteps):
+        raise ValueError(f"trust {rule!r}: a rule that is not saved; expected EquationSeven or LogitSteps")  # noqa: TRY004
+    return {"rule": name, **vars(rule)}
+
+
+def rule_of(plain: Mapping[str, Any]) -> EquationSeven | LogitSteps:
+    """Return the rule of `plain_rule`.
+
+    Raises
+    ------
+    ValueError
+        It is no such rule.
+    """
+    name, numbers = plain.get("rule"), {key: value for key, value in plain.items() if key != "rule"}
+    if name not in RULES:
+        raise ValueError(f"trust rule '{name}'; expected one of {', '.join(RULES)}")
+    kind = EquationSeven if name == "paper" else LogitSteps
+    try:
+        return kind(**numbers)
+    except TypeError:
+        names = ", ".join(one.name for one in fields(kind))
+        raise ValueError(f"trust rule {name} with {', '.join(numbers)}; expected some of {names}") from None
+
+
+@dataclass(frozen=True)
+class PerceivedSuggestions:
+    """What people think of suggestions, and whether these are optimal; arrays that broadcast.
+
+    Attributes
+    ----------
+    gain : float array
+        V(x_r) - V(x), in cost units.
+    agrees : bool array
+        No action has a lower perceived cost.
+    optimal : bool array
+        The suggested action is an optimal choice.
+    """
+
+    gain: Floats
+    agrees: NDArray[np.bool_]
+    optimal: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls, cost: Floats, least: Floats, before: Floats, after: Floats, optimal: NDArray[np.bool_]
+    ) -> PerceivedSuggestions:
+        """Evaluate suggestions; all arrays broadcast.
+
+        Parameters
+        ----------
+        cost, least : float arrays
+            Perceived cost of the suggested action, and the least one of all actions.
+        before, after : float arrays
+            V of the present state, and of the state in which the suggested action would end.
+        optimal : bool array
+            The suggested action is an optimal choice.
+        """
+        with np.errstate(invalid="ignore"):  # from one dead end to another nothing is gained
+            gain = np.where(before == after, 0.0, np.subtract(after, before))
+        return cls(gain, np.asarray(cost <= least), np.asarray(optimal))
+
+    def event(self, followed: NDArray[np.bool_] | bool, feedback: Feedback) -> Event:
+        """Return the event of these suggestions, followed or not, with what people see of the outcome."""
+        followed = np.asarray(followed)
+        right = self.optimal if feedback == "true" else self.gain > 0
+        return Event(self.gain, self.agrees, followed, followed & (feedback != "never"), right)

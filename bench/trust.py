@@ -1,0 +1,143 @@
+"""Which trust rule predicts best whether people take advice, held out by person, on public data.
+
+    KITASSIST_ADVICE=FOLDER python bench/trust.py [--fixed] [--rule NAME ...] [--record FILE]
+
+The folder holds `cards.csv` and `dates.csv` (docs/results/trust.md names their sources). Each rule is fitted to the
+people of seven folds and predicts the answers of the eighth. With `--fixed` nothing is fitted: the parameters are those
+of `reference/fixed_parameters.csv` in the folder, and the command says by how much its figures differ.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from tables import cell, record_option, write_record
+
+from assist.learning.advice_log import AdviceLog, read_advice
+from assist.learning.advice_model import BASES, RULES, AdviceModel, held_out, mean_and_error
+
+VARIABLE = "KITASSIST_ADVICE"
+DATA: dict[str, dict[str, Any]] = {
+    "cards": {"file": "cards.csv", "confidence": "one", "leave_out": "attention_fail"},
+    "dates_fb": {"file": "dates.csv", "only": "condition=feedback"},
+    "dates_none": {"file": "dates.csv", "only": "condition=none"},
+}
+TABLE = (
+    "none", "eq7 eta=.2, confidence units", "eq7 fitted", "beta counts, good/bad weights, forgetting", "L outcome",
+    "L agreement + outcome at disagreement", "perceived reliability",
+)  # fmt: skip
+SHOWN = {
+    "data": cell("data"), "base": cell("base"), "rule": cell("rule"), "nats": cell("nats", ".4f"),
+    "se": cell("se", ".4f"), "minus constant": cell("difference", "+.4f"), "its se": cell("difference_se", ".4f"),
+}  # fmt: skip
+
+
+def logs(folder: Path) -> dict[str, AdviceLog]:
+    """Return the logs of the folder by name."""
+    return {
+        name: read_advice(folder / about["file"], **{key: value for key, value in about.items() if key != "file"})
+        for name, about in DATA.items()
+    }
+
+
+def base_rates(log: AdviceLog) -> np.ndarray:
+    """Return held-out log probabilities by the rates of following at agreement and at disagreement."""
+    from assist.learning.advice_model import fold_of
+
+    fold, found = fold_of(log.person), np.empty(len(log))
+    for each in range(8):
+        for agrees in (False, True):
+            inside, outside = (log.agrees == agrees) & (fold == each), (log.agrees == agrees) & (fold != each)
+            rate = log.follows[outside].mean()
+            found[inside] = np.log(np.where(log.follows[inside], rate, 1 - rate))
+    return found
+
+
+def fixed(folder: Path, known: dict[str, AdviceLog]) -> float:
+    """Print the figures with the reference's parameters; return the largest difference, in nats per decision."""
+    largest = 0.0
+    with (folder / "reference" / "fixed_parameters.csv").open(newline="") as stream:
+        for row in csv.DictReader(stream):
+            rule, log = RULES[row["rule"]], known[row["data"]]
+            given = dict(pair.split("=") for pair in filter(None, row["rule_parameters"].split(";")))
+            values = [*BASES[row["base"]].values(), *(float(given[name]) for name in rule.parameters)]
+            found = -AdviceModel.of(row["base"], rule.name, values).predictions(log)
+            off = max(
+                abs(found.mean() - float(row["nats_per_decision"])),
+                abs(found[~log.agrees].mean() - float(row["nats_per_disagreement"])),
+            )
+            largest = max(largest, off)
+            click.echo(f"{row['data']:10} {row['base']:2} {rule.name:45} {found.mean():.5f}  off by {off:.5f}")
+    return largest
+
+
+def compared(known: dict[str, AdviceLog], rules: tuple[str, ...]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each data set, base and rule."""
+    for name, log in known.items():
+        base = "EA" if name == "cards" else "E"
+        rates = -base_rates(log)
+        constant = -held_out(log, base, "none")
+        for rule in ("base rates", *rules):
+            found = rates if rule == "base rates" else constant if rule == "none" else -held_out(log, base, rule)
+            nats, se = mean_and_error(log, found)
+            difference, its_se = mean_and_error(log, found - constant)
+            yield {
+                "data": name, "base": base, "rule": "own theta, constant" if rule == "none" else rule, "nats": nats,
+                "se": se, "difference": difference, "difference_se": its_se,
+            }  # fmt: skip
+
+
+def elsewhere(known: dict[str, AdviceLog], others: dict[str, AdviceLog], rules: tuple[str, ...]) -> None:
+    """Print how well rules fitted to the known people predict others."""
+    for name, log in others.items():
+        base = "EA" if name == "cards" else "E"
+        constant = -AdviceModel.of(base, "none").fit(known[name]).predictions(log)
+        for rule in rules:
+            found = -AdviceModel.of(base, rule).fit(known[name]).predictions(log)
+            (nats, se), (difference, its_se) = mean_and_error(log, found), mean_and_error(log, found - constant)
+            click.echo(f"{name:10} {base:2} {rule:45} {nats:.4f} ({se:.4f})  {difference:+.4f} ({its_se:.4f})")
+
+
+@click.command()
+@click.option(
+    "--others",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder with files of the same names, of other people: predict these with rules fitted to all known people.",
+)
+@click.option("--fixed", "nothing_fitted", is_flag=True, help="Compare with the reference's fixed parameters.")
+@click.option("--rule", "rules", type=click.Choice(list(RULES)), multiple=True, default=TABLE, help="Rules to compare.")
+@record_option
+def main(others: Path | None, nothing_fitted: bool, rules: tuple[str, ...], record: Path | None) -> None:
+    """Compare trust rules by how well they predict held-out people."""
+    folder = os.environ.get(VARIABLE)
+    if not folder:
+        click.echo(f"nothing is measured: {VARIABLE} does not name the folder with cards.csv and dates.csv", err=True)
+        return
+    known = logs(Path(folder))
+    if nothing_fitted:
+        largest = fixed(Path(folder), known)
+        click.echo(f"largest difference {largest:.5f}")
+        if largest > 0.0005:
+            raise SystemExit("more than 0.0005 nats off")
+        return
+    if others is not None:
+        elsewhere(known, logs(others), rules)
+        return
+    rows = []
+    for row in compared(known, rules):
+        rows.append(row)
+        click.echo(
+            f"{row['data']:10} {row['base']:2} {row['rule']:45} {row['nats']:.4f} ({row['se']:.4f})  "
+            f"{row['difference']:+.4f} ({row['difference_se']:.4f})"
+        )
+    write_record(record, SHOWN, rows)
+
+
+if __name__ == "__main__":
+    main()

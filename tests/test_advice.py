@@ -1,0 +1,183 @@
+"""Judgements with advice: reading logs, the likelihood against plain integration, and fits of simulated people."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.learning.advice_log import COLUMNS, AdviceLog, read_advice
+from assist.learning.advice_model import (
+    BASES,
+    LAPSE,
+    NODES,
+    RULES,
+    AdviceModel,
+    _moved,
+    fold_of,
+    held_out,
+    mean_and_error,
+)
+from assist.people.trust_rules import LEAST, Event, LogitSteps
+from planner.system.errors import InputFileError
+
+
+def simulated(people: int, trials: int, seed: int, *, spread: float = 1.5, steps: float = 0.0) -> AdviceLog:
+    """Draw people of base E, whose logit theta falls by `steps` after each disagreement with wrong advice."""
+    rng = np.random.default_rng(seed)
+    rows: list[list[object]] = []
+    for k in range(people):
+        logit = rng.normal(0.5, spread)
+        for trial in range(trials):
+            agrees, right, c = rng.random() < 0.5, rng.random() < 0.6, rng.uniform(0, 1)
+            z = 3.3 + 1.2 * c if agrees else min(max(logit, -4.595), 4.595) - 1.5 * c
+            follows = rng.random() < LAPSE + (1 - 2 * LAPSE) / (1 + math.exp(-z))
+            rows.append([f"p{k:03}", trial == 0, 0, agrees, follows, right, True, c, 0.0])
+            if not agrees and not right:
+                logit -= steps
+    person, *others = (list(column) for column in zip(*rows, strict=True))
+    kinds = (bool, int, bool, bool, bool, bool, float, float)
+    return AdviceLog(np.array(person), *(np.array(c, dtype=k) for c, k in zip(others, kinds, strict=True)))
+
+
+def test_the_likelihood_is_that_of_the_model() -> None:
+    """One person at a time, in plain arithmetic, for a rule of the logit scale and each base."""
+    log = simulated(4, 12, 0)
+    log = AdviceLog(**vars(log) | {"advice_confidence": np.linspace(-0.5, 0.5, len(log))})
+    for base in BASES:
+        model = AdviceModel.of(base, "L agreement + outcome at disagreement")
+        own, total = model.parameters, 0.0
+        nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
+        for name in np.unique(log.person):
+            rows = np.flatnonzero(log.person == name)
+            mass = 0.0
+            for node, weight in zip(nodes, weights / weights.sum(), strict=True):
+                theta, product = 1 / (1 + math.exp(-(own["mu"] + own["sigma"] * node))), 1.0
+                theta = min(max(theta, LEAST), 1 - LEAST)
+                for i in rows:
+                    c, s = log.confidence[i], 1 if log.agrees[i] else -1
+                    z = math.log(theta / (1 - theta))
+                    if base == "A":
+                        z += s * (own["b0"] + own["b1"] * c)
+                    elif log.agrees[i]:
+                        z = own["a0"] + own["a1"] * c
+                    else:
+                        z -= own["b1"] * c
+                    z += own.get("advised", 0.0) * log.advice_confidence[i]
+                    p = LAPSE + (1 - 2 * LAPSE) / (1 + math.exp(-z))
+                    product *= p if log.follows[i] else 1 - p
+                    step = own["o"] if log.agrees[i] else own["g"] if log.right[i] else -own["l"]
+                    theta = 1 / (1 + math.exp(-(math.log(theta / (1 - theta)) + step)))
+                    theta = min(max(theta, LEAST), 1 - LEAST)
+                mass += weight * product
+            total += math.log(mass)
+        assert model.predictions(log).sum() == pytest.approx(total, rel=1e-10)
+        assert model.log_likelihood(log) == pytest.approx(total, rel=1e-10)
+
+
+@given(
+    st.floats(0.01, 0.99), st.booleans(), st.booleans(), st.booleans(),
+    st.floats(-1, 1), st.floats(0, 2), st.floats(0, 2),
+)  # fmt: skip
+@settings(max_examples=50, deadline=None)
+def test_a_rule_of_logs_is_the_rule_of_planning_tasks(
+    theta: float, agrees: bool, right: bool, shown: bool, agreement: float, gain: float, loss: float
+) -> None:
+    """The matching rule of `people.trust_rules` updates theta in the same way."""
+    rule = LogitSteps(agreement, gain, loss)
+    event = Event(*(np.asarray(each) for each in (0.0, agrees, True, shown, right)))
+    numbers = np.array(RULES["L agreement + outcome at disagreement"].coefficients(agreement, gain, loss), dtype=float)
+    moved, _, _ = _moved(theta, 0.0, 0.0, theta, 0, True, numbers, agrees, right, shown, 0.5)
+    assert moved == pytest.approx(float(rule.update(np.array(theta), event)), abs=1e-12)
+
+
+@pytest.mark.parametrize("rule", [rule for rule in RULES.values() if rule.kind != 0], ids=lambda rule: rule.name)
+def test_theta_goes_the_way_of_the_outcomes(rule: object) -> None:
+    numbers = np.array(rule.coefficients(*rule.start), dtype=float)  # type: ignore[attr-defined]
+    for right in (True, False):
+        theta, good, bad = 0.5, 0.0, 0.0
+        for _ in range(5):
+            before = theta
+            theta, good, bad = _moved(theta, good, bad, 0.5, rule.kind, False, numbers, right, right, True, 0.5)  # type: ignore[attr-defined]
+            if "agreement" not in rule.name or "own" in rule.name:  # type: ignore[attr-defined]
+                assert theta >= before if right else theta <= before
+            assert LEAST <= theta <= 1 - LEAST
+
+
+def test_parameters_of_simulated_people_are_found() -> None:
+    fitted = AdviceModel.of("E", "none").fit(simulated(150, 25, 1)).parameters
+    assert fitted["mu"] == pytest.approx(0.5, abs=0.4)
+    assert fitted["sigma"] == pytest.approx(1.5, rel=0.25)
+    assert fitted["b1"] == pytest.approx(1.5, abs=0.5)
+
+
+def test_the_right_rule_predicts_people_better_whom_it_has_not_seen() -> None:
+    log = simulated(40, 25, 2, steps=0.8)
+    constant, moving = (held_out(log, "E", name, folds=2) for name in ("none", "L outcome at disagreement gain/loss"))
+    difference, error = mean_and_error(log, moving - constant)
+    assert difference > 3 * error > 0
+
+
+def test_folds_are_of_people() -> None:
+    log = simulated(20, 3, 0)
+    fold = fold_of(log.person)
+    assert all(len(set(fold[log.person == name].tolist())) == 1 for name in np.unique(log.person))
+    assert set(fold.tolist()) == set(range(8))
+
+
+def write(file: Path, *rows: dict[str, object], columns: tuple[str, ...] = COLUMNS) -> Path:
+    with file.open("w", newline="") as stream:
+        writer = csv.DictWriter(stream, columns, extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+    return file
+
+
+ROW: dict[str, object] = {
+    "person": "p1", "sequence": "p1-a", "trial": 2, "own_choice": 0, "own_confidence": 20, "advice": 1,
+    "final_choice": 1, "outcome": 1, "feedback_shown": 0,
+}  # fmt: skip
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    file = write(tmp_path / "log.csv", ROW, ROW | {"trial": 1, "sequence": "p1-b", "advice": 0})
+    own, one = read_advice(file), read_advice(file, confidence="one")
+    assert own.agrees.tolist() == [True, False]  # in the order of trials
+    assert own.follows.tolist() == [False, True]
+    assert (own.sequence.tolist(), own.first.tolist()) == ([0, 1], [True, False])
+    assert own.confidence.tolist() == [0.2, 0.2]
+    assert one.confidence == pytest.approx(0.6)  # 20 % for choice 1 is 80 % for choice 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"own_confidence": "high"}, ":2: own_confidence 'high'; expected a number"),
+        ({"advice": 2}, ":2: advice 2; expected 0 to 1"),
+        ({"advice": 0.5}, ":2: advice 0.5; expected 0 or 1"),
+        ({"trial": ""}, ":2: trial ''; expected a number"),
+    ],
+)
+def test_a_fault_is_told_with_its_line(tmp_path: Path, change: dict[str, object], words: str) -> None:
+    with pytest.raises(InputFileError, match=words.replace("?", ".")):
+        read_advice(write(tmp_path / "log.csv", ROW | change))
+
+
+def test_an_advisor_may_be_missing_and_feedback_have_another_name(tmp_path: Path) -> None:
+    columns = (*(name for name in COLUMNS if name not in ("sequence", "feedback_shown")), "feedback")
+    log = read_advice(write(tmp_path / "log.csv", ROW | {"feedback": 1}, ROW | {"feedback": 0}, columns=columns))
+    assert (log.shown.tolist(), log.sequence.tolist()) == ([True, False], [0, 0])
+
+
+def test_what_is_missing_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputFileError, match="no column 'outcome'"):
+        read_advice(write(tmp_path / "log.csv", ROW, columns=COLUMNS[:-2]))
+    with pytest.raises(InputFileError, match="no judgement is left"):
+        read_advice(write(tmp_path / "log.csv", ROW), only="person=nobody")
+    with pytest.raises(InputFileError, match="No such file"):
+        read_advice(tmp_path / "none.csv")

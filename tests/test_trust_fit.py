@@ -1,0 +1,431 @@
+"""Influence fitted under trust rules: the likelihood against plain enumeration, recovery, comparison, and commands."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import KITTING, invoke, kit
+from recorded import write_log
+
+from assist.learning import Method, Observations
+from assist.learning.advice_log import COLUMNS
+from assist.learning.fit import LogError
+from assist.learning.population import trust_of
+from assist.learning.trust_fit import (
+    InfluencePopulation,
+    RuleFamily,
+    _interval,
+    compare_trust,
+    families,
+    fit_influence,
+)
+from assist.learning.trust_log import TrustLog
+from assist.learning.trust_scores import TrustComparison, holm, ratio
+from assist.people.choices import Choices
+from assist.people.trust_rules import (
+    EquationSeven,
+    Event,
+    TrustRule,
+    constant,
+    outcome,
+    outcome_at_disagreement,
+    rule_of,
+)
+
+SIMULATED: Any = importlib.import_module("simulated_people")
+
+RULES: dict[str, TrustRule] = {
+    "constant": constant(),
+    "paper": EquationSeven(0.13, 1.5),
+    "outcome": outcome(0.3, 0.7),
+    "outcome as it is": outcome(0.3, 0.7, "true"),
+    "outcome-at-disagreement": outcome_at_disagreement(0.1, 0.5, 0.4),
+}
+
+
+@dataclass(frozen=True)
+class Doubling:
+    """A rule of one's own: an answer that follows doubles the odds."""
+
+    uses_answer = True
+    feedback = "never"
+
+    def update(self, theta: np.ndarray, event: Event) -> np.ndarray:
+        odds = np.where(event.followed, 2.0, 0.5) * theta / (1 - theta)
+        return odds / (1 + odds)
+
+
+def recorded(rule: TrustRule, people: int, suggestions: int, seed: int, *, good: float = 0.5) -> list[dict]:
+    """Draw people, and write down what they do at a small kit; theta and beta are log-normal in odds and size."""
+    rng = np.random.default_rng(seed)
+    drawn = SIMULATED.People(np.exp(rng.normal(0, 0.4, people)), 1 / (1 + np.exp(-rng.normal(0.5, 1.2, people))))
+    return SIMULATED.record_with_trust(kit("tiny"), drawn, rule, suggestions=suggestions, rng=rng, good=good)
+
+
+def seen(rows: list[dict]) -> list[Observations]:
+    return SIMULATED.observed(kit("tiny"), rows)
+
+
+def enumerated(rows: list[dict], rule: TrustRule, log: TrustLog, population: InfluencePopulation, carry: bool) -> float:
+    """Return the log probability of one person's log by a filter over all nodes, in plain arithmetic."""
+    choices = Choices.of(kit("tiny"))
+    q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
+    v = np.where(choices.goal, 0.0, -q.min(axis=1))
+    beta, theta = population.weights(log)
+    belief, total = np.multiply.outer(beta, theta), 0.0
+    start = np.tile(log.theta, (len(log.beta), 1))
+    now, x, episode = start, choices.initial, rows[0]["episode"]
+    for row in rows:
+        if row["episode"] != episode:
+            x, episode = choices.initial, row["episode"]
+            now = now if carry else start
+        names = [choices.name(x, a) if choices.applicable[x, a] else None for a in range(q.shape[1])]
+        slot, told = names.index(row["action"]), None
+        weights = np.array([np.where(choices.applicable[x], np.exp(-b * (q[x] - q[x].min())), 0.0) for b in log.beta])
+        p = np.repeat((weights / weights.sum(axis=1, keepdims=True))[:, None], len(log.theta), axis=1)
+        if row["suggestion"] is not None:
+            told = names.index(row["suggestion"])
+            for a in range(q.shape[1]):
+                p[:, :, a] *= now if a == told else 1 - now
+            p /= p.sum(axis=2, keepdims=True)
+        likelihood = (1 - log.lapse) * p[:, :, slot] + log.lapse / choices.applicable[x].sum()
+        belief = belief * likelihood
+        total += np.log(belief.sum())
+        belief = belief / belief.sum()
+        if told is not None:
+            gain = v[choices.targets[x, told]] - v[x]
+            right = q[x, told] == q[x].min() if rule.feedback == "true" else gain > 0
+            event = (gain, q[x, told] <= q[x].min(), slot == told, slot == told and rule.feedback != "never", right)
+            now = rule.update(now, Event(*(np.asarray(part) for part in event)))
+        x = choices.targets[x, slot]
+    return total
+
+
+@pytest.mark.parametrize("rule", [*RULES.values(), Doubling()], ids=[*RULES, "one's own"])
+@pytest.mark.parametrize("carry", [True, False])
+def test_the_likelihood_is_that_of_a_filter_over_all_nodes(rule: TrustRule, carry: bool) -> None:
+    rows = recorded(rule, 3, 12, 1)
+    assert len({row["episode"] for row in rows}) > 1
+    log = TrustLog.of(seen(rows), Method(lapse=0.01))
+    population = InfluencePopulation(-0.2, 0.6, 0.4, 1.3)
+    found = population.marginal(log, log.log_likelihood(rule, carry=carry))
+    for k, person in enumerate(log.people):
+        own = [row for row in rows if row["person"] == person]
+        assert found[k] == pytest.approx(enumerated(own, rule, log, population, carry), abs=1e-10)
+
+
+@pytest.mark.parametrize("theta", [0.0, 1.0])
+def test_no_suggestion_makes_all_choices_impossible(theta: float) -> None:
+    """At theta 0 or 1 the suggestion of a choice that is certain or impossible is ignored, as in equation (6)."""
+    log = TrustLog.of(seen(recorded(constant(), 3, 10, 0)), Method(largest_beta=1e9))
+    found = log.log_likelihood(RuleFamily.of(Fixed(theta)).rule(()))
+    assert np.isfinite(found).all()
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """A rule that leads to one theta at once."""
+
+    theta: float
+    uses_answer = False
+    feedback = "never"
+
+    def update(self, theta: np.ndarray, event: Event) -> np.ndarray:
+        return np.full(np.broadcast_shapes(np.shape(theta), np.shape(event.gain)), self.theta)
+
+
+def test_the_population_that_is_found_is_the_likeliest() -> None:
+    log = TrustLog.of(seen(recorded(constant(), 30, 15, 2)), Method())
+    logs = log.log_likelihood(constant())
+    found, value = InfluencePopulation.fit(log, logs)
+    assert value == pytest.approx(found.marginal(log, logs).sum(), abs=1e-9)
+    for name, best in vars(found).items():
+        for factor in (0.97, 1.03):
+            other = InfluencePopulation(**vars(found) | {name: best * factor})
+            assert other.marginal(log, logs).sum() < value + 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [("paper", EquationSeven(0.04)), ("outcome", outcome(0.4, 0.8))],
+)
+def test_parameters_of_simulated_people_are_found(name: str, rule: TrustRule) -> None:
+    found = fit_influence(seen(recorded(rule, 60, 30, 3)), name)
+    assert found.intervals
+    for parameter, (low, high) in found.intervals.items():
+        assert low - (high - low) / 2 <= getattr(rule, parameter) <= high + (high - low) / 2
+        assert low <= found.parameters[parameter] <= high < 2 * getattr(rule, parameter) + 0.1
+    assert found.population.logit_theta == pytest.approx(0.5, abs=0.6)
+    assert found.population.logit_theta_spread == pytest.approx(1.2, abs=0.5)
+
+
+def test_people_are_estimated_with_intervals() -> None:
+    rng = np.random.default_rng(4)
+    theta = 1 / (1 + np.exp(-rng.normal(0.5, 1.2, 60)))
+    people = SIMULATED.People(np.exp(rng.normal(0, 0.4, 60)), theta)
+    rows = SIMULATED.record_with_trust(kit("tiny"), people, constant(), suggestions=30, rng=rng)
+    found = fit_influence(seen(rows), "constant")
+    inside = [one.theta_first_interval[0] <= own <= one.theta_first_interval[1]
+              for one, own in zip(found.people, theta.tolist(), strict=True)]  # fmt: skip
+    assert np.mean(inside) > 0.85
+    for one in found.people:
+        assert one.suggestions == 30
+        assert one.theta == one.theta_first
+        for value, (low, high) in ((one.theta, one.theta_interval), (one.beta, one.beta_interval)):
+            assert low < value < high
+
+
+def test_a_parameter_that_the_log_does_not_depend_on_has_the_whole_range() -> None:
+    """Where all suggestions are optimal choices, nobody sees one that is wrong."""
+    found = fit_influence(seen(recorded(outcome(0.3, 0.5), 12, 12, 5, good=1.0)), "outcome")
+    assert found.intervals["loss"] == families(Method())["outcome"].ranges["loss"]
+
+
+def test_one_episode_is_the_same_carried_or_not() -> None:
+    rows = [row for row in recorded(outcome(0.3, 0.5), 6, 15, 6) if row["episode"] == "1"]
+    log = TrustLog.of(seen(rows), Method())
+    assert np.array_equal(log.log_likelihood(outcome(), carry=True), log.log_likelihood(outcome(), carry=False))
+
+
+def test_the_right_rule_is_chosen() -> None:
+    observations = seen(recorded(outcome(0.6, 0.9), 24, 30, 7))
+    compared = compare_trust(observations, Method(), folds=2)
+    assert compared.best.rule == "outcome"
+    assert [row.rule for row in compared.scores] == list(families(Method()))
+    still = compare_trust(seen(recorded(constant(), 24, 30, 8)), Method(), folds=2)
+    assert still.best.rule == "constant"
+
+
+def test_held_out_people_are_predicted_from_the_others() -> None:
+    observations = seen(recorded(constant(), 6, 10, 9))
+    rules = {"constant": RuleFamily.of(constant()), "own": RuleFamily.of(Doubling())}
+    compared = compare_trust(observations, Method(), rules=rules, folds=3)
+    log, total = TrustLog.of(observations, Method()), 0.0
+    logs = log.log_likelihood(constant())
+    for fold in range(3):
+        inside = np.arange(6) % 3 == fold
+        population, _ = InfluencePopulation.fit(log, logs[~inside])
+        total -= population.marginal(log, logs[inside]).sum()
+    assert compared.scores[0].nats_per_choice * compared.choices == pytest.approx(total, rel=1e-5)
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    observations = seen(recorded(constant(), 2, 5, 0))
+    with pytest.raises(LogError, match="one person"):
+        compare_trust(observations[:1])
+    with pytest.raises(ValueError, match="folds 1: expected 2 or more"):
+        compare_trust(observations, folds=1)
+    with pytest.raises(ValueError, match="expected 'constant' among them"):
+        compare_trust(observations, rules={"own": RuleFamily.of(Doubling())})
+    with pytest.raises(ValueError, match="trust 'vanity': expected one of constant, paper"):
+        fit_influence(observations, "vanity")
+
+
+def test_an_interval_of_a_normal_distribution() -> None:
+    nodes = np.linspace(-6, 6, 41)
+    mass = np.exp(-(nodes**2) / 2)
+    low, high = _interval(nodes, mass / mass.sum(), 0.95, float)
+    assert (low, high) == (pytest.approx(-1.96, abs=0.05), pytest.approx(1.96, abs=0.05))
+
+
+def test_scores_are_paired_and_corrected() -> None:
+    assert holm([0.01, 0.5, 0.02]) == pytest.approx([0.03, 0.5, 0.04])
+    assert holm([0.6, 0.6]) == [1.0, 1.0]
+    mean, error = ratio(np.array([2.0, 4.0, 9.0]), np.array([1.0, 2.0, 3.0]))
+    assert (mean, error) == (2.5, pytest.approx(np.sqrt((0.25 + 1 + 2.25) * 3 / 2) / 6))
+    rng = np.random.default_rng(0)
+    counts, reference = np.full(50, 20.0), rng.normal(-12, 2, 50)
+    logs = {"better": reference + rng.normal(0.5, 0.5, 50), "constant": reference, "alike": reference + 1e-9}
+    compared = TrustComparison.of(logs, counts, {name: {} for name in logs})
+    better = next(row for row in compared.scores if row.rule == "better")
+    assert (compared.scores[0].rule, compared.best) == ("constant", better)
+    assert better.difference == pytest.approx(-0.025, abs=0.01)
+    assert better.interval is not None
+    assert better.interval[0] < better.difference < better.interval[1] < 0
+    alike = TrustComparison.of(
+        {name: logs[name] for name in ("constant", "alike")}, counts, {name: {} for name in logs}
+    )
+    assert alike.as_dict()["best"] == "constant"
+
+
+@pytest.fixture(scope="module")
+def log_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_log(tmp_path_factory.mktemp("log") / "log.jsonl", recorded(outcome(0.5, 0.8), 8, 15, 0))
+
+
+def test_influence_is_fitted_by_command(log_file: Path, tmp_path: Path) -> None:
+    out = tmp_path / "people.jsonl"
+    done = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "outcome", "--out", out)
+    assert done.exit_code == 0, done.output
+    assert "of 15" in done.stdout
+    assert "trust rule outcome, gain " in done.stdout
+    records = [json.loads(line) for line in out.read_text().splitlines()]
+    assert {record["suggestions"] for record in records} == {15}
+    anew = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--theta-per-episode", "--json")
+    document = json.loads(anew.stdout)
+    assert document["carried"] is False
+    assert set(document["intervals"]) == {"eta"}
+    known = json.loads(
+        invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", "paper", "--eta", 0.1, "--json").stdout
+    )
+    assert (known["parameters"]["eta"], known["intervals"]) == (0.1, {})
+
+
+def test_rules_are_compared_by_command(log_file: Path, tmp_path: Path) -> None:
+    arguments = ("fit", KITTING / "tiny.pddl", log_file, "--compare-trust", "--folds", 2)
+    done = invoke(*arguments, "--out", tmp_path / "rules.jsonl")
+    assert done.exit_code == 0, done.output
+    assert "8 people" in done.stdout
+    rows = [json.loads(line) for line in (tmp_path / "rules.jsonl").read_text().splitlines()]
+    assert [row["rule"] for row in rows] == list(families(Method()))
+    assert json.loads(invoke(*arguments, "--json").stdout)["rules"] == rows
+
+
+@pytest.mark.parametrize("rule", ["outcome", "paper", "constant"])
+def test_a_population_file_has_the_rule(rule: str, log_file: Path, tmp_path: Path) -> None:
+    """`simulate` draws people from it whose theta moves by its rule, which the robot knows."""
+    people = tmp_path / "people.json"
+    fitted = invoke("fit", KITTING / "tiny.pddl", log_file, "--trust", rule, "--population", people, "--json")
+    assert fitted.exit_code == 0, fitted.output
+    found, record = json.loads(fitted.stdout), json.loads(people.read_text())
+    assert record["trust"]["rule"] == rule
+    assert {name: record["trust"][name] for name in found["parameters"]} == found["parameters"]
+    assert record["theta"]["family"] == "logit-normal"
+    assert sum(part["share"] for part in record["parts"]) == pytest.approx(1)
+    simulated = (
+        "simulate",
+        KITTING / "tiny.pddl",
+        "--humans",
+        1,
+        "--pool",
+        2,
+        "--episodes",
+        2,
+        "--policy",
+        "attention",
+    )
+    done = invoke(*simulated, "--population", people, "--json")
+    assert done.exit_code == 0, done.output
+    setting = json.loads(done.stdout)["setting"]
+    own = rule_of(record["trust"])
+    if isinstance(own, EquationSeven):
+        assert (setting["trust"], setting["eta"]) == ("paper", own.eta)
+    else:
+        assert setting["trust"] == vars(own)
+    twice = invoke(*simulated, "--population", people, "--trust", "constant")
+    assert (twice.exit_code, f"--population {people} also sets --trust" in twice.stderr) == (2, True)
+
+
+def test_a_population_drawn_from_a_file_is_like_the_one_that_was_fitted(log_file: Path) -> None:
+    found = fit_influence(seen([json.loads(line) for line in log_file.read_text().splitlines()]), "outcome")
+    general = found.distribution()
+    assert general.theta is not None
+    people = general.population().sample(None, 4000, np.random.default_rng(0))
+    assert np.mean([one.theta for one in people]) == pytest.approx(general.theta.mean, abs=0.02)
+    assert np.mean([one.beta for one in people]) == pytest.approx(general.beta.mean, rel=0.1)
+    assert trust_of(general.as_dict()) == found.trust
+    own = fit_influence(seen([json.loads(line) for line in log_file.read_text().splitlines()]), Doubling())
+    assert (own.rule, own.parameters) == ("Doubling", {})
+    with pytest.raises(ValueError, match="a rule that is not saved"):
+        own.distribution()
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ("outcome", "trust 'outcome'; expected an object"),
+        ({"rule": "vanity"}, "trust rule 'vanity'; expected one of paper"),
+        ({"rule": "paper", "gain": 1}, "trust rule paper with gain; expected some of eta, utility_scale"),
+        ({"rule": "outcome", "gain": -1}, "gain -1, loss 0: expected 0 or more"),
+    ],
+)
+def test_a_population_file_with_no_such_rule_is_refused(bad: object, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "people.json"
+    part = {"share": 1, "beta": [0.1, 1], "theta": [0.2, 0.4], "sigma": [0, 0]}
+    file.write_text(json.dumps({"parts": [part], "trust": bad}))
+    for command in (("simulate", KITTING / "tiny.pddl", "--humans", 1), ("policy", KITTING / "tiny.pddl")):
+        done = invoke(*command, "--population", file)
+        assert done.exit_code == 2
+        assert f"--population {file}: {words}" in " ".join(done.stderr.split())
+
+
+@pytest.fixture
+def judgements(tmp_path: Path) -> Path:
+    """Twelve people, half of whom follow advice, with a few judgements each."""
+    rng = np.random.default_rng(0)
+    file = tmp_path / "advice.csv"
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        for k in range(12):
+            for trial in range(10):
+                own, advice, outcome = (int(flag) for flag in rng.random(3) < 0.5)
+                final = advice if rng.random() < (0.9 if k % 2 else 0.2) else own
+                writer.writerow([f"p{k}", "a", trial, own, int(rng.integers(0, 101)), advice, final, outcome, 1])
+    return file
+
+
+def test_advice_is_fitted_by_command(judgements: Path, tmp_path: Path) -> None:
+    done = invoke("fit", "--advice", judgements, "--trust", "constant", "--out", tmp_path / "one.jsonl")
+    assert done.exit_code == 0, done.output
+    assert "12 people, 120 choices" in done.stdout
+    assert json.loads((tmp_path / "one.jsonl").read_text())["rule"] == "constant"
+    compared = json.loads(invoke("fit", "--advice", judgements, "--compare-trust", "--folds", 2, "--json").stdout)
+    assert (compared["people"], compared["choices"]) == (12, 120)
+    parameters = {row["rule"]: set(row["parameters"]) for row in compared["rules"]}
+    assert parameters["outcome"] - parameters["constant"] == {"g", "l"}
+
+
+def test_a_line_of_advice_that_is_wrong_is_named(judgements: Path) -> None:
+    rows = judgements.read_text().splitlines()
+    judgements.write_text("\n".join([*rows[:3], rows[3].replace(",a,2,", ",a,two,"), *rows[4:]]))
+    done = invoke("fit", "--advice", judgements, "--trust", "constant")
+    assert done.exit_code == 1
+    assert f"{judgements}:4: trial 'two'; expected a number" in done.stderr
+    judgements.write_text("\n".join(rows[:5]))
+    one = invoke("fit", "--advice", judgements, "--compare-trust")
+    assert (one.exit_code, "one person; a comparison needs two or more" in one.stderr) == (1, True)
+
+
+def test_a_log_without_suggestions_is_refused(tmp_path: Path) -> None:
+    rows = [row | {"suggestion": None} for row in recorded(constant(), 2, 4, 0)]
+    file = write_log(tmp_path / "log.jsonl", rows)
+    for option in (("--trust", "constant"), ("--compare-trust",)):
+        done = invoke("fit", KITTING / "tiny.pddl", file, *option)
+        assert done.exit_code == 1
+        assert f"{file}: no suggestion in the log" in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--trust", "constant", "--compare-trust"), "--trust and --compare-trust: expected one of them"),
+        (("--trust", "constant", "--terms"), "--terms and --trust: expected one of them"),
+        (("--trust", "constant", "--family", "uniform"), "--family and --trust: expected one of them"),
+        (("--theta-per-episode",), "--theta-per-episode: expected --trust or --compare-trust"),
+        (("--confidence", "one"), "--confidence: expected --advice"),
+        (("--advice", "LOG"), "--advice: expected --trust or --compare-trust"),
+        (("--advice", "LOG", "--trust", "paper"), "INSTANCE has no effect with --advice"),
+    ],
+    ids=lambda given: " ".join(given) if isinstance(given, tuple) else "",
+)
+def test_options_that_exclude_each_other(options: tuple[str, ...], words: str, log_file: Path) -> None:
+    given = [log_file if option == "LOG" else option for option in options]
+    done = invoke("fit", KITTING / "tiny.pddl", log_file, *given)
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+def test_advice_takes_the_place_of_a_log(log_file: Path) -> None:
+    missing = invoke("fit", KITTING / "tiny.pddl")
+    assert (missing.exit_code, "expected INSTANCE and LOG, or --advice" in missing.stderr) == (2, True)
+    drop = invoke("fit", "--advice", log_file, "--trust", "paper", "--drop", "return")
+    assert (drop.exit_code, "--drop has no effect with --advice" in drop.stderr) == (2, True)

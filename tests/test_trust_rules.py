@@ -1,0 +1,356 @@
+"""Trust rules: their laws, the filter against enumeration, and what people do in simulations."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import KITTING, invoke, kit
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from assist.certify.team_bound import upper_bound
+from assist.cli.options.person import TRUST
+from assist.interop.observed import Observed
+from assist.live.assistant import Assistant
+from assist.people.belief import Grid
+from assist.people.choices import Choices
+from assist.people.decision import NOTHING
+from assist.people.human import HumanModel, Population, advice_takers
+from assist.people.trust_rules import (
+    LEAST,
+    RULES,
+    EquationSeven,
+    Event,
+    LogitSteps,
+    TrustRule,
+    constant,
+    outcome,
+    outcome_at_disagreement,
+)
+from assist.person.belief_filter import update
+from assist.person.pomdp import AssistPOMDP
+from assist.person.problem_arrays import ProblemArrays
+from assist.person.qmdp import qmdp
+from assist.person.solver import solve
+from assist.simulation.pool import Pool
+from assist.simulation.simulate import simulate
+from assist.study.protocol import read
+from assist.team.settings import Setting
+
+ALL: dict[str, TrustRule] = {
+    "paper": EquationSeven(0.3),
+    "constant": constant(),
+    "outcome": outcome(0.5, 1.0),
+    "outcome, exact": outcome(0.5, 1.0, "true"),
+    "outcome-at-disagreement": outcome_at_disagreement(0.2, 0.5, 1.0),
+}
+
+
+def event(
+    gain: float = 1.0, agrees: bool = False, followed: bool = True, shown: bool = True, right: bool = True
+) -> Event:
+    return Event(*(np.asarray(each) for each in (gain, agrees, followed, shown, right)))
+
+
+def test_names_are_those_of_the_command_line() -> None:
+    assert tuple(RULES) == TRUST
+
+
+@given(st.floats(0, 1), st.floats(-50, 50), st.booleans(), st.booleans(), st.booleans())
+def test_a_constant_theta_stays(theta: float, gain: float, agrees: bool, shown: bool, right: bool) -> None:
+    seen = event(gain, agrees, shown=shown, right=right)
+    assert constant().update(np.array(theta), seen) == theta
+
+
+@given(st.floats(0, 1), st.booleans(), st.floats(0.01, 5), st.floats(0.01, 5))
+def test_theta_moves_with_the_outcome_and_stays_without(theta: float, agrees: bool, gain: float, loss: float) -> None:
+    rule = outcome(gain, loss)
+    start = np.clip(theta, LEAST, 1 - LEAST)
+    up, down = (rule.update(np.array(theta), event(agrees=agrees, right=right)) for right in (True, False))
+    assert down <= start <= up
+    assert LEAST <= down <= up <= 1 - LEAST
+    assert rule.update(np.array(theta), event(agrees=agrees, shown=False)) == theta
+    careful = outcome_at_disagreement(0.0, gain, loss)
+    assert careful.update(np.array(theta), event(agrees=True)) == theta
+    assert careful.update(np.array(theta), event(agrees=False)) == up
+
+
+def test_what_cannot_be_is_refused() -> None:
+    for rule, words in (
+        ("papr", "expected one of paper"),
+        (3, "expected a name, or an object"),
+        ({"steps": 1}, "agreement"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            Setting(trust=rule)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="expected 0 or more"):
+        outcome(gain=-1)
+    with pytest.raises(ValueError, match="feedback 'soon'"):
+        LogitSteps(feedback="soon")  # type: ignore[arg-type]
+
+
+def test_a_setting_is_its_own_plain_data() -> None:
+    for trust in (None, "paper", "constant", outcome(0.3, 0.4, "true")):
+        setting = Setting(trust=trust)
+        assert Setting(**setting.as_dict()) == setting
+    assert "trust" not in Setting().as_dict()
+
+
+def problem(rule: TrustRule | None, *, lapse: float = 0.05) -> AssistPOMDP:
+    choices = Choices.of(kit("tiny"))
+    model = HumanModel.exact(choices, eta=0.3, lapse=lapse)
+    grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.4, 0.6, 1.0]))
+    return AssistPOMDP.of(model, grid=grid, gamma=0.95, c_suggest=0.1, suggestions="all", trust=rule)
+
+
+def test_the_papers_rule_is_what_there_is_without_one() -> None:
+    given, default = problem(EquationSeven(0.3)), problem(None)
+    assert given.followed_low is None
+    np.testing.assert_array_equal(given.low, default.low)
+    np.testing.assert_array_equal(given.weight, default.weight)
+
+
+@pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=8, deadline=None)
+def test_the_filter_is_the_sum_over_all_hidden_paths(rule: TrustRule, seed: int) -> None:
+    """A path is beta, the initial theta, and one of two grid points after each suggestion."""
+    pomdp, rng = problem(rule), np.random.default_rng(seed)
+    choices, arrays = pomdp.model.choices, ProblemArrays.of(pomdp)
+    x, walk = choices.initial, []
+    for _ in range(4):
+        robot = int(rng.integers(pomdp.robot_actions[x]))
+        slot = int(rng.integers(choices.applicable[x].sum()))
+        walk.append((x, robot, slot))
+        x = int(choices.targets[x, slot])
+        if choices.goal[x]:
+            break
+    betas, thetas = pomdp.grid.shape
+    total = np.zeros((betas, thetas))
+    for b, first in itertools.product(range(betas), range(thetas)):
+        for ups in itertools.product((0, 1), repeat=len(walk)):
+            weight, t = pomdp.prior[b, first], first
+            for (x, robot, slot), up in zip(walk, ups, strict=True):
+                weight *= pomdp.likelihood(np.array([x]), np.array([robot]), np.array([slot]))[0, b, t]
+                follows = pomdp.followed_low is not None and slot == pomdp.suggested[x, robot]
+                low = pomdp.followed_low if follows else pomdp.low
+                share = pomdp.followed_weight if follows else pomdp.weight
+                assert low is not None
+                assert share is not None
+                weight *= share[x, robot, t] if up else 1 - share[x, robot, t]
+                t = int(low[x, robot, t]) + up
+            total[b, t] += weight
+    total /= total.sum()
+    belief, plain = pomdp.prior.copy(), pomdp.prior[None].copy()
+    for x, robot, slot in walk:
+        update(belief, np.empty_like(belief), x, robot, slot, arrays)
+        plain = pomdp.update(plain, *(np.array([each]) for each in (x, robot, slot)))
+    np.testing.assert_allclose(belief, total, atol=1e-12)
+    np.testing.assert_allclose(plain[0], total, atol=1e-12)
+
+
+@pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
+def test_values_satisfy_the_bellman_equation(rule: TrustRule) -> None:
+    """QMDP's values equal plain arithmetic for each state and pair (beta, theta)."""
+    pomdp = problem(rule)
+    policy, choices = qmdp(pomdp, tolerance=1e-12), pomdp.model.choices
+    value = policy.value_mdp
+    for x in np.flatnonzero(~choices.goal)[::5]:
+        slots = np.arange(choices.applicable[x].sum())
+        for r in range(pomdp.robot_actions[x]):
+            expected = np.full(pomdp.grid.shape, -pomdp.robot_costs[x, r])
+            for a in slots:
+                p = pomdp.likelihood(np.array([x]), np.array([r]), np.array([a]))[0]
+                follows = pomdp.followed_low is not None and pomdp.suggested[x, r] == a
+                low = pomdp.followed_low[x, r] if follows else pomdp.low[x, r]
+                up = pomdp.followed_weight[x, r] if follows else pomdp.weight[x, r]
+                if pomdp.suggested[x, r] == NOTHING:
+                    low, up = np.minimum(np.arange(4), 2), np.array([0.0, 0.0, 0.0, 1.0])
+                after = value[choices.targets[x, a]]
+                follow = (1 - up) * after[:, low] + up * after[:, low + 1]
+                expected += p * (pomdp.gamma * follow - choices.costs[x, a])
+            np.testing.assert_allclose(policy.q_mdp[x, r], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("rule", ALL.values(), ids=ALL)
+@pytest.mark.slow
+def test_bounds_of_the_solver_hold_the_simulated_return(rule: TrustRule) -> None:
+    pomdp = problem(rule, lapse=0.01)
+    solution = solve(pomdp, gap=0.02, time_limit=20)
+    human = Population().sample(pomdp.model.choices, 1, np.random.default_rng(0))[0]
+    setting = Setting(gamma=0.95, c_suggest=0.1, c_move=0.0, lapse=0.01, suggestions="all", trust=rule, max_steps=400)
+    pool = Pool(setting, (human,), (solution,), np.zeros(1, dtype=np.int64))
+    found = simulate(pool, "attention", humans=[0], episodes=4000, seed=1, world="model").discounted_return
+    error = found.std(ddof=1) / np.sqrt(len(found))
+    assert found.mean() - 4 * error <= solution.upper
+    assert solution.lower <= found.mean() + 4 * error
+
+
+@pytest.mark.parametrize("rule", ["constant", outcome(0.5, 1.0), outcome_at_disagreement(0.5, 1.0, 1.0)], ids=str)
+@pytest.mark.parametrize("states", [20_000, 5])
+@pytest.mark.slow
+def test_no_policy_exceeds_a_bound(rule: str | TrustRule, states: int) -> None:
+    setting = Setting(c_suggest=0.1, c_move=0.1, trust=rule)
+    pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=states, region=4)
+    bound = upper_bound(pool, gap=0.05, window=0)
+    for name in ("none", "attention", "priority"):
+        found = simulate(pool, name, humans=[0, 1], episodes=2000, seed=0, world="model").discounted_return
+        assert found.mean() - 4 * found.std(ddof=1) / np.sqrt(len(found)) <= bound.proven + 1e-9
+
+
+def test_own_people_move_by_the_rule() -> None:
+    """Theta in the trace equals values by hand, for people who receive the same advice from the same policy."""
+
+    class Halves:
+        """Theta halves whenever a suggestion is declined, and stays where it is followed."""
+
+        uses_answer, feedback = True, "never"
+
+        def update(self, theta: np.ndarray, event: Event) -> np.ndarray:
+            return np.where(event.followed, theta, theta / 2)
+
+    setting = Setting(c_suggest=0.0, c_move=0.0, trust=Halves())
+    trace: list[dict] = []
+    pool = Pool.sample(kit("tiny"), 3, seed=0, setting=setting)
+    simulate(pool, "reactive", humans=[0, 1, 2], episodes=20, seed=0, trace=trace)
+    by: dict[tuple[str, str], list[dict]] = {}
+    for row in trace:
+        by.setdefault((row["person"], row["episode"]), []).append(row)
+    declined = 0
+    for rows in by.values():
+        for before, after in itertools.pairwise(rows):
+            refused = before["suggestion"] is not None and before["suggestion"] != before["action"]
+            declined += refused
+            assert after["theta"] == pytest.approx(before["theta"] / (2 if refused else 1))
+    assert declined > 10
+
+
+def advised(follows: Callable[[int], bool], **given: Any) -> tuple[list[float], list[int]]:
+    """Return the believed mean of theta after each of twelve suggestions, and the steps at which these were made.
+
+    Where nothing is suggested any action is taken, so that there is something to suggest again.
+    """
+    given = {"setting": Setting(c_suggest=0.05)} | given
+    desk, rng = Assistant(kit("paper"), ["ann"], **given), np.random.default_rng(0)
+    theta, at = [], []
+    for step in range(400):
+        if desk.person("ann").finished:
+            desk.begin("ann")
+        told, applicable = desk.recommend().suggestion, desk.person("ann").applicable
+        others = [action for action in applicable if action != told]
+        if told is not None and (follows(len(at)) or not others):
+            desk.observe("ann", told)
+        else:
+            desk.observe("ann", others[int(rng.integers(len(others)))])
+        if told is not None:
+            at.append(step)
+            chances = desk.person("ann").belief.sum(axis=0)
+            theta.append(float(chances @ np.linspace(0, 1, len(chances))))
+        if len(at) == 12:
+            break
+    return theta, at
+
+
+def test_somebody_who_ignores_suggestions_is_believed_to() -> None:
+    """All twelve suggestions are ignored: the believed theta falls, and suggestions become rarer than under equation
+    (7).
+    """
+    theta, at = advised(lambda _: False)
+    assert len(at) < 12 or theta[11] < 0.3
+    assert theta == sorted(theta, reverse=True)
+    paper = {"setting": Setting(c_suggest=0.05, trust="paper"), "population": Population()}
+    before, often = advised(lambda _: False, **paper)
+    assert before[-1] > 0.99
+    assert len(at) < 12 or at[11] - at[3] > 2 * (often[11] - often[3])
+
+
+def test_somebody_who_follows_every_second_suggestion_is_believed_to() -> None:
+    theta, at = advised(lambda number: number % 2 == 1)
+    assert len(at) == 12
+    assert 0.35 < theta[11] < 0.65
+
+
+def test_a_rule_is_a_field_of_a_setting_that_can_be_replaced() -> None:
+    assert replace(Setting(), trust="constant").trust_rule() == constant()
+
+
+def test_a_rule_that_looks_at_answers_is_not_exported() -> None:
+    with pytest.raises(ValueError, match="depends on whether advice is followed"):
+        Observed.of(problem(outcome(0.5, 1.0)))
+    Observed.of(problem(constant()))
+
+
+def test_commands_take_a_rule() -> None:
+    """People with constant trust have another mean return, and the record names the rule."""
+    tiny = ("simulate", KITTING / "tiny.pddl", "--humans", 2, "--episodes", 50, "--policy", "reactive", "--json")
+    found = [json.loads(invoke(*tiny, *more).stdout) for more in ((), ("--trust", "constant"))]
+    assert "trust" not in found[0]["setting"]
+    assert found[1]["setting"]["trust"] == "constant"
+    assert found[0]["policies"] != found[1]["policies"]
+    values = [
+        json.loads(invoke("policy", KITTING / "tiny.pddl", "--trust", rule, "--gap", 1, "--json").stdout)
+        for rule in TRUST[:2]
+    ]
+    assert values[0]["value_always"] != values[1]["value_always"]
+    refused = invoke("policy", KITTING / "tiny.pddl", "--trust", "blind")
+    assert (refused.exit_code, "'blind' is not one of" in refused.stderr) == (2, True)
+
+
+def test_a_study_has_a_condition_for_each_rule(tmp_path: Path) -> None:
+    file = tmp_path / "study.toml"
+    file.write_text(
+        f'instances = ["{KITTING / "tiny.pddl"}"]\nhumans = [2]\n[[conditions]]\nname = "rules"\n'
+        'settings = [{trust = "constant"}, {trust = {gain = 0.5, loss = 1.0}}]\n'
+    )
+    study = read(file)
+    rules = [setting.trust for _, setting in study.conditions[0].settings]
+    assert rules == ["constant", LogitSteps(gain=0.5, loss=1.0)]
+    plain = study.record()["conditions"][0]["settings"][1][1]["trust"]
+    assert LogitSteps(**plain) == rules[1]
+
+
+@pytest.mark.parametrize("trust", ["paper", "constant", "outcome"])
+def test_what_the_robot_believes_changes_the_robot_and_nobody_else(trust: str) -> None:
+    """People who get the same advice act alike; attention, which plans by its belief, advises otherwise."""
+    found: dict[str, dict[str | None, list[tuple[float, ...]]]] = {"reactive": {}, "attention": {}}
+    for believed in (None, "paper", "constant", "outcome"):
+        setting = Setting(c_suggest=0.05, c_move=0.0, trust=trust, believed_trust=believed)
+        pool = Pool.sample(kit("tiny"), 2, seed=1, setting=setting, population=advice_takers())
+        for policy, by in found.items():
+            trace: list[dict] = []
+            result = simulate(pool, policy, humans=[0, 1], episodes=40, seed=2, trace=trace)
+            by[believed] = [tuple(row["theta"] for row in trace), tuple(result.discounted_return.tolist())]
+    assert found["reactive"][None] == found["reactive"]["paper"] == found["reactive"]["constant"]
+    for by in found.values():
+        assert by[trust] == by[None]
+    assert len({str(by) for by in found["attention"].values()}) > 1
+
+
+def test_a_setting_with_a_belief_is_its_own_plain_data() -> None:
+    for believed in ("constant", "paper", outcome(0.2, 0.3)):
+        setting = Setting(trust="outcome", believed_trust=believed)
+        assert Setting(**json.loads(json.dumps(setting.as_dict()))) == setting
+    assert "believed_trust" not in Setting().as_dict()
+    assert Setting(believed_trust="constant").for_real_people().believed_rule() == constant()
+    with pytest.raises(ValueError, match="trust 'vanity'"):
+        Setting(believed_trust="vanity")
+
+
+def test_the_shipped_study_of_trust_crosses_rules_and_beliefs() -> None:
+    study = read("trust")
+    assert dict(study.populations)["advice takers"] == advice_takers()
+    assert study.repeats >= 30
+    rules = {setting.trust_rule() for one in study.conditions for _, setting in one.settings}
+    assert rules == {constant(), outcome(), outcome_at_disagreement(), EquationSeven()}
+    for one in study.conditions[:4]:
+        beliefs = [setting.believed_rule() for _, setting in one.settings]
+        assert len(set(beliefs)) == len(beliefs)
+        assert beliefs[0] == one.settings[0][1].trust_rule()
+        assert {constant(), EquationSeven()} <= set(beliefs)
