@@ -1,0 +1,5 @@
+"""Weakly coupled problems as arrays: many Markov decision processes that share a resource."""
+
+from planner.system.lazy_imports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

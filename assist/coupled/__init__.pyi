@@ -1,0 +1,15 @@
+from .agents import Agents as Agents
+from .index_policy import IndexPolicy as IndexPolicy
+from .joint_optimum import JointOptimum as JointOptimum
+from .joint_optimum import joint_optimum as joint_optimum
+from .policies import policy as policy
+from .price_bound import PriceBound as PriceBound
+from .price_bound import bound as bound
+from .rollout import RolloutOptions as RolloutOptions
+from .rollout import RolloutPolicy as RolloutPolicy
+from .simulation import CoupledCertificate as CoupledCertificate
+from .simulation import CoupledRuns as CoupledRuns
+from .simulation import certify as certify
+from .simulation import simulate as simulate
+from .whittle import WhittleIndex as WhittleIndex
+from .whittle import whittle_index as whittle_index

@@ -1,0 +1,115 @@
+"""The Whittle index: the price of the resource at which acting and not acting are equally good.
+
+At a constant price the policy of one agent is optimal on an interval of prices, on which values are linear in the
+price. Starting with an agent that acts wherever it may, which is optimal at a very low price, the price is raised to
+the end of the interval, where one state changes its action. That price is the state's index if the state stops acting.
+The agent is indexable if no state ever starts to act again (Whittle, "Restless bandits: activity allocation in a
+changing world", Journal of Applied Probability 25A, 1988).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.system.arrays import outline, read_only
+
+from .agents import Agents, Floats
+
+SAME = 1e-9
+"""Rates of change and differences of prices up to this count as 0; larger ones are far above rounding errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class WhittleIndex:
+    """The Whittle indices of all kinds of agents.
+
+    Attributes
+    ----------
+    index : float array, shape (K, S)
+        Price per unit of the resource from which on acting is not better; minus infinity where it is not allowed.
+    indexable : bool array, shape (K,)
+        Whether the states in which an agent acts only become fewer as the price rises. The index is defined for these.
+    """
+
+    index: Floats
+    indexable: NDArray[np.bool_]
+
+    __repr__ = outline
+
+    def __post_init__(self) -> None:
+        read_only(self)
+
+
+def whittle_index(agents: Agents) -> WhittleIndex:
+    """Return the Whittle index of each state, up to rounding errors.
+
+    Parameters
+    ----------
+    agents : Agents
+
+    Raises
+    ------
+    ValueError
+        There are not two actions, of which the first uses nothing and the second the same in all states of a kind.
+    """
+    K, A, S = agents.shape
+    unit = agents.uses[:, -1].max(axis=1)
+    if A != 2 or agents.uses[:, 0].any() or (agents.uses[:, 1] != unit[:, None]).any() or not unit.all():
+        raise ValueError(
+            "Whittle index: expected two actions, of which the first uses nothing and the second the same in all states"
+        )
+    P = np.zeros((2, K, S, S))
+    whole = agents.P.tocoo()
+    place = whole.row // (K * S), whole.row // S % K, whole.row % S, whole.col % S
+    np.add.at(P, place, whole.data)
+    index, good = np.full((K, S), -np.inf), np.ones(K, dtype=bool)
+    active = agents.allowed[:, 1].copy()
+    price = np.full(K, -np.inf)
+    alone = ~agents.allowed[:, 0]
+    # A flip after which a state acts again is a sign of an agent that is not indexable; the number of flips is bounded.
+    for _ in range(4 * S):
+        open_ = np.flatnonzero((active & ~alone).any(axis=1) & good)
+        if not len(open_):
+            break
+        step, start = _next_change(agents, P, active, alone, price, unit, open_)
+        for k, s, at, begins in zip(open_, *step, start, strict=True):
+            if begins or not np.isfinite(at):
+                good[k] = False
+                continue
+            price[k] = at
+            index[k, s] = at
+            active[k, s] = False
+    good[(active & ~alone).any(axis=1)] = False
+    index[alone] = np.inf
+    return WhittleIndex(index, good)
+
+
+def _next_change(
+    agents: Agents, P: Floats, active: NDArray[np.bool_], alone: NDArray[np.bool_], price: Floats, unit: Floats,
+    kinds: NDArray[np.int64],
+) -> tuple[tuple[NDArray[np.int64], Floats], NDArray[np.bool_]]:  # fmt: skip
+    """Return for each kind the state that changes its action next, the price, and whether it begins to act."""
+    S, acts = P.shape[-1], active[kinds]
+    chosen = np.where(acts[:, :, None], P[1, kinds], P[0, kinds])
+    reward = np.where(acts, agents.R[kinds, 1], agents.R[kinds, 0])
+    use = np.where(acts, unit[kinds, None], 0.0)
+    found = np.linalg.solve(np.eye(S) - agents.gamma * chosen, np.stack([reward, use], axis=-1))
+    ahead = agents.gamma * (P[1, kinds] - P[0, kinds]) @ found
+    gain = agents.R[kinds, 1] - agents.R[kinds, 0] + ahead[..., 0]
+    rate = unit[kinds, None] + ahead[..., 1]
+    # The advantage of acting is gain - price * rate.
+    stops = acts & ~alone[kinds] & (rate > SAME)
+    starts = ~acts & agents.allowed[kinds, 1] & (rate < -SAME)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = np.where(stops | starts, gain / rate, np.inf)
+    # A state that has just stopped is at an advantage of 0; its rounding errors are no change.
+    at = np.where(stops, np.maximum(at, price[kinds, None]), at)
+    at[
+        starts & (at <= price[kinds, None] + SAME * (1 + abs(np.where(np.isfinite(price), price, 0.0)[kinds, None])))
+    ] = np.inf
+    state = at.argmin(axis=1)
+    rows = np.arange(len(kinds))
+    return (state, at[rows, state]), starts[rows, state]
