@@ -1,0 +1,5 @@
+"""Contrastive explanations: why this step, why this person, and why nothing, from h* and beliefs."""
+
+from planner.system.lazy_imports import lazy_exports
+
+__getattr__, __dir__, __all__ = lazy_exports(__name__, __file__)

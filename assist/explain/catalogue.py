@@ -1,0 +1,123 @@
+"""Texts of explanations: one TOML file for each language, and numbers and actions in that language.
+
+A language is a file in `texts`. A file elsewhere can be given by its path. Each file has the same texts, and each text
+has placeholders only of those that the English one has.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parent / "texts"
+FIRST = "en"
+SMALLEST = 0.01
+"""Expectations below this, in cost units, are only said to be less."""
+
+
+def languages() -> tuple[str, ...]:
+    """Return the names of the languages that come with the package, the default first."""
+    return tuple(sorted((file.stem for file in FOLDER.glob("*.toml")), key=lambda name: (name != FIRST, name)))
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The texts of a language.
+
+    Attributes
+    ----------
+    file : Path
+    texts : mapping of str to str
+        Texts by their dotted keys.
+    """
+
+    file: Path
+    texts: Mapping[str, str]
+
+    def __call__(self, key: str, **values: str) -> str:
+        """Return a text with its placeholders replaced; its first letter is a capital."""
+        text = self.texts[key].format(**values)
+        return text[:1].upper() + text[1:]
+
+    def action(self, pddl: str, words: str | None) -> str:
+        """Return an action as a part of a sentence; `words` is the domain's wording, if there is one."""
+        if words is None:
+            return self.texts["actions.unworded"].format(pddl=pddl)
+        return self.texts["actions.worded"].format(words=words, inner=words[:1].lower() + words[1:])
+
+    def percent(self, share: float) -> str:
+        """Return a probability in percent; only 0 and 1 themselves are given as 0 and 100."""
+        n = round(100 * share)
+        n = min(max(n, 1), 99) if 0 < share < 1 else n
+        return self.texts["percent"].format(n=n)
+
+    def number(self, value: float) -> str:
+        """Return a number with two significant digits, or all digits before the decimal sign."""
+        text = f"{value:.0f}" if abs(value) >= 10 else f"{float(f'{value:.2g}'):g}"
+        return text.replace(".", self.texts["decimal"])
+
+    def about(self, value: float) -> str:
+        """Return a positive expectation, in cost units."""
+        if value < SMALLEST:
+            return self.texts["less_than"].format(n=self.number(SMALLEST))
+        return self.texts["about"].format(n=self.number(value))
+
+    def below(self, value: float) -> str:
+        """Return a positive limit, rounded down to two significant digits, so that what is below it is below both."""
+        unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+        return self.number(math.floor(value / unit * (1 + 1e-12)) * unit)
+
+
+@lru_cache(maxsize=16)
+def catalogue(language: str = FIRST) -> Catalogue:
+    """Return the texts of a language.
+
+    Parameters
+    ----------
+    language : str
+        One of `languages()`, or the path of a TOML file.
+
+    Raises
+    ------
+    ValueError
+        There is no such language, or the file lacks a text or has an unknown one; the message names the text.
+    """
+    own = language.endswith(".toml")
+    if not own and language not in languages():
+        raise ValueError(f"language {language[:40]!r}: expected one of {', '.join(languages())}, or a .toml file")
+    file = Path(language) if own else FOLDER / f"{language}.toml"
+    try:
+        texts = dict(_texts(tomllib.loads(file.read_text(encoding="utf-8"))))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"{file}: {error}") from None
+    if language != FIRST:
+        _check(file, texts, catalogue(FIRST).texts)
+    return Catalogue(file, texts)
+
+
+def _texts(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            yield from _texts(value, f"{before}{name}.")
+        else:
+            yield before + name, str(value)
+
+
+def _check(file: Path, texts: Mapping[str, str], first: Mapping[str, str]) -> None:
+    for key in [*first, *texts]:
+        if key not in texts or key not in first:
+            raise ValueError(f"{file}: {'there is no' if key in first else 'unknown'} text {key}")
+        # English begins actions with a small letter; a language may take the words as they are.
+        allowed = _placeholders(first[key]) | ({"words", "inner"} if key == "actions.worded" else set())
+        if wrong := _placeholders(texts[key]) - allowed:
+            raise ValueError(f"{file}: {key}: {{{min(wrong)}}}; expected {', '.join(sorted(allowed)) or 'no name'}")
+
+
+def _placeholders(text: str) -> set[str]:
+    return set(re.findall(r"\{(\w*)\}", text))
