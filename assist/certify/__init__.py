@@ -1,4 +1,4 @@
-"""Bounds on what any team policy can get."""
+"""Certified upper bounds on the value of all team policies."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""How far a team policy is from the best, at most: its simulated value beside what no policy exceeds."""
+"""Certificates: the simulated value of a team policy, compared with an upper bound on the value of all policies."""
 
 from __future__ import annotations
 
@@ -18,34 +18,29 @@ from ..team.attention_subproblem import AWAY, HERE
 from ..team.state import TeamAction, TeamPolicy, TeamState
 from ..team.travel import Travel
 
-BEYOND = 1e-6
-"""Episodes are cut off where what may come after is worth less than this share of the first step's largest cost."""
-
-PORTION = 1024
-"""Episodes between two looks at the clock."""
-
-AT_ONCE = 65_536
-"""Episodes that are simulated together where there is no clock: their records take some 10 MB a person."""
-
 
 @dataclass(frozen=True)
 class Certificate:
-    """How far a team policy is from the best, at most.
+    """The distance of a team policy from the optimum, at most.
 
     Attributes
     ----------
     humans : int
+        Number of people in the team.
     policy : str
+        Name of the policy.
     value, value_stderr : float
-        Its mean discounted return, what episodes cut off could still cost included, and the standard error.
+        Mean discounted return of the policy, in cost units, and its standard error. The largest possible costs after
+        the end of an episode are included.
     upper : float
-        What no policy's exceeds.
+        Upper bound on the value of every policy, in cost units.
     gap_percent : float
         100 (upper - value) / abs(value).
     slack_percent : float
-        By how many of these percentage points the bound could be lower, at most, if the solver of single people's
-        problems had gone on to the end.
+        Largest number of these percentage points by which a complete solution of the single people's problems could
+        lower the bound.
     episodes : int
+        Number of simulated episodes.
     """
 
     humans: int
@@ -61,7 +56,7 @@ class Certificate:
 
     @classmethod
     def of(cls, name: str, returns: Floats, *, humans: int, upper: float, slack: float) -> Certificate:
-        """Compare the returns of some episodes, shape (N,), with a bound, in which so much is left to the solver."""
+        """Return the certificate for the returns of some episodes, shape (N,), with a bound and its slack."""
         mean = float(returns.mean())
         return cls(
             humans=humans,
@@ -76,8 +71,11 @@ class Certificate:
 
 
 def horizon(gamma: float) -> int:
-    """Give the step beyond which episodes are cut off."""
-    return math.ceil(math.log(BEYOND * (1 - gamma)) / math.log(gamma))
+    """Return the number of steps after which episodes end.
+
+    The remaining discounted costs are then at most a millionth of the largest cost of a step.
+    """
+    return math.ceil(math.log(1e-6 * (1 - gamma)) / math.log(gamma))
 
 
 def returns(
@@ -90,54 +88,66 @@ def returns(
     seed: int,
     time_limit: float | None = None,
 ) -> Floats:
-    """Simulate a policy in the model's world; give each episode's discounted return, or less, shape (N,).
+    """Simulate a policy in the robot's model; return a lower bound on each episode's discounted return, shape (N,).
+
+    The largest possible costs after the end of an episode are subtracted.
 
     Parameters
     ----------
+    pool : Pool
+    policy : TeamPolicy or str
+    team : tuple of int
+        Person at each place.
+    travel : Travel
+    episodes : int
+        Number of episodes.
+    seed : int
     time_limit : float, optional
-        Begin no more episodes after so many seconds; about a thousand are simulated in any case.
+        Seconds after which no more episodes begin; about a thousand are simulated in any case.
     """
     gamma, end = pool.setting.gamma, horizon(pool.setting.gamma)
     pool = replace(pool, setting=replace(pool.setting, max_steps=end))
-    dearest = max(
+    largest_cost = max(
         float(p.pomdp.model.choices.costs.max() + p.pomdp.robot_costs.max()) for p in pool.policies
     ) + travel.c_move * float(travel.distance.max())
     deadline = None if time_limit is None else time.perf_counter() + time_limit
     parts: list[Floats] = []
-    for start in range(0, episodes, portion := AT_ONCE if deadline is None else PORTION):
+    # The records of 65,536 episodes take about 10 MB per person. A time limit is checked after 1,024 episodes.
+    portion = 65_536 if deadline is None else 1024
+    for start in range(0, episodes, portion):
         if parts and deadline is not None and time.perf_counter() > deadline:
             break
         numbers = np.arange(start, min(episodes, start + portion))
         run = simulate(
             pool, policy, humans=list(team), episodes=numbers, seed=seed, travel=travel, world="model", explain=False
         )
-        left = (~run.finished).sum(axis=1) * dearest * gamma**end / (1 - gamma)
-        parts.append(run.discounted_return - left)
+        remaining = (~run.finished).sum(axis=1) * largest_cost * gamma**end / (1 - gamma)
+        parts.append(run.discounted_return - remaining)
     return np.concatenate(parts)
 
 
-class Meeting:
-    """A team policy that does as another one does and notes down with what the robot was met, in each place.
+class BeliefRecorder:
+    """A team policy that acts like another one and records the states and beliefs of people at each place.
 
     Attributes
     ----------
-    met : list of lists of (int, int array, int array, float array)
-        For each place: a step, then of each team in which somebody is at work there their task's state, the robot's
-        position (`team.attention_subproblem`) and its belief, shape (n, B, T).
+    visited : list of lists of (int, int array, int array, float array)
+        For each place: a step, and for all teams with an active person there the task state, the robot's position
+        (`team.attention_subproblem`), and the belief, shape (n, B, T).
     """
 
     uses_belief = True
 
     def __init__(self, policy: TeamPolicy, places: int, steps: int) -> None:
         self.policy, self.steps = policy, steps
-        self.met: list[list[tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]]] = [[] for _ in range(places)]
+        self.visited: list[list[tuple[int, NDArray[np.int64], NDArray[np.int64], Floats]]] = [[] for _ in range(places)]
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Note down what is known of the teams, and choose."""
+        """Record the states and beliefs of the teams, and return the other policy's action."""
         if team.step < self.steps:
             assert team.belief is not None
-            for k, met in enumerate(self.met):
+            for k, visited in enumerate(self.visited):
                 at = np.flatnonzero(team.active[:, k])
                 here = np.where(team.location[at] == k, HERE, AWAY)
-                met.append((team.step, team.x[at, k], here, team.belief[at, k]))
+                visited.append((team.step, team.x[at, k], here, team.belief[at, k]))
         return self.policy(team)

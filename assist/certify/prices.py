@@ -1,7 +1,8 @@
-"""Prices of the robot's attention, looked for by simulating each person's problem.
+"""Prices of the robot's attention, optimised by simulation of each person's problem.
 
-Where more than one robot would be busy at a step, its price is raised, and lowered where none would: a subgradient
-method. Any prices give a sound bound; these give one that is nearly as tight as can be.
+The prices are the dual variables of the constraint that one robot attends to at most one person in each step. A
+stochastic subgradient method raises the price of a step in which more than one robot would be busy, and lowers it
+otherwise. Every price vector gives a valid bound; the method approaches the tightest one.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from ..large_tasks.truncated_bound import OuterRelaxation, TruncatedProblem, lik
 from ..large_tasks.truncated_policy import TruncatedPolicy
 from ..people.arguments import positive
 from ..people.decision import Floats
-from ..person.qmdp import QMDP, ahead, highest, improve
+from ..person.qmdp import QMDP, initial_upper_bounds, look_ahead, value_iteration
 from ..person.solver import first_bounds_bytes
 from ..simulation.pool import Pool
 from ..simulation.simulate import simulate
@@ -30,47 +31,28 @@ from ..team.attention_subproblem import HERE, AttentionSubproblem, TimeExpansion
 from ..team.state import TeamAction, TeamState
 from ..team.travel import Travel
 
-ROUNDS = 40
-"""Times that prices are changed. The last half's mean is taken."""
-
-STEP = 0.5
-"""What a price changes by in the first round, at most, in cost units."""
-
-SAMPLE = 2048
-"""Simulated episodes of each person's problem in every round."""
-
-NEGLIGIBLE = 0.01
-"""Prices after the last one above this, in cost units, are left out."""
-
-MANY = 5
-"""Prices are looked for while more people than these would be at work without a robot."""
-
-LONGEST = 6
-"""They end after at most so many times what the longest task takes at best."""
-
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class SubproblemKind:
-    """People of a team who have the same problem, and how many they are.
+    """The people of a team who have the same attention subproblem.
 
     Attributes
     ----------
     pool : Pool
     visits : AttentionSubproblem
-        Their problem, at prices of 0; without prices where it is on a part of a task.
+        Their subproblem at prices of 0; without prices if the task is truncated.
     tail : float array, shape (P * n, B, T)
-        What it is worth from the step on from which attention is free, by position and state.
+        Upper bound on the value with free attention, by robot position and task state.
     places : tuple of int
-        Theirs in the team.
+        Their places in the team.
     outer : OuterRelaxation or None
-        What is known around the part on which that is, if it is not the whole task.
+        The relaxation around the truncated task; None for a whole task.
     between : OuterRelaxation or None
-        The same on a smaller region: people are looked at on it while prices are looked for.
+        The same on a smaller truncated task, on which prices are optimised.
     pairs : int
-        On how many states, each with one step, people are looked at where there are prices and something is known
-        around these.
+        Number of pairs of state and step that are enumerated if there are prices and an outer relaxation.
     """
 
     pool: Pool
@@ -83,15 +65,15 @@ class SubproblemKind:
 
     @property
     def count(self) -> int:
-        """How many they are."""
+        """The number of these people."""
         return len(self.places)
 
     def best(self, visits: AttentionSubproblem) -> QMDP:
-        """Solve the problem with beta and theta seen: backwards from the steps at which attention is free."""
+        """Solve the subproblem with observed beta and theta, backwards from the steps with free attention."""
         return backwards(visits, self.tail)
 
     def at(self, price: Floats) -> AttentionSubproblem:
-        """Give the problem at prices of any steps."""
+        """Return the subproblem at given prices; the number of steps may differ."""
         alone, entry, steps = self.visits.alone, self.visits.entry, self.visits.entry_steps
         if self.outer is None or not len(price):
             return AttentionSubproblem.of(alone, entry, steps, price)
@@ -99,7 +81,7 @@ class SubproblemKind:
         return self.outer.beyond(visits, self.tail)
 
     def _acting(self, price: Floats) -> tuple[AttentionSubproblem, Callable[[int, Ints], QMDP]]:
-        """Give a problem at these prices, and QMDP's policy in some of its states at each step."""
+        """Return a subproblem at these prices, and a function for QMDP's policy in given states at each step."""
         if self.between is None:
             visits = self.visits.priced(price)
             best = self.best(visits)
@@ -108,14 +90,14 @@ class SubproblemKind:
 
         def policy(step: int, states: Ints) -> QMDP:
             own = float(price[step]) if step < len(price) else 0.0
-            return ahead(visits.at_price(own), values[min(step + 1, len(price))], np.unique(states))
+            return look_ahead(visits.at_price(own), values[min(step + 1, len(price))], np.unique(states))
 
         return visits, policy
 
     def simulated(self, price: Floats, steps: int, episodes: int, seed: int) -> tuple[Floats, Floats]:
-        """Simulate QMDP's policy in the problem at these prices for so many steps.
+        """Simulate QMDP's policy in the subproblem at these prices, for `steps` steps.
 
-        Return the share of people who are attended to at each step that has a price, and each episode's return.
+        Return the share of people who receive attention at each step with a price, and the return of each episode.
         """
         visits, policy = self._acting(price)
         number = np.zeros(len(price))
@@ -124,12 +106,12 @@ class SubproblemKind:
             x, belief = team.known_of(np.arange(len(team.x)))
             robot = policy(team.step, x).choose(x, belief)
             if team.step < len(price):
-                # On its way the robot has no other choice than to go on.
+                # A robot on its way has no other choice than to continue.
                 number[team.step] += np.sum((robot > 0) | (visits.layout.position[team.x[:, 0]] > HERE))
             return TeamAction(np.zeros_like(robot), robot)
 
         human = replace(self.pool.people[0], h=np.zeros(len(visits.layout)))
-        # The way is part of the problem, so that none is left to the simulation.
+        # Travel is part of the subproblem, so that the simulation has none.
         setting = replace(self.pool.setting, c_move=0.0, travel_time=0.0, max_steps=steps)
         pool = Pool(setting, (human,), (policy(0, np.arange(1)),), np.zeros(1, dtype=np.int64))
         run = simulate(pool, act, humans=[0], episodes=episodes, seed=seed, world="model")
@@ -142,21 +124,20 @@ def kinds_of(
     travel: Travel,
     window: int,
     *,
-    around: bool = False,
+    with_outer: bool = False,
     memory_limit_mb: float = math.inf,
     until: float = math.inf,
     tell: Progress = lambda *_: None,
 ) -> list[SubproblemKind]:
-    """Give a team's kinds, with prices of 0 on so many steps.
+    """Return the kinds of subproblems of a team, with prices of 0 on `window` steps.
 
-    Of tasks that are not looked at whole less is looked at where by `until`, on `time.perf_counter()`'s clock, there
-    was no time for more; what is around the part that is looked at is given with `around`, if the robot's way takes no
-    time.
+    Truncated tasks are smaller if the time until `until`, on the clock of `time.perf_counter()`, is short. With
+    `with_outer` they include the outer relaxation, unless travel takes time.
 
     Raises
     ------
     LimitError
-        Their problems would take more memory than is allowed.
+        The subproblems would exceed the memory limit.
     """
     entries, steps = travel.entry.tolist(), travel.entry_steps.tolist()
     members: dict[tuple[int, float, int], list[int]] = {}
@@ -164,17 +145,17 @@ def kinds_of(
         members.setdefault((int(pool.model[person]), entries[k], steps[k]), []).append(k)
     problems = []
     for done, (model, entry, _) in enumerate(members):
-        tell("setting people's problems up", done, len(members))
+        tell("setting up people's problems", done, len(members))
         share = time.perf_counter() + (until - time.perf_counter()) / (len(members) - done)
         room = memory_limit_mb / len(members)
-        # What is around them is kept as well, if it is wanted.
-        problems.append(_alone(pool, model, entry, around, share, room if around else memory_limit_mb, room))
+        # The outer relaxations of all kinds are kept in memory, if they are included.
+        problems.append(_alone(pool, model, entry, with_outer, share, room if with_outer else memory_limit_mb, room))
     _allow(problems, [steps for _, _, steps in members], window, memory_limit_mb)
     kinds = []
     for one, ((_, entry, entry_steps), places) in zip(problems, members.items(), strict=True):
         free = AttentionSubproblem.of(one.problem, entry, entry_steps)
-        tail = highest(free.pomdp)
-        improve(free.pomdp, tail, tolerance=1e-5)
+        tail = initial_upper_bounds(free.pomdp)
+        value_iteration(free.pomdp, tail, tolerance=1e-5)
         visits = (
             free if one.outer is not None else AttentionSubproblem.of(one.problem, entry, entry_steps, np.zeros(window))
         )
@@ -184,30 +165,32 @@ def kinds_of(
 
 
 def _alone(
-    pool: Pool, model: int, entry: float, around: bool, until: float, memory_limit_mb: float, kept_mb: float
+    pool: Pool, model: int, entry: float, with_outer: bool, until: float, memory_limit_mb: float, kept_mb: float
 ) -> TruncatedProblem:  # fmt: skip
-    """Give the problem of a model with a robot that is always there: on a region, if the task is not looked at whole.
+    """Return the problem of a model with a robot that is always present, on a truncated task if the task is too large.
 
-    Where that breaks off it has bounds of the whole task, so that what is above its value is above that of the task.
+    An upper bound on this problem is an upper bound on that of the whole task (`large_tasks.truncated_bound`).
     """
     policy = pool.policies[model]
     if isinstance(policy, TruncatedPolicy):
-        return policy.bounded(entry, around=around, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb)
+        return policy.bounded(
+            entry, with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb
+        )
     return TruncatedProblem(policy.pomdp)
 
 
 def _allow(problems: list[TruncatedProblem], entry_steps: list[int], window: int, limit_mb: float) -> None:
-    """Refuse problems that would not fit the memory."""
+    """Raise a `LimitError` if the subproblems would exceed the memory limit."""
     needed, states = 0.0, 0
     for one, steps in zip(problems, entry_steps, strict=True):
         alone = one.problem
         timed = window and one.outer is None
-        if timed:  # each step has a state or more; to list them takes long
+        if timed:  # each step has at least one state; enumerating them would take long
             _refuse_above(limit_mb, policy_bytes(window), len(problems), window, window)
         states = len(TimeExpansion.of(alone, 2 + steps, window if timed else 0))
         slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
         needed += policy_bytes(states, slots=slots, robots=robots)
-    needed *= 1 + 1 / len(problems)  # one is solved anew in every round
+    needed *= 1 + 1 / len(problems)  # in each round, one subproblem is built again
     needed += sum(one.outer.nbytes for one in problems if one.outer is not None)
     _refuse_above(limit_mb, needed, len(problems), states, window)
 
@@ -221,48 +204,75 @@ def _refuse_above(limit_mb: float, needed: float, kinds: int, states: int, windo
         )
 
 
-def window_of(pool: Pool, team: tuple[int, ...], seed: int) -> int:
-    """Return the number of steps on which prices are searched.
+def window_of(pool: Pool, team: tuple[int, ...], seed: int, *, at_work: int = 5, plans: int = 6) -> int:
+    """Return the number of steps with prices; any number gives a valid bound.
 
-    A plan's number of actions is estimated as its cost divided by the smallest positive cost. Any number is sound.
+    It is twice the number of actions of the longest optimal plan, or more for a large team: as many steps as more than
+    `at_work` people would still be at work without a robot, but at most `plans` times that number of actions. The
+    number of actions is estimated as the cost of the plan divided by the smallest positive cost.
     """
     shortest = max(float(c.h[c.initial]) / c.unit for c in map(pool.choices, team))
     alone = simulate(pool, NoAssistance(), humans=list(team), episodes=64, seed=seed, world="model").actions
-    steps = np.arange(math.ceil(LONGEST * shortest))
+    steps = np.arange(math.ceil(plans * shortest))
     working = (alone[:, :, None] > steps).sum(axis=1).mean(axis=0)
-    return max(math.ceil(2 * shortest), int((working > MANY).sum()))
+    return max(math.ceil(2 * shortest), int((working > at_work).sum()))
 
 
-def search(kinds: list[SubproblemKind], window: int, *, seed: int, deadline: float, tell: Progress) -> Floats:
-    """Look for prices until so many rounds are over or, on `time.perf_counter()`'s clock, the deadline is.
+def search(
+    kinds: list[SubproblemKind],
+    window: int,
+    *,
+    rounds: int,
+    episodes: int,
+    seed: int,
+    deadline: float,
+    tell: Progress,
+) -> Floats:
+    """Optimise prices by a stochastic subgradient method, until `rounds` rounds are done or the deadline has passed.
+
+    Parameters
+    ----------
+    kinds : list of SubproblemKind
+    window : int
+        Number of steps with a price.
+    rounds : int
+        Number of subgradient steps.
+    episodes : int
+        Number of simulated episodes of each person's problem per round.
+    seed : int
+    deadline : float
+        Time on the clock of `time.perf_counter()`.
+    tell : callable
+        Receives progress reports.
 
     Returns
     -------
     float array, shape (W,)
-        The mean of the last half of the rounds, up to the last price that is not negligible.
+        Mean of the last half of the rounds, in cost units, up to the last price of at least 0.01.
     """
     price, mean, past, counted = np.zeros(window), np.zeros(window), np.zeros(window), 0
-    for round_ in range(ROUNDS):
-        tell("looking for prices", round_, ROUNDS)
-        # Other luck in every round, so that prices fit people and not a sample of them.
+    for round_ in range(rounds):
+        tell("optimising prices", round_, rounds)
+        # Every round has other random numbers, so that the prices do not overfit one sample.
         busy = np.zeros(window)
         for kind in kinds:
             if time.perf_counter() > deadline:
                 break
-            busy += kind.count * kind.simulated(price, window, SAMPLE, seed + round_)[0]
+            busy += kind.count * kind.simulated(price, window, episodes, seed + round_)[0]
         else:
-            # A subgradient step, for each price as long as its past ones have been short (AdaGrad: Duchi, Hazan and
-            # Singer, 2011): where two persons need the robot every now and then, a price has far to go on a slight
-            # slope. Relative to how many robots are busy: a large team's first steps, with dozens, would leave all
-            # others too short.
+            # The length of each step is divided by the root of the sum of squared past gradients (AdaGrad: Duchi, Hazan
+            # and Singer, 2011). So a price with small gradients, where two people rarely need the robot at once, moves
+            # far enough. Gradients are relative to the number of busy robots. Otherwise the first rounds of a large
+            # team, with dozens of busy robots, would make all later steps too short. A first step changes a price by at
+            # most 0.5 cost units.
             slope = (busy - 1) / np.maximum(busy, 1)
             past += slope**2
-            price = np.maximum(0.0, price + STEP * slope / np.sqrt(past + 1e-12))
-            if round_ >= ROUNDS // 2:
-                mean += price / (ROUNDS - ROUNDS // 2)
+            price = np.maximum(0.0, price + 0.5 * slope / np.sqrt(past + 1e-12))
+            if round_ >= rounds // 2:
+                mean += price / (rounds - rounds // 2)
                 counted += 1
             continue
-        break  # what is left of a round that has begun says nothing
-    if counted < ROUNDS - ROUNDS // 2:
-        mean = mean * (ROUNDS - ROUNDS // 2) / counted if counted else price
-    return mean[: int(np.flatnonzero(mean > NEGLIGIBLE).max(initial=-1)) + 1]
+        break  # the rest of an incomplete round is not used
+    if counted < rounds - rounds // 2:
+        mean = mean * (rounds - rounds // 2) / counted if counted else price
+    return mean[: int(np.flatnonzero(mean > 0.01).max(initial=-1)) + 1]

@@ -1,23 +1,37 @@
-"""A certified upper bound on what any team policy can reach, and with it how far a policy is from the best.
+"""A certified upper bound on the value of all team policies, and the distance of a policy from it.
 
-At each step the robot is with one person, or on its way to one. Relaxing that with a price lambda_t >= 0 on every
-step of attention takes the team apart (`assist.team.attention_subproblem`):
+In each step the robot attends to at most one person: it is at their place or on its way to them. A Lagrangian
+relaxation of this constraint, with a price lambda_t for each step of attention, separates the team into the attention
+subproblems of single people (`assist.team.attention_subproblem`).
 
-    J*  <=  sum_t gamma^t lambda_t  +  sum_k V_k(lambda)
+Assumptions. People's choices are independent of each other, given the robot's actions. A move to a person costs at
+least as much, and takes at least as long, as a move from the nearest other place.
 
-where V_k is the most that any policy gets in person k's own problem, in which attention is paid for, and coming costs
-what coming from the nearest other place does. That holds for all prices. At those that are found
-(`assist.certify.prices`), each V_k is bounded from above by solving the problem with beta and theta hidden
-(`assist.person.solver`), so that knowing people better than one can is no source of looseness.
+Claim. For all prices lambda_t >= 0, the optimal value J* of the team is at most
 
-Where paths are asked for, what the prices leave open, that the robot may be in two places at a time as long as it is in
-one on average, is narrowed by samples (`assist.certify.information_relaxation.sampled_bound`); the bound then holds
-with a confidence. It is sampled from the problems at these prices, or from those without any where their bounds come to
-less: a state of these needs no step, so that they are solved much further in the same time, and samples see conflicts
-without prices.
+    sum_t gamma^t lambda_t  +  sum_k V_k(lambda),
 
-The bound holds in the robot's model: people drawn from the prior, on its grid, with lapses. In that world policies are
-simulated as well.
+where V_k is the optimal value of person k's subproblem: attention has the price lambda_t in step t, coming costs as
+much as from the nearest other place, and leaving is free.
+
+Proof. Consider any policy of the team. Let a_k(t) be 1 in a step in which the robot attends to person k, and 0
+otherwise. As sum_k a_k(t) <= 1, the return increases or stays the same if sum_t gamma^t lambda_t (1 - sum_k a_k(t)) is
+added to it. The result is sum_t gamma^t lambda_t plus, for each person, a return in which attention has its price. The
+robot's behaviour towards person k is a policy of their subproblem, at costs that are not higher there. This policy also
+depends on the other people's states, which are independent of person k and act like additional random numbers. So the
+mean of the return is at most V_k.
+
+The prices are optimised (`assist.certify.prices`). Each V_k is bounded from above with hidden beta and theta
+(`assist.person.solver`), so that the bound does not assume more knowledge of people than a robot has.
+
+The prices only enforce that the robot is in one place on average. If sample paths are requested, an information
+relaxation enforces it in every step (`assist.certify.information_relaxation.sampled_bound`). This bound holds with a
+confidence level. It uses the subproblems at the prices, or those without prices if their bounds are lower. Subproblems
+without prices need no step in their states, so that the solver gets further in the same time, and the sample paths
+account for the conflicts.
+
+The bound holds in the robot's model: people are drawn from the prior on its grid, with lapses. Policies are simulated
+in the same model.
 """
 
 from __future__ import annotations
@@ -27,7 +41,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -47,72 +61,72 @@ from ..team.attention_subproblem import AttentionSubproblem
 from ..team.priority import Priority
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
-from .certificate import Certificate, Meeting, horizon, returns
+from .certificate import BeliefRecorder, Certificate, horizon, returns
 from .information_relaxation.belief_nodes import BeliefNodes
 from .information_relaxation.confidence import SampledBound
 from .information_relaxation.congestion import OutOfTimeError
-from .information_relaxation.sampled_bound import AFTER, InformationRelaxation
+from .information_relaxation.options import RelaxationOptions
+from .information_relaxation.sampled_bound import InformationRelaxation
 from .prices import SubproblemKind, kinds_of, search, window_of
 
-FOR_BOUND = 0.8
-"""The share of a time limit in which a bound is looked for; policies are simulated in the rest."""
 
-FOR_PRICES = 0.4
-"""The share of the time for a bound in which prices are looked for; people's problems are bounded in the rest."""
+@dataclass(frozen=True)
+class BoundOptions:
+    """Options of `upper_bound` that trade the tightness of the bound for time and memory. It is valid for all values.
 
-FOR_PRICES_THERE = 0.25
-"""The same on parts of large tasks, where the solver has most to do; what is around these parts comes before."""
+    Attributes
+    ----------
+    price_rounds : int
+        Number of subgradient steps in the optimisation of prices. The result is the mean over the last half of them,
+        which averages the noise out.
+    price_episodes : int
+        Number of simulated episodes of each person's problem per round. More give less noise and take longer.
+    priced_steps : int
+        Default limit of the number of steps with prices on truncated tasks, as the number of states grows with it.
+    price_memory_mb : float
+        Memory for each person's problem below which prices on truncated tasks are not optimised, in MB. Prices need the
+        outer relaxation, which is kept in memory as well.
+    belief_episodes : int
+        Episodes of the priority policy whose beliefs are recorded for the sample-path bound. With 1,000, the beliefs
+        about people without attention for long are still divided too finely, which loosens the bound.
+    relaxation : RelaxationOptions
+        Options of the bound from sample paths.
+    """
 
-FOR_REGIONS = 0.3
-"""The share of the time for a bound in which it is worked out what follows where parts of large tasks break off."""
-
-FOR_PATHS = 0.5
-"""The share of the time for a bound in which lucks are sampled, if any are to be."""
-
-FOR_FREE = 0.3
-"""The share of that in which people's problems are bounded without prices, before."""
-
-
-MEETINGS = 10_000
-"""Episodes of priority whose beliefs are recorded for the sample-path bound. With 1,000, people who are left alone for
-long are still told apart too well, which loosens the bound."""
-
-ALIKE = 1 / 200
-"""Beliefs that differ by less than this share, in each type, count as one there."""
-
-ROOM = 500.0
-"""Megabytes for each person's problem with which they are looked for there: what is around their parts is kept, too."""
-
-LONG = 20
-"""On parts of large tasks prices are looked for on no more steps, unless they are wanted."""
+    price_rounds: int = 40
+    price_episodes: int = 2048
+    priced_steps: int = 20
+    price_memory_mb: float = 500.0
+    belief_episodes: int = 10_000
+    relaxation: RelaxationOptions = field(default_factory=RelaxationOptions)
 
 
 @dataclass(frozen=True)
 class TeamBound:
-    """What no policy for a team exceeds, from the beginning of an episode on.
+    """An upper bound on the value of every policy for a team, from the beginning of an episode.
 
     Attributes
     ----------
     pool : Pool
     team : tuple of int
-        Who is at each place.
+        Person at each place.
     travel : Travel
     upper : float
-        Mean discounted return, in cost units. Where lucks were sampled it holds with a confidence of
-        `confidence.CONFIDENCE`, else in any case.
+        Upper bound on the mean discounted return, in cost units. With sample paths it holds with the confidence
+        `confidence.CONFIDENCE`, otherwise with certainty.
     slack : float
-        By how much `upper` could be lower, at most, if each person's problem had been solved to the end: the sum of
-        what is between the solver's bounds.
+        Largest amount by which a complete solution of the subproblems could lower `upper`: the sum of the gaps between
+        the solver's bounds.
     upper_seen : float
-        What the bound would be if beta and theta were seen, at the same prices.
+        The bound with observed beta and theta, at the same prices.
     price : float array, shape (W,)
-        lambda_t, in cost units; none where the team was taken apart without prices.
+        lambda_t, in cost units; empty if the bound uses no prices.
     seconds : float
     proven : float
-        What holds in any case.
+        The bound that holds with certainty.
     sampled : SampledBound or None
-        The sample paths' mean; None where none were asked for, or there was no time for any. Of fewer than
-        `confidence.FEWEST` it is reported, and `upper` is `proven`.
+        The mean over sample paths; None if none were requested, or if there was no time for any. With fewer than
+        `confidence.FEWEST` paths it is only reported, and `upper` is `proven`.
     """
 
     pool: Pool
@@ -132,32 +146,33 @@ class TeamBound:
         self.price.flags.writeable = False
 
     def relaxed(self, *, episodes: int = 20_000, seed: Seed = 0) -> tuple[float, float]:
-        """Simulate QMDP's policies in the relaxed problem, with a robot for everybody; give mean and standard error.
+        """Simulate QMDP's policies in the relaxed problem, with one robot per person; return mean and standard error.
 
-        The best policies there get no less and the bound no more than `upper`: what of a certificate's gap is below
-        this mean is not the solver's but the relaxation's and the policy's.
+        Optimal policies of the relaxed problem have at least this value, and the bound is at least theirs. So the part
+        of a certificate's gap below this mean is due to the relaxation and the team policy, not to the solver.
         """
         if self.pool.truncated:
-            raise ValueError("relaxed: expected a task that is looked at whole")
-        episodes, luck = whole("episodes", episodes, 2), entropy(seed)
+            raise ValueError("relaxed: expected an enumerated task")
+        episodes, seed_number = whole("episodes", episodes, 2), entropy(seed)
         gamma = self.pool.setting.gamma
         total, variance = float(self.price @ gamma ** np.arange(len(self.price))), 0.0
         kinds = kinds_of(self.pool, self.team, self.travel, len(self.price))
-        for number, kind in enumerate(kinds):  # of independent luck, so that variances add up
-            value = kind.simulated(self.price, horizon(gamma), episodes, luck + number)[1]
+        for number, kind in enumerate(kinds):  # independent random numbers, so that variances add up
+            value = kind.simulated(self.price, horizon(gamma), episodes, seed_number + number)[1]
             total += kind.count * float(value.mean())
             variance += kind.count**2 * float(value.var(ddof=1)) / episodes
         return total, math.sqrt(variance)
 
     def policy(self) -> Priority:
-        """Give priority at this bound's prices, one for each step, for this team from its beginning.
+        """Return the priority policy at this bound's prices, one for each step, for this team from its beginning.
 
-        Where many wait for the robot it is ahead of priority at one price; without prices it is that.
+        It is better than priority at a single price where many people wait for the robot. Without prices it is that
+        policy.
 
         Raises
         ------
         ValueError
-            The task is not looked at whole, and there are prices.
+            The task is truncated, and there are prices.
         """
         return Priority.of(self.pool.policies, self.travel, self.price if len(self.price) else None)
 
@@ -170,13 +185,19 @@ class TeamBound:
         seed: Seed = 0,
         time_limit: float | None = None,
     ) -> Certificate:
-        """Simulate a policy, or the one of a name, in the model's world and compare.
+        """Simulate a policy in the robot's model and compare it with the bound.
 
         Parameters
         ----------
-        pool : Pool
+        policy : TeamPolicy or str
+            A policy, or the name of one.
+        name : str, optional
+            Name in the certificate.
+        episodes : int
+            Number of episodes.
+        seed : int or Generator
         time_limit : float, optional
-            Begin no more episodes after so many seconds; about a thousand are simulated in any case.
+            Seconds after which no more episodes begin; about a thousand are simulated in any case.
         """
         called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
         value = returns(
@@ -199,47 +220,48 @@ def upper_bound(
     paths: int = 0,
     seed: Seed = 0,
     jobs: int | None = None,
+    options: BoundOptions | None = None,
     progress: Wanted = None,
 ) -> TeamBound:
-    """Bound from above what any policy gets with a team in which all work from the beginning.
+    """Return an upper bound on the value of all policies for a team in which all people work from the beginning.
 
     Parameters
     ----------
     pool : Pool
     team : sequence of int, optional
-        Who is at each place; the whole pool unless given.
+        Person at each place; by default the whole pool.
     travel : Travel, optional
-        The way between them; that of the setting unless given.
+        Travel between the places; by default that of the setting.
     window : int, optional
-        Prices are looked for on so many steps. Unless given, twice what the longest task takes at best; in a large
-        team, for as long as `MANY` people would still be at work without a robot, but at most `LONGEST` times that.
-        On tasks that are not looked at whole on `LONG` at most, and on fewer where the memory does not allow more.
+        Number of steps with prices; by default that of `prices.window_of`. On truncated tasks the default is at most
+        `options.priced_steps`, and less if the memory is short.
     gap : float
-        Relative gap to which each person's problem is solved.
+        Relative gap to which each subproblem is solved.
     time_limit : float, optional
-        Seconds for all of it. Prices are looked for in at most `FOR_PRICES` of them; in what is left each person's
-        problem gets an equal share. What is being set up or solved for the first bounds is not interrupted, and the
-        bound is sound however little time there was.
+        Seconds in total. At most 40 % of the time is for prices; each subproblem then gets an equal share of the rest.
+        On truncated tasks, 30 % are for the outer relaxations and 25 % for prices. With sample paths, half of the time
+        is for these. Work on the first bounds is not interrupted, and the bound is valid after any time.
     memory_limit_mb : float
-        What people's problems may take, in megabytes, which is known before they are set up; and once more what each
-        of those that are solved at a time may.
+        Memory of all subproblems in MB, which is estimated before they are built; the solutions of those that are
+        solved at a time may take as much again each.
     paths : int
-        Lucks that are sampled to make the bound tighter; with 0, none are, and the bound holds in any case. Worth while
-        in teams of up to about six people. What a time limit leaves no time for is left out, but for a few; all of them
-        where it takes longer to work out what people will want.
+        Number of sample paths that tighten the bound; with 0, the bound holds with certainty. They are useful for teams
+        of up to about six people. A time limit reduces the number. If the preparation exceeds the time, no path is
+        sampled.
     seed : int or Generator
     jobs : int, optional
-        Problems that are solved, and lucks that are looked at, at a time; as many as there are processors unless given.
+        Number of subproblems and of sample paths that are processed at a time; by default the number of processors.
+    options : BoundOptions, optional
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`.
+        Receives progress reports, as `planner.system.progress` describes.
 
     Raises
     ------
     LimitError
-        People's problems would take more memory than is allowed.
+        The subproblems would exceed the memory limit.
     """
     assert callable(progress)
-    start = time.perf_counter()
+    start, options = time.perf_counter(), options or BoundOptions()
     limit = math.inf if time_limit is None else positive("time_limit", time_limit)
     members = _members(pool, team)
     travel = travel or pool.setting.travel(len(members))
@@ -247,54 +269,77 @@ def upper_bound(
         raise ValueError(f"travel for {len(travel)}: expected {len(members)} people")
     paths = whole("paths", paths, 0)
     workers = whole("jobs", jobs or processors(), 1)
-    luck = entropy(seed)
-    for_people = (1 - FOR_PATHS) * limit if paths else limit
+    seed_number = entropy(seed)
+    for_people = limit / 2 if paths else limit
 
-    def kinds_with(steps: int, around: bool) -> list[SubproblemKind]:
+    def kinds_with(steps: int, with_outer: bool) -> list[SubproblemKind]:
         return kinds_of(
-            pool, members, travel, steps, around=around, memory_limit_mb=memory_limit_mb,
-            until=start + FOR_REGIONS * for_people, tell=progress,
+            pool, members, travel, steps, with_outer=with_outer, memory_limit_mb=memory_limit_mb,
+            until=start + 0.3 * for_people, tell=progress,
         )  # fmt: skip
 
-    priced = window is not None or not pool.truncated or _worth_prices(pool, members, memory_limit_mb)
+    priced = (
+        window is not None
+        or not pool.truncated
+        or _worth_prices(pool, members, memory_limit_mb, options.price_memory_mb)
+    )
     if window is not None:
         together = whole("window", window)
     else:
-        together = window_of(pool, members, luck) if priced or paths else 0
+        together = window_of(pool, members, seed_number) if priced or paths else 0
     if pool.truncated:
-        most = together if window is not None else min(together, LONG)
+        most = together if window is not None else min(together, options.priced_steps)
         kinds, steps = _timed(kinds_with, most if priced and len(members) > 1 else 0, window is not None, paths > 0)
     else:
         kinds, steps = kinds_with(together, False), together
     price = np.zeros(0)
     if len(members) > 1 and steps:
-        for_prices = FOR_REGIONS + FOR_PRICES_THERE if pool.truncated else FOR_PRICES
-        price = search(kinds, steps, seed=luck, deadline=start + for_prices * for_people, tell=progress)
+        # On truncated tasks the outer relaxations have had 30 % of the time, and the solver needs more of the rest.
+        for_prices = 0.3 + 0.25 if pool.truncated else 0.4
+        price = search(
+            kinds, steps, rounds=options.price_rounds, episodes=options.price_episodes, seed=seed_number,
+            deadline=start + for_prices * for_people, tell=progress,
+        )  # fmt: skip
         if pool.truncated and not len(price):
             kinds = kinds_with(0, paths > 0)
-    met = _met(pool, members, travel, kinds, price, together + AFTER, luck) if paths and not pool.truncated else None
-    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, progress, met)
+    recorder = (
+        _recorded(
+            pool,
+            members,
+            travel,
+            kinds,
+            price,
+            together + options.relaxation.free_steps,
+            seed_number,
+            options.belief_episodes,
+        )
+        if paths and not pool.truncated
+        else None
+    )
+    relaxed = _relax(kinds, price, gap, start + for_people, memory_limit_mb, workers, progress, recorder)
     sampled = None
     if paths and len(members) > 1:
-        # Without prices states need no step: problems are so much smaller that this may be ahead where time was short.
+        # Without prices, states need no step. The much smaller subproblems may have lower bounds if time was short.
         if len(price) and not relaxed.done:
             free, begun = kinds_with(0, paths > 0), time.perf_counter()
-            until = begun + FOR_FREE * (start + limit - begun)
+            until = begun + 0.3 * (start + limit - begun)
             relaxed = min(
                 relaxed,
-                _relax(free, price[:0], gap, until, memory_limit_mb, workers, progress, met),
+                _relax(free, price[:0], gap, until, memory_limit_mb, workers, progress, recorder),
                 key=lambda one: one.upper,
             )
 
         begun = time.perf_counter()
 
         def left(done: int) -> float:
-            progress("sampling lucks", done, paths)
+            progress("drawing sample paths", done, paths)
             return 1.0 - (time.perf_counter() - begun) / max(1e-9, start + limit - begun)
 
         with suppress(OutOfTimeError):
-            robot = InformationRelaxation(relaxed.lattices(), relaxed.price, together, left, workers)
-            sampled = robot.sampled(paths, luck)
+            robot = InformationRelaxation(
+                relaxed.belief_nodes(), relaxed.price, together, left, workers, options.relaxation
+            )
+            sampled = robot.sampled(paths, seed_number)
     upper = min(relaxed.upper, sampled.upper) if sampled and sampled.enough else relaxed.upper
     return TeamBound(
         pool, members, travel, upper, relaxed.slack, relaxed.upper_seen, relaxed.price,
@@ -302,21 +347,21 @@ def upper_bound(
     )  # fmt: skip
 
 
-def _worth_prices(pool: Pool, team: tuple[int, ...], memory_limit_mb: float) -> bool:
-    """Tell whether prices are looked for on parts of a large task: not if states take searches or memory is short."""
+def _worth_prices(pool: Pool, team: tuple[int, ...], memory_limit_mb: float, needed_mb: float) -> bool:
+    """Return whether prices are optimised on truncated tasks: not if states are solved on demand or memory is short."""
     models = set(pool.model[list(team)].tolist())
     searches = any(
         isinstance(pool.policies[m], TruncatedPolicy) and pool.policies[m].ground.known.searches for m in models
     )
-    return not searches and memory_limit_mb / len(models) >= ROOM
+    return not searches and memory_limit_mb / len(models) >= needed_mb
 
 
 def _timed(
-    kinds_with: Callable[[int, bool], list[SubproblemKind]], steps: int, wanted: bool, around: bool
+    kinds_with: Callable[[int, bool], list[SubproblemKind]], steps: int, wanted: bool, with_outer: bool
 ) -> tuple[list[SubproblemKind], int]:
-    """Give a team's kinds on parts of a large task, and on how many steps they have prices: as memory allows.
+    """Return a team's kinds on truncated tasks, and the number of steps with prices that the memory allows.
 
-    None if it is not known what prices do where a part breaks off, unless they are wanted in any case.
+    The number is 0 if the effect of prices at a frontier is unknown, unless prices are requested.
     """
     while steps:
         try:
@@ -327,12 +372,12 @@ def _timed(
         if wanted or all(kind.between is not None for kind in kinds):
             return kinds, steps
         break
-    return kinds_with(0, around), 0
+    return kinds_with(0, with_outer), 0
 
 
 @dataclass(frozen=True)
 class _Relaxed:
-    """A team taken apart: people's problems at some prices, with their solutions."""
+    """The Lagrangian relaxation of a team: its subproblems at some prices, with their solutions."""
 
     kinds: list[SubproblemKind]
     parts: list[tuple[AttentionSubproblem, Solution]]
@@ -360,40 +405,47 @@ class _Relaxed:
 
     @property
     def done(self) -> bool:
-        """Whether each problem was solved as far as was asked for."""
+        """Whether each subproblem was solved to the requested gap."""
         return all(solution.stopped == "gap" for _, solution in self.parts)
 
-    def lattices(self) -> list[BeliefNodes]:
-        """Give each person's; people of a kind share one."""
-        # For a robot whose way takes time, what is around a part is of one whose way takes none.
-        around = [kind.outer if not len(self.price) and not kind.visits.entry_steps else None for kind in self.kinds]
-        lattices = [BeliefNodes(*part, outer) for part, outer in zip(self.parts, around, strict=True)]
-        return [one for kind, one in zip(self.kinds, lattices, strict=True) for _ in range(kind.count)]
+    def belief_nodes(self) -> list[BeliefNodes]:
+        """Return the belief nodes of each person; people of one kind share them."""
+        # The outer relaxation neglects travel time, so that it does not apply if travel takes time.
+        outers = [kind.outer if not len(self.price) and not kind.visits.entry_steps else None for kind in self.kinds]
+        belief_nodes = [BeliefNodes(*part, outer) for part, outer in zip(self.parts, outers, strict=True)]
+        return [one for kind, one in zip(self.kinds, belief_nodes, strict=True) for _ in range(kind.count)]
 
 
-def _met(
-    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[SubproblemKind], price: Floats, steps: int, seed: int
-) -> Meeting:
-    """Simulate priority at these prices for so many steps.
+def _recorded(
+    pool: Pool, team: tuple[int, ...], travel: Travel, kinds: list[SubproblemKind], price: Floats, steps: int,
+    seed: int, episodes: int,
+) -> BeliefRecorder:  # fmt: skip
+    """Simulate the priority policy at these prices for `steps` steps, and return the recorder of visited beliefs.
 
-    A robot with one person only hardly ever leaves them alone for long, so that the solver looks there last; in a team
-    it does, and where bounds are poor a belief is divided among types that are told apart, which tells it too much.
+    A robot with one person rarely leaves them alone for long, so that the solver rarely visits beliefs that arise then.
+    In a team such beliefs are frequent. Where bounds are loose, the information relaxation divides them among known
+    types, which tells the robot too much.
     """
     policies = [pool.policies[model] for model in sorted(set(pool.model[list(team)].tolist()))]
-    meeting = Meeting(Priority.of(policies, travel, price if len(price) else None), len(team), steps)
-    episodes = math.ceil(MEETINGS / max(kind.count for kind in kinds))
-    returns(pool, meeting, team, travel, episodes=episodes, seed=seed)
+    meeting = BeliefRecorder(Priority.of(policies, travel, price if len(price) else None), len(team), steps)
+    each = math.ceil(episodes / max(kind.count for kind in kinds))
+    returns(pool, meeting, team, travel, episodes=each, seed=seed)
     return meeting
 
 
-def _beliefs(kind: SubproblemKind, visits: AttentionSubproblem, met: Meeting) -> tuple[NDArray[np.int64], Floats]:
-    """Give the states of a problem and the beliefs with which people of a kind are met, the latest first."""
-    found = [one for place in kind.places for one in met.met[place] if len(one[1])]
+def _beliefs(
+    kind: SubproblemKind, visits: AttentionSubproblem, recorder: BeliefRecorder
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return the states and visited beliefs of the people of one subproblem, the latest steps first.
+
+    Beliefs that differ by less than 1/200 in each entry count as equal.
+    """
+    found = [one for place in kind.places for one in recorder.visited[place] if len(one[1])]
     states = np.concatenate([visits.layout.number(step, here, x) for step, x, here, _ in found])
     steps = np.concatenate([np.full(len(x), step) for step, x, _, _ in found])
     beliefs = np.concatenate([belief for *_, belief in found])
-    alike = np.column_stack([states, np.rint(beliefs.reshape(len(states), -1) / ALIKE)])
-    first = np.unique(alike.astype(np.int32), axis=0, return_index=True)[1]
+    rounded = np.column_stack([states, np.rint(beliefs.reshape(len(states), -1) / (1 / 200))])
+    first = np.unique(rounded.astype(np.int32), axis=0, return_index=True)[1]
     first = first[(states[first] >= 0) & ~visits.pomdp.final[states[first]]]
     first = first[np.argsort(-steps[first], kind="stable")]
     return states[first], beliefs[first]
@@ -402,19 +454,19 @@ def _beliefs(kind: SubproblemKind, visits: AttentionSubproblem, met: Meeting) ->
 def _relax(
     kinds: list[SubproblemKind], price: Floats, gap: float, until: float, memory_limit_mb: float, workers: int,
     tell: Progress,
-    met: Meeting | None = None,
+    recorder: BeliefRecorder | None = None,
 ) -> _Relaxed:  # fmt: skip
-    """Bound people's problems at these prices, by some time on `time.perf_counter()`'s clock."""
+    """Return the relaxation at these prices, with bounds computed by a time on the clock of `time.perf_counter()`."""
 
     def one(number: int, kind: SubproblemKind) -> tuple[AttentionSubproblem, Solution]:
         visits = kind.at(price)
         best = kind.best(visits)
-        still = math.ceil((len(kinds) - number) / workers)  # rounds of problems to come, with this one's
+        still = math.ceil((len(kinds) - number) / workers)  # rounds of subproblems that remain, including this one
         share = (until - time.perf_counter()) / still
         return visits, solve(
             visits.pomdp, gap=gap, time_limit=None if until == math.inf else max(0.0, share),
             memory_limit_mb=memory_limit_mb, best=best,
-            met=None if met is None else _beliefs(kind, visits, met),
+            further_beliefs=None if recorder is None else _beliefs(kind, visits, recorder),
         )  # fmt: skip
 
     parts: list[tuple[AttentionSubproblem, Solution]] = []
@@ -427,7 +479,7 @@ def _relax(
 
 
 def _members(pool: Pool, team: Sequence[int] | None) -> tuple[int, ...]:
-    """Read who is at each place."""
+    """Return the checked numbers of the people at each place."""
     people = len(pool.people)
     members = tuple(range(people)) if team is None else tuple(whole("person", person) for person in team)
     if not members or max(members) >= people:
@@ -446,33 +498,33 @@ def certify(
     progress: Wanted = None,
     **options: Any,
 ) -> tuple[TeamBound, list[Certificate]]:
-    """Bound what any policy gets with a team, and compare some with it.
+    """Bound the value of all policies for a team, and compare some policies with the bound.
 
     Parameters
     ----------
     pool : Pool
     policies : mapping
-        Each by the name that it gets in its certificate.
+        Policies by their names in the certificates.
     episodes : int
-        Of each policy.
+        Number of episodes of each policy.
     seed : int or Generator
     time_limit : float, optional
-        Seconds for all of it: `FOR_BOUND` of them for the bound, and an equal share of what is left for each policy.
+        Seconds in total: 80 % for the bound, and equal shares of the rest for the policies.
     progress : callable or bool, optional
         As in `upper_bound`.
     **options
         As in `upper_bound`.
     """
     assert callable(progress)
-    start, luck = time.perf_counter(), entropy(seed)
+    start, seed_number = time.perf_counter(), entropy(seed)
     episodes = whole("episodes", episodes, 2)
-    limit = None if time_limit is None else FOR_BOUND * positive("time_limit", time_limit)
-    bound = upper_bound(pool, time_limit=limit, seed=luck, progress=progress, **options)
+    limit = None if time_limit is None else 0.8 * positive("time_limit", time_limit)
+    bound = upper_bound(pool, time_limit=limit, seed=seed_number, progress=progress, **options)
     found: list[Certificate] = []
     for name, policy in policies.items():
         progress("simulating policies", len(found), len(policies))
         left = None
         if time_limit is not None:
             left = max(0.0, start + time_limit - time.perf_counter()) / (len(policies) - len(found))
-        found.append(bound.certify(policy, name, episodes=episodes, seed=luck, time_limit=left))
+        found.append(bound.certify(policy, name, episodes=episodes, seed=seed_number, time_limit=left))
     return bound, found

@@ -1,12 +1,12 @@
-"""The command `kitassist`: options in, records and tables out. All work is done elsewhere.
+"""The command-line program `kitassist`: it parses options, calls the library and prints records and tables.
 
-The commands in `command_group.COMMANDS` have files of their names. Beside them:
+Each command in `command_group.COMMANDS` has a file of the same name. The other modules are:
 
-command_group  the commands, each loaded when it is used
-user_study     what `serve` listens at, and a user study that it conducts
-options        options that several commands share, and what is set up from them
+command_group  the list of commands, which are imported on use
+user_study     the server socket of `serve`, and user studies that `serve` conducts
+options        options that several commands share, and objects that are built from them
 output         what commands print
-terminal       signals, errors in one line, and JSON and tables out
+terminal       signals, one-line error messages, and output as JSON or tables
 """
 
 from __future__ import annotations

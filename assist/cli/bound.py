@@ -1,4 +1,4 @@
-"""The command `bound`: how far a team policy is from the best, at most."""
+"""The command `bound`: an upper bound on the value of every team policy, and the gap of given policies to it."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ from .terminal.console import print_json, print_table
 @gap_option("Relative gap to which each person's problem is solved.")
 @seconds_option("Seconds for the whole computation. The bound proven by then is reported.", default=300.0)
 @click.option(
-    "--paths", type=click.IntRange(min=0), default=0, show_default=True,
-    help="Number of sample paths for a tighter bound (95 % confidence, at least 30 paths).",
+    "--samples", type=click.IntRange(min=0), default=0, show_default=True,
+    help="Number of sample paths for a tighter bound (95 % confidence; at least 30).",
 )  # fmt: skip
 @click.option(
     "--jobs", type=JOBS, help="Number of problems solved at the same time. One for each processor unless given."
@@ -38,10 +38,10 @@ from .terminal.console import print_json, print_table
 @team_options
 @json_option
 def bound(
-    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, paths: int, jobs: int | None,
+    instance: str, names: tuple[str, ...], episodes: int, gap: float, time_limit: float, samples: int, jobs: int | None,
     as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
-    """Bound what any policy gets with a team of K people, and certify a policy's distance from it."""
+    """Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it."""
     from ..certify.information_relaxation.confidence import CONFIDENCE
     from ..certify.team_bound import certify
     from .output.person_bounds import show_samples
@@ -53,7 +53,7 @@ def bound(
         with stages() as show:
             found, certificates = certify(
                 made.pool, policies, time_limit=max(1e-3, start + time_limit - time.perf_counter()), progress=show,
-                episodes=episodes, seed=team["seed"], travel=made.travel, gap=gap, paths=paths, jobs=jobs,
+                episodes=episodes, seed=team["seed"], travel=made.travel, gap=gap, paths=samples, jobs=jobs,
                 memory_limit_mb=team["memory_limit"],
             )  # fmt: skip
     best = max(certificates, key=lambda certificate: certificate.value)
@@ -63,7 +63,7 @@ def bound(
             "policies": [asdict(certificate) for certificate in certificates], "upper_seen": found.upper_seen,
             "upper_proven": found.proven, "sampled": found.sampled and asdict(found.sampled),
             "confidence": CONFIDENCE if found.sampled and found.sampled.enough else 1.0,
-            "price": found.price.tolist(), "seconds": found.seconds, "setting": asdict(made.pool.setting),
+            "price": found.price.tolist(), "seconds": found.seconds, "setting": made.pool.setting.as_dict(),
             "population": made.population.as_dict(), "seed": team["seed"], "versions": versions(),
         })  # fmt: skip
         return
@@ -73,8 +73,8 @@ def bound(
         table.add_row(c.policy, f"{c.value:.3f} ± {c.value_stderr:.3f}", f"{c.upper:.3f}", f"{c.gap_percent:.2f} %")
     print_table(table)
     click.echo(
-        f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; people's problems are "
-        f"solved so far that the bound is at most {best.slack_percent:.2f} of these percent too high for it"
+        f"mean ± standard error over {best.episodes} episodes; gaps in percent of the value; solving each person's "
+        f"problem exactly would lower the gap by at most {best.slack_percent:.2f} percentage points"
     )
-    if paths and len(found.team) > 1:
+    if samples and len(found.team) > 1:
         show_samples(found)

@@ -1,4 +1,4 @@
-"""The commands, each loaded when it is used."""
+"""The group of all commands. Each command's module is imported when the command is used."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import click
 from planner.system.errors import expected
 
 COMMANDS = {
-    "bound": "Bound what any policy gets with a team of K people, and certify a policy's distance from it.",
-    "domains": "List the tasks that come with the package; every command takes their names.",
-    "draw": "Draw a state, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations.",
-    "export": "Write the problem of assisting one person, for other solvers.",
-    "fit": "Learn expertise, influence and trust of people from the LOG of their actions.",
-    "policy": "Solve the problem of assisting one person, with a lower and an upper bound on what can be reached.",
-    "serve": "Run the assistant live: what people do comes in over HTTP, whom to help and how goes out.",
-    "simulate": "Simulate a team of people and a robot that assists them.",
-    "solve": "Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.",
-    "study": "Run a whole study: pools of people, teams, policies, conditions; then write its report.",
-    "study-report": "Report on a user study: means, differences and effects of conditions, questionnaires, dropouts.",
+    "bound": "Compute an upper bound on the value of any policy for a team of K people, and the gap of policies to it.",
+    "domains": "List the bundled tasks, whose names every command accepts.",
+    "draw": "Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).",
+    "export": "Write the POMDP of assisting one person to a file for other solvers.",
+    "fit": "Estimate people's expertise, influence and trust from a LOG of their actions.",
+    "policy": "Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value.",
+    "serve": "Run the live assistant: a web service that receives people's actions and returns suggestions.",
+    "simulate": "Simulate a team of people and a robot that assists them, and compare policies.",
+    "solve": "Solve PDDL instances: the exact cost-to-go of every state, and an optimal plan.",
+    "study": "Run a simulation study over pools of people, teams, policies and conditions, and write its report.",
+    "study-report": "Report on a user study: means, effects of conditions, questionnaires and dropouts.",
 }
-"""The commands, each in a file of that name with _ for -, and what the overview says of them without loading any."""
+"""Summary of each command for `kitassist --help`. The command `study-report` is in the module `study_report`."""
 
 
 class Commands(click.Group):
-    """Commands that are loaded when they are used; encodings, signals, and errors in one line for all of them."""
+    """A group that imports commands on use. It handles output encoding, signals and one-line errors for all of them."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Give their names."""
+        """Return the names of the commands."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Load one; an unknown name is a usage error that offers the nearest, or all."""
+        """Import and return a command. An unknown name is a usage error that suggests a name."""
         if cmd_name not in COMMANDS:
-            if cmd_name.startswith("-"):  # an option, which click refuses
+            if cmd_name.startswith("-"):  # an unknown option; click reports it
                 return None
             ctx.fail(f"There is no command '{cmd_name}'; {expected(cmd_name, COMMANDS)}")
         name = cmd_name.replace("-", "_")
@@ -43,22 +43,22 @@ class Commands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
-        """Write what each is for."""
+        """Write the summary of each command."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
     def main(self, *args: Any, **extra: Any) -> Any:
-        """Run the command line."""
+        """Run the program."""
         from .terminal.interrupts import interruptible
 
         with interruptible():
-            from .terminal.console import print_in_any_encoding  # takes its time
+            from .terminal.console import print_in_any_encoding  # imported late because the import is slow
 
             print_in_any_encoding()
             return super().main(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run one command."""
+        """Run one command; report expected errors in one line."""
         from .terminal.console import one_line_errors
 
         with one_line_errors():

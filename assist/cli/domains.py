@@ -1,4 +1,4 @@
-"""The command `domains`: the tasks that come with the package."""
+"""The command `domains`, which lists the bundled tasks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .terminal.console import print_json, print_table
 @command("domains")
 @json_option
 def domains(as_json: bool) -> None:
-    """List the tasks that come with the package; every command takes their names."""
+    """List the bundled tasks, whose names every command accepts."""
     found = listed()
     if as_json:
         print_json([asdict(one) | {"problem": str(one.problem)} for one in found])
@@ -25,7 +25,7 @@ def domains(as_json: bool) -> None:
     table.add_column("instance")
     table.add_column("states", justify="right")
     table.add_column("cost", justify="right")
-    table.add_column("what it is", overflow="fold")
+    table.add_column("description", overflow="fold")
     for one in found:
         numbers = ("-" if number is None else f"{number:,}" for number in (one.states, one.cost))
         table.add_row(one.name, *numbers, one.about)

@@ -1,4 +1,4 @@
-"""The command `draw`: a state, a plan or an episode as a picture, a strip or an animation."""
+"""The command `draw`, which draws a state, a plan or an episode."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .terminal.console import EXIT_FAILED, fail, print_json
 @instance_argument
 @domain_option
 @click.option("--state", type=INPUT_FILE, help="State to draw: the facts that hold, as PDDL or a JSON list.")
-@click.option("--plan", type=INPUT_FILE, help="Plan to draw, one action per line, as `solve --out` writes it.")
-@click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as `simulate --trace` writes it.")
+@click.option("--plan", type=INPUT_FILE, help="Plan to draw: one action per line, as written by `solve --out`.")
+@click.option("--trace", type=INPUT_FILE, help="Trace to draw (JSON Lines), as written by `simulate --trace`.")
 @click.option("--episode", metavar="E", help="Episode of the trace. The first unless given.")
 @click.option(
     "--width", type=click.IntRange(200, 4000), default=760, show_default=True, help="Approximate width in pixels."
@@ -31,7 +31,7 @@ def draw(
     instance: str, domain: str | None, state: Path | None, plan: Path | None, trace: Path | None, episode: str | None,
     width: int, out: Path, as_json: bool,
 ) -> None:  # fmt: skip
-    """Draw a state, a plan or an episode: .svg and .png are pictures or strips, .gif and .html animations."""
+    """Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html)."""
     from ..drawing.files import FORMATS, save
     from ..drawing.frames import Frame, FramesError, episode_frames, plan_frames
     from ..drawing.picture import Artist

@@ -1,4 +1,4 @@
-"""The command `export`: one person's problem, as a file for other solvers."""
+"""The command `export`, which writes one person's POMDP in a format of other solvers."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from .terminal.console import EXIT_FAILED, fail, one_line_errors, print_json
 @person_options
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as one JSON document.")
 def export(instance: str, form: str, out: Path, as_json: bool, **person: Any) -> None:
-    """Write the problem of assisting one person, for other solvers."""
+    """Write the POMDP of assisting one person to a file for other solvers."""
     from ..interop.observed import action_names
     from ..interop.pomdp import write_pomdp
     from ..interop.pomdpx import write_pomdpx
 
-    if out.suffix != f".{form}":  # solvers choose the parser by it
+    if out.suffix != f".{form}":  # solvers choose the parser by the suffix
         raise click.UsageError(f"--out {out}: expected a name that ends in .{form}")
     with one_line_errors():
         found, problem = person_problem(instance, table_of, states=None, **person)

@@ -1,4 +1,4 @@
-"""The command `policy`: one person's problem, solved between two bounds."""
+"""The command `policy`, which solves one person's POMDP and reports a lower and an upper bound."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from .terminal.console import one_line_errors, print_json
 @gap_option("Stop when (upper - lower) / |lower| is at most this.")
 @seconds_option("Seconds for the search.", default=60.0)
 @megabytes_option("Memory for the task's table, and for the search.", default=2000.0)
-@max_states_option("Ask for the cost-to-go of a larger task on demand.")
-@region_states_option("Of a larger task look at so many states, those that are met most likely.")
+@max_states_option("Largest number of states solved exhaustively. States of larger tasks are solved on demand.")
+@region_states_option("Size of the truncated problem used for larger tasks (states most likely to be visited).")
 @click.option("--out", type=OUTPUT_FILE, help="Save policy and bounds (.npz).")
 @person_options
 @json_option
@@ -43,7 +43,7 @@ def policy(
     instance: str, gap: float, time_limit: float, memory_limit: float, max_states: int, region_states: int,
     out: Path | None, as_json: bool, **person: Any,
 ) -> None:  # fmt: skip
-    """Solve the problem of assisting one person, with a lower and an upper bound on what can be reached."""
+    """Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value."""
     from ..person.solver import solve
     from ..person.suggestion_threshold import threshold_of
 

@@ -1,4 +1,4 @@
-"""The command `serve`: the live assistant for people at work, over HTTP."""
+"""The command `serve`, which runs the live assistant as a web service."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 @command("serve kitting/paper --humans 4 --simulate 3")
 @click.argument("instances", metavar="INSTANCE...", nargs=-1)
 @click.option(
-    "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study, in place of tasks and a team."
+    "--study", type=INPUT_FILE, metavar="FILE.toml", help="Run this user study instead of a team on given tasks."
 )
 @click.option(
     "--rehearse", type=click.IntRange(1, 1000), metavar="N", help="Rehearse the study with N simulated participants."
@@ -41,9 +41,9 @@ def serve(
     instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str,
     public_url: str | None, **team: Any,
 ) -> None:  # fmt: skip
-    """Run the assistant live: what people do comes in over HTTP, whom to help and how goes out.
+    """Run the live assistant: a web service that receives people's actions and returns suggestions.
 
-    Several tasks are given to people in turn.
+    If several tasks are given, people are assigned to them in turn.
     """
     server = live_server()
     if study is not None:
@@ -70,7 +70,7 @@ def serve(
         join = {person: access.join_url(person) for person in people if person not in plan.simulated}
         click.echo(json.dumps({"url": access.base, "operator": access.operator_url(), "join": join}))
         click.echo(
-            f"the session is kept in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} goes on", err=True
+            f"the session is saved in {plan.folder}; Ctrl-C ends the service, --data {plan.folder} resumes it", err=True
         )
 
     server.serve(plan, session, listening, ready)

@@ -1,8 +1,7 @@
-"""The command `simulate`: team policies compared on the same people and random numbers."""
+"""The command `simulate`, which compares team policies on the same people and random numbers."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +28,7 @@ from .terminal.console import print_json
 )  # fmt: skip
 @click.option("--out", type=OUTPUT_FILE, help="Write one record per episode (JSON Lines).")
 @click.option("--trace", type=OUTPUT_FILE, help="Write every action of every person (JSON Lines).")
-@click.option("--figure", type=OUTPUT_FILE, help="Draw an episode in which the last policy saved actions (.png, .svg).")
+@click.option("--figure", type=OUTPUT_FILE, help="Plot an episode in which the last policy saved actions (.png, .svg).")
 @click.option(
     "--max-steps",
     type=click.IntRange(min=1),
@@ -43,7 +42,7 @@ def simulate(
     instance: str, names: tuple[str, ...], episodes: int, size: int | None, out: Path | None, trace: Path | None,
     figure: Path | None, as_json: bool, **team: Any,
 ) -> None:  # fmt: skip
-    """Simulate a team of people and a robot that assists them."""
+    """Simulate a team of people and a robot that assists them, and compare policies."""
     from ..plots import style
     from ..plots.episode import episode_figure
     from ..simulation.illustration import Illustration
@@ -79,7 +78,7 @@ def simulate(
         print_json({
             "instance": str(made.instance.problem), "domain": str(made.instance.domain), "humans": team["humans"],
             "pool": size, "drawn": drawn, "episodes": episodes, "seed": team["seed"],
-            "setting": asdict(made.pool.setting), "population": made.population.as_dict(),
+            "setting": made.pool.setting.as_dict(), "population": made.population.as_dict(),
             "policies": [summary.record() for summary in summaries], "versions": versions(),
         })  # fmt: skip
     else:

@@ -1,4 +1,4 @@
-"""The command `solve`: many instances, a record of each."""
+"""The command `solve`, which solves instances and prints one record for each."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from .terminal.console import EXIT_FAILED, one_line_errors
 @click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
 @seconds_option("Seconds for each instance.")
 @megabytes_option("Memory for each instance.")
-@max_states_option("Solve only the initial state of a larger task.")
+@max_states_option("Largest number of states solved exhaustively. Larger tasks are solved in the initial state only.")
 @click.option(
     "--verify", type=click.IntRange(min=1), metavar="N", show_default="20 in a fourth of the search's time",
     help="Number of states compared with Fast Downward's A*, however long it takes.",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Solve on the workers of a Dask cluster (extra `cluster`).")
-@click.option("--resume", is_flag=True, help="Keep finished results in --out and solve the rest.")
+@click.option("--resume", is_flag=True, help="Keep the results in --out and solve the remaining instances.")
 @click.option("--json", "as_json", is_flag=True, help="Print the records as one JSON list.")
 def solve(
     instances: tuple[str, ...],
@@ -45,13 +45,13 @@ def solve(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Solve PDDL instances: exact cost-to-go of every state, and an optimal plan.
+    """Solve PDDL instances: the exact cost-to-go of every state, and an optimal plan.
 
     INSTANCE is a problem file, a folder (all its problems), or a glob.
     """
     if resume and out is None:
         raise click.UsageError("--resume needs --out")
-    with one_line_errors("interrupted; what was finished is kept, --resume continues" if out else "interrupted"):
+    with one_line_errors("interrupted; finished results are saved, --resume continues" if out else "interrupted"):
         found = find_instances(instances, domain)
         answers = Answers(alone=len(found) == 1, as_json=as_json)
         try:

@@ -1,4 +1,4 @@
-"""The command `study`: an experiment of many pools of people, its statistics, pictures and report."""
+"""The command `study`, which runs a simulation study and writes its statistics, figures and report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .terminal.console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, pr
     "--repeats",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Number of pools of people. As in the study's file unless given.",
+    help="Number of pools of people. The protocol's own number unless given.",
 )
 @click.option("--jobs", type=JOBS, default=1, show_default=True, help="Number of worker processes.")
 @click.option("--scheduler", metavar="ADDRESS", help="Use the workers of a Dask cluster (extra `cluster`).")
@@ -32,14 +32,14 @@ from .terminal.console import EXIT_FAILED, EXIT_USAGE, fail, one_line_errors, pr
     "--out", type=OUTPUT_FOLDER, required=True,
     help="Folder for episodes, summary, figures and report.",
 )  # fmt: skip
-@click.option("--resume", is_flag=True, help="Keep finished parts in --out and run the rest.")
+@click.option("--resume", is_flag=True, help="Keep the finished parts in --out and run the remaining ones.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON document.")
 def study(
     protocol: str, repeats: int | None, jobs: int, scheduler: str | None, out: Path, resume: bool, as_json: bool
 ) -> None:
-    """Run a whole study: pools of people, teams, policies, conditions; then write its report.
+    """Run a simulation study over pools of people, teams, policies and conditions, and write its report.
 
-    Without --protocol it is section V of the paper.
+    The default protocol is the study of section V of the paper.
     """
     from planner.system.errors import InputFileError
 
@@ -50,7 +50,7 @@ def study(
     from ..team.state import PolicyError
 
     say = partial(click.echo, err=True)
-    with one_line_errors("interrupted; what was finished is kept, --resume continues"):
+    with one_line_errors("interrupted; finished parts are saved, --resume continues"):
         require()
         try:
             planned = read(protocol, repeats=repeats)

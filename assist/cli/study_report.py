@@ -1,4 +1,4 @@
-"""The command `study-report`: what a user study has found."""
+"""The command `study-report`, which reports the results of a user study."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .terminal.console import EXIT_FAILED, fail, print_json, print_table
 @click.option("--out", type=OUTPUT_FOLDER, metavar="DIR", help="Output folder. `report` within DIR unless given.")
 @json_option
 def study_report(folder: Path, out: Path | None, as_json: bool) -> None:
-    """Report on a user study: means, differences and effects of conditions, questionnaires, dropouts.
+    """Report on a user study: means, effects of conditions, questionnaires and dropouts.
 
-    DIR is the folder of `serve --study ... --data DIR`, while it runs or afterwards, or an unpacked export of it.
+    DIR is the folder of `serve --study ... --data DIR`, during the study or afterwards, or an unpacked export.
     """
     from planner.system.errors import DamagedFileError, InputFileError
 

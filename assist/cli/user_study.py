@@ -1,4 +1,4 @@
-"""What `serve` needs to listen, and a user study that it conducts or rehearses."""
+"""The server socket of `serve`, and user studies that `serve` conducts or rehearses."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ if TYPE_CHECKING:
     from ..userstudy.plan import UserStudy
     from ..web.user_study.service import StudyService
 
-PORT = 8000
+PORT = 8000  # usual port of local web servers that need no privileges
 OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "data"}
-"""Options that go with a study: the others are in its file."""
+"""Options that can be combined with `--study`. The study's file settles everything else."""
 
 
 def live_server() -> ModuleType:
-    """Give the live assistant's server.
+    """Return the module of the live assistant's server.
 
     Raises
     ------
     MissingExtraError
+        The packages of the extra `web` are not installed.
     """
     try:
         from ..web import server
@@ -60,7 +61,7 @@ public_url_option = click.option(
 
 
 def listen(host: str, port: int | None, public_url: str | None) -> socket.socket:
-    """Take a port: the usual one, or another if that is taken, unless one is given."""
+    """Return a listening socket. If no port is given, use `PORT`, or any free port if `PORT` is taken."""
     server = live_server()
     found: socket.socket = server.listen(host, PORT if port is None else port, otherwise=0 if port is None else None)
     if public_url is not None:
@@ -69,17 +70,17 @@ def listen(host: str, port: int | None, public_url: str | None) -> socket.socket
 
 
 def new_folder() -> Path:
-    """Make a folder for a session for which none is named."""
+    """Make a temporary folder for a session without `--data`, and return its path."""
     return Path(tempfile.mkdtemp(prefix="kitassist-"))
 
 
 def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse: int, public_url: str | None) -> None:
-    """Serve a user study; after a rehearsal write its export and report."""
+    """Serve a user study. After a rehearsal, write its export and report."""
     context = click.get_current_context()
     for name in context.params:
         if is_given(name) and name not in OF_STUDIES:
             option = next(one for one in context.command.params if one.name == name)
-            raise click.UsageError(f"{option.opts[0]} does not go with --study, whose file says what is to be done")
+            raise click.UsageError(f"{option.opts[0]} cannot be combined with --study; the study's file sets it")
     try:
         from planner.system.errors import InputFileError
 
@@ -93,18 +94,18 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
     except InputFileError as error:
         fail(str(error), EXIT_USAGE)
     if study.participants is not None and rehearse > study.participants:
-        raise click.UsageError(f"--rehearse {rehearse}: the study has {study.participants} places")
+        raise click.UsageError(f"--rehearse {rehearse}: the study is planned for {study.participants} participants")
     if data is None and not rehearse:
-        raise click.UsageError("--study needs --data DIR, in which all that participants do is kept")
+        raise click.UsageError("--study: expected --data DIR as well, the folder in which the study's data are saved")
     folder = data or new_folder()
     if rehearse and (folder / "journal.jsonl").exists():
-        raise click.UsageError(f"--data {folder}: holds a study already; expected another folder for a rehearsal")
+        raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for a rehearsal")
     tasks = _tasks(study)
 
     def ready(service: StudyService) -> None:
         links = {"url": service.access.base, "operator": service.operator_url()}
         click.echo(json.dumps({**links, "join": {"everybody": service.join_url()}}))
-        click.echo(f"the study is kept in {folder}; Ctrl-C ends the service, --data {folder} goes on", err=True)
+        click.echo(f"the study is saved in {folder}; Ctrl-C ends the service, --data {folder} resumes it", err=True)
 
     try:
         listening = listen(host, port, public_url)
@@ -116,7 +117,7 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
 
 
 def _tasks(study: UserStudy) -> dict[str, CostToGo]:
-    """Read and solve the tasks of a study; a drawing that cannot be used is said before anybody sees a page."""
+    """Read and solve the tasks of a study. Check their drawings first, so that faults show before a page is served."""
     from ..drawing import Artist
 
     found: dict[str, CostToGo] = {}
@@ -134,7 +135,7 @@ def _tasks(study: UserStudy) -> dict[str, CostToGo]:
 
 
 def _report(folder: Path) -> None:
-    """Write what a rehearsal has shown."""
+    """Write the export and the report of a rehearsal."""
     from planner.system.files import atomic
 
     from ..reports.userstudy_report import write_report
@@ -143,4 +144,4 @@ def _report(folder: Path) -> None:
     with atomic(folder / "user-study.zip") as path:
         path.write_bytes(archive(folder))
     write_report(folder, folder / "report")
-    click.echo(f"the export is {folder / 'user-study.zip'}, the report {folder / 'report' / 'report.md'}", err=True)
+    click.echo(f"export: {folder / 'user-study.zip'}; report: {folder / 'report' / 'report.md'}", err=True)

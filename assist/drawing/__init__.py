@@ -1,4 +1,4 @@
-"""Tasks, plans and episodes as pictures, for any domain."""
+"""Pictures of tasks, plans and episodes, for any domain."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""Drawings as files: SVG and HTML as they are, PNG and GIF with the extra `plots`."""
+"""Files of drawings: SVG and HTML, and with the extra `plots` also PNG and GIF."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from .picture import WIDTH, Artist, Picture
 from .raster import png, require
 
 FORMATS = (".svg", ".png", ".gif", ".html")
-SECONDS = 1.2  # for each step of a GIF
 
 
 def save(artist: Artist, rows: Sequence[Row], file: str | Path, *, width: float = WIDTH) -> int:
-    """Write frames in the format that a file's name asks for, at once or not at all; give their number.
+    """Write frames to a file, atomically, and return the number of steps.
 
-    One frame is a picture. More are a strip in SVG and PNG, an animation in GIF and HTML; the latter loads nothing from
-    elsewhere.
+    The suffix of the file decides the format. One frame becomes a picture. Several become a strip in SVG and PNG, and
+    an animation in GIF and HTML. The HTML page loads no other files.
 
     Parameters
     ----------
     artist : Artist
     rows : list of tuple of Frame
+        One row for each person, all of one length.
     file : path
+        Its suffix is one of `FORMATS`.
     width : float
-        About how wide it is to be, in pixels.
+        Approximate width, in pixels.
 
     Raises
     ------
     MissingExtraError
-        PNG or GIF without the extra `plots`.
+        The format is PNG or GIF, and the extra `plots` is not installed.
     """
     file = Path(file)
     require(file.suffix)
@@ -61,7 +62,7 @@ def _theme(file: Path) -> svg.Theme | None:
 
 
 def animation(pictures: Sequence[Picture]) -> bytes:
-    """Make a GIF of pictures of one size; it begins again at its end.
+    """Return a GIF of pictures of one size, which repeats without end.
 
     Raises
     ------
@@ -76,14 +77,14 @@ def animation(pictures: Sequence[Picture]) -> bytes:
         for picture in pictures
     ]
     written = io.BytesIO()
-    times = [round(1000 * SECONDS)] * (len(frames) - 1) + [round(3000 * SECONDS)]
-    # Frames that are equal are kept: each is a step.
+    times = [1200] * (len(frames) - 1) + [3600]  # milliseconds; time to read two lines of text, and a pause at the end
+    # Equal frames are kept, since each is a step.
     frames[0].save(written, "GIF", save_all=True, append_images=frames[1:], duration=times, loop=0, optimize=False)
     return written.getvalue()
 
 
 def page(artist: Artist, pictures: Sequence[Picture]) -> str:
-    """Make a page that shows pictures one after the other: by buttons, keys, or by itself."""
+    """Return an HTML page that shows one picture at a time, with buttons, keys and automatic playback."""
     folder = Path(__file__).parent
     steps = "\n".join(
         f'<figure class="step"{" hidden" * bool(number)}>{one.svg}<figcaption>{escape(one.text)}</figcaption></figure>'

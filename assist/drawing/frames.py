@@ -1,7 +1,7 @@
-"""Plans and episodes, picture by picture.
+"""Sequences of frames that show plans and episodes.
 
-A frame is a state with what was done in it. A plan is one row of frames; an episode has a row for each person, with
-the robot where it was and what it suggested.
+A frame is a state and the action taken in it. A plan is one row of frames. An episode has one row for each person, with
+the robot's location and its suggestions.
 """
 
 from __future__ import annotations
@@ -12,35 +12,35 @@ from typing import Any
 
 from ..people.action_names import words_of
 from . import svg
-from .layout import Layout, text_width
+from .layout import TAG, Layout, text_width
 from .picture import MARGIN, WIDTH, Artist, Picture
 
-CAPTION = 22.0
-LINES = 3
-"""Of text above a frame."""
+CAPTION = 3 * TAG
+"""Height of the caption of a frame, in pixels: title, action and advice."""
 
 
 class FramesError(ValueError):
-    """A plan or a trace that cannot be drawn; the message says why."""
+    """A plan or a trace cannot be drawn; the message states the reason."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A state with what was done in it.
+    """A state and the action taken in it.
 
     Attributes
     ----------
     values : tuple of int
+        The values of the state, one per variable.
     title : str
-        When, and of whom.
+        The person and the step.
     done : str
-        What was done, in words.
+        The action, in words.
     advice : str
-        What was suggested and whether it was followed; empty for nothing.
+        The suggestion, and whether it was followed; empty without a suggestion.
     acted, hint : frozenset of str
-        The objects of both.
+        The objects of the action, and those of the suggestion.
     robot : bool
-        Whether the robot was there.
+        Whether the robot was with this person.
     """
 
     values: tuple[int, ...]
@@ -52,7 +52,7 @@ class Frame:
     robot: bool = False
 
     def text(self) -> str:
-        """Say in one line what happens."""
+        """Return one line that describes the frame."""
         return " ".join(part for part in (f"{self.title}:", self.done or "the end.", self.advice) if part)
 
 
@@ -60,7 +60,7 @@ Row = tuple[Frame, ...]
 
 
 def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
-    """Follow a plan: a frame before each action, and one at the end.
+    """Return the frames of a plan as one row: one before each action, and one at the end.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
     Raises
     ------
     FramesError
-        An action cannot be applied where its turn comes.
+        An action is not applicable in its state.
     """
     values, frames = artist.subject.initial, []
     for step, text in enumerate(plan):
@@ -84,20 +84,20 @@ def plan_frames(artist: Artist, plan: Sequence[str]) -> list[Row]:
 
 
 def episode_frames(artist: Artist, trace: Iterable[Mapping[str, Any]], episode: str | None = None) -> list[Row]:
-    """Follow everybody of an episode: a row for each person, all equally long.
+    """Return the frames of an episode: one row for each person, all of one length.
 
     Parameters
     ----------
     artist : Artist
     trace : iterable of mapping
-        What `simulate --trace` writes, or any log of recorded actions.
+        The rows of `simulate --trace`, or of any log of recorded actions.
     episode : str, optional
-        The name of one, or its number where it ends in that; the first of the trace unless given.
+        The name of an episode, or the number that ends its name. The first of the trace unless given.
 
     Raises
     ------
     FramesError
-        There is no such episode, or its actions are not those of the task.
+        The trace has no such episode, or an action is not applicable in its state.
     """
     rows = list(trace)
     names = list(dict.fromkeys(str(row.get("episode")) for row in rows))
@@ -161,14 +161,14 @@ def _objects(action: str) -> frozenset[str]:
 
 
 def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, theme: svg.Theme = "auto") -> Picture:
-    """Draw all frames side by side; one row of a plan in several lines, an episode with a line for each person.
+    """Draw all frames in one picture: a plan wraps into several lines, an episode has one line for each person.
 
     Parameters
     ----------
     artist : Artist
     rows : list of tuple of Frame
     width : float
-        In pixels. Each frame is about half as wide, a line of a plan's frames about twice.
+        In pixels. A frame takes about half of it, and a line of a plan about twice of it.
     theme : "auto", "light" or "dark"
     """
     cell, size = _cells(artist, rows, width / 2)
@@ -181,7 +181,7 @@ def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, the
             parts.append(f'<g class="ka-step" data-step="{place}">')
             parts += [
                 *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + LINES * CAPTION, frame.acted, frame.hint),
+                *svg.draw_layout(cell[frame], x, y + CAPTION, frame.acted, frame.hint),
             ]
             parts.append("</g>")
             texts.append(frame.text())
@@ -195,15 +195,16 @@ def draw_strip(artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, the
 def draw_frames(
     artist: Artist, rows: Sequence[Row], *, width: float = WIDTH, theme: svg.Theme | None = "auto"
 ) -> list[Picture]:
-    """Draw one picture for each step, everybody in it; all are of one size.
+    """Draw one picture for each step, with all people in it; all pictures have one size.
 
     Parameters
     ----------
     artist : Artist
     rows : list of tuple of Frame
     width : float
-        About how wide each picture is to be, in pixels.
+        Approximate width of a picture, in pixels.
     theme : "auto", "light", "dark" or None
+        The colours; None omits the style sheet, for pages that include it.
     """
     across = 1 if len(rows) == 1 else 2
     cell, size = _cells(artist, rows, width / across)
@@ -216,7 +217,7 @@ def draw_frames(
             frame = row[step]
             parts += [
                 *_caption(frame, x, y),
-                *svg.draw_layout(cell[frame], x, y + LINES * CAPTION, frame.acted, frame.hint),
+                *svg.draw_layout(cell[frame], x, y + CAPTION, frame.acted, frame.hint),
             ]
             texts.append(frame.text())
         text = " ".join(texts)
@@ -227,21 +228,21 @@ def draw_frames(
 
 
 def _cells(artist: Artist, rows: Sequence[Row], width: float) -> tuple[dict[Frame, Layout], tuple[float, float]]:
-    """Lay out all frames; give the size that each may take."""
+    """Return the layouts of all frames, and the size of a cell in which each fits."""
     found = {frame: artist.layout(frame.values, width) for row in rows for frame in row}
     words = max(text_width(line) for frame in found for line in (frame.title, frame.done, frame.advice))
     wide = max(words + 10, *(layout.width for layout in found.values()))
     high = max(layout.height for layout in found.values())
-    return found, (wide + 2 * MARGIN, high + LINES * CAPTION + MARGIN)
+    return found, (wide + 2 * MARGIN, high + CAPTION + MARGIN)
 
 
 def _caption(frame: Frame, x: float, y: float) -> list[str]:
-    """Write what happens above a frame, with the robot where it is there."""
+    """Return the caption of a frame: title, action and advice, with an icon if the robot is there."""
     parts = []
     if frame.robot:
         parts.append(svg.icon("robot", x, y, "ka-here"))
     parts.append(svg.text(x + (24 if frame.robot else 0), y + 14, frame.title, "ka-title"))
-    parts.append(svg.text(x, y + 14 + CAPTION, frame.done))
+    parts.append(svg.text(x, y + 14 + TAG, frame.done))
     if frame.advice:
-        parts.append(svg.text(x, y + 14 + 2 * CAPTION, frame.advice, "ka-said"))
+        parts.append(svg.text(x, y + 14 + 2 * TAG, frame.advice, "ka-said"))
     return parts

@@ -1,7 +1,7 @@
-"""Where everything is drawn: boxes within boxes, in a fixed order, with room for what may come.
+"""Layout of a scene: nested boxes in a fixed order, with space reserved for objects that may arrive.
 
-Lengths are in the units of the drawing, pixels at its natural size. Letters are taken to be of one width, so that a
-layout depends on nothing but the scene.
+Lengths are in pixels at the natural size of a drawing. Text is measured with fixed widths of letters, so that a layout
+depends on the scene only and not on the fonts of the machine.
 """
 
 from __future__ import annotations
@@ -13,25 +13,24 @@ from dataclasses import dataclass, field, replace
 
 from .scene import Node, Scene
 
-SMALL = 11 / 13  # a tag's letters, against a title's
+SMALL = 11 / 13  # font size of a tag, relative to that of a title, as in `drawing.css`
 BROAD, SLIM = "mwMWGOQ@%", "ijlftrI-.,:;'|()[]! "
-HEAD, TAG = 30.0, 22.0  # height of a title's line, and of a tag's
-PAD, GAP, NOTE = 10.0, 8.0, 16.0
-LEAST = 64.0
+HEAD, TAG = 30.0, 22.0  # height of the line of a title, and of a tag; an icon is as wide as a tag is high
+PAD, GAP, NOTE = 10.0, 8.0, 16.0  # space within a box, space between boxes, height of a line of notes
+LEAST = 64.0  # smallest width of a box
 ICONS = ("person", "robot", "van", "tray", "locker", "parcel")
-ICON = 22.0
-FEW = 4  # boxes that always stand side by side
 
 Size = tuple[float, float]
 
 
 @dataclass
 class Box:
-    """A rectangle with what is in it; `x` and `y` are relative to the box around it.
+    """A rectangle and its contents; `x` and `y` are relative to the enclosing box.
 
     Attributes
     ----------
     node : Node
+        The part of the scene that it shows.
     width, height : float
     tags : list of tuple (text, done, x, y)
     lines : list of tuple (text, x, y)
@@ -50,7 +49,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Layout:
-    """A scene with places for all of it.
+    """The boxes of a scene, with their coordinates.
 
     Attributes
     ----------
@@ -64,21 +63,21 @@ class Layout:
 
 
 def text_width(text: str) -> float:
-    """Give about how wide a title is, in a broad typeface."""
+    """Return the approximate width of a title in pixels, for a wide typeface."""
     return sum(
         12.4 if letter in BROAD else 5.4 if letter in SLIM else 9.4 if letter.isupper() else 8.6 for letter in text
     )
 
 
 def tag_width(text: str) -> float:
-    """Give how wide a tag is."""
+    """Return the approximate width of a tag in pixels, its symbol included."""
     return SMALL * text_width(text) + 26
 
 
 def tag_rows(
     tags: list[tuple[str, bool]], width: float, x: float, y: float
 ) -> tuple[list[tuple[str, bool, float, float]], Size]:
-    """Put tags into rows; give them with their places, and the size of all."""
+    """Return the tags of rows of a width, each with its coordinates, and the size of all rows."""
     placed, at, line, widest = [], 0.0, 0, 0.0
     for text, done in tags:
         if at and at + tag_width(text) > width:
@@ -95,7 +94,7 @@ class Arranger:
     Parameters
     ----------
     room : mapping of str to list of Node
-        Of each place, what may come to be there, empty; room is left for it.
+        For each place, the objects that may be there, without contents; space is reserved for them.
     """
 
     def __init__(self, room: Mapping[str, list[Node]]) -> None:
@@ -104,12 +103,12 @@ class Arranger:
         self._measured: set[str] = set()
 
     def layout(self, scene: Scene, width: float) -> Layout:
-        """Lay out a scene for a picture of about a width."""
+        """Return the layout of a scene in a picture of approximately the given width."""
         boxes = [self._tower(node, width) for node in scene.roots]
         return Layout(boxes, *_rows(boxes, width, 0.0))
 
     def _tower(self, node: Node, width: float) -> Box:
-        """Lay out a node with what stands on it: a box without a frame around both."""
+        """Return a frameless box around a node and the nodes that are stacked on it."""
         base = self._box(node, width)
         if not node.on:
             return base
@@ -131,7 +130,7 @@ class Arranger:
         return whole
 
     def _box(self, node: Node, width: float) -> Box:
-        head = text_width(node.title) + (ICON if node.look.shape in ICONS else 0) + 2 * PAD
+        head = text_width(node.title) + (TAG if node.look.shape in ICONS else 0) + 2 * PAD
         head += sum(SMALL * text_width(mark) + 20 for mark in node.marks)
         small = node.look.shape in ("chip", "ball", "block", "parcel")
         inner = max(head - 2 * PAD, min(width - 2 * PAD, 200.0))
@@ -147,7 +146,7 @@ class Arranger:
         return box
 
     def _inside(self, node: Node, width: float) -> tuple[list[Box], Size]:
-        """Lay out what is within a node: what may come and go, then its parts, side by side where there is width."""
+        """Return the boxes within a node and their size: movable objects first, then its parts, in rows."""
         parts = [self._box(one, width) for one in node.inside if one.key.find("#") > 0]
         free = [self._tower(one, width) for one in node.inside if one.key.find("#") < 1]
         size = self._fill(node, free, width)
@@ -160,9 +159,9 @@ class Arranger:
         return [*free, *parts], whole
 
     def _fill(self, node: Node, boxes: list[Box], width: float) -> Size:
-        """Put boxes into a place, where room is left for those that may come; give the size of all.
+        """Place boxes in a node with reserved space, and return their total size.
 
-        What is all of one kind stands in a grid, each where it always stands if there is room for all.
+        Objects of one shape form a grid. If there is space for all of them, each has a fixed cell.
         """
         may = self.room.get(node.key, [])
         count = node.look.holds or (1 if node.is_object else len(may))
@@ -174,7 +173,8 @@ class Arranger:
         high = max([max(one[1] for one in sizes) * min(node.look.high, len(may)), *(box.height for box in boxes)])
         homes = {one.key: number for number, one in enumerate(may)} if count == len(may) else {}
         count = max(count, len(boxes))
-        few = count if node.look.high > 1 or count <= FEW else math.ceil(math.sqrt(count)) + 2
+        # Up to four boxes form one row; more form a grid that is slightly wider than high.
+        few = count if node.look.high > 1 or count <= 4 else math.ceil(math.sqrt(count)) + 2
         columns = max(1, min(few, int((width + GAP) // (wide + GAP))))
         for number, box in enumerate(boxes):
             row, column = divmod(homes.get(box.node.key.split("#")[0] or box.node.key, number), columns)
@@ -185,7 +185,7 @@ class Arranger:
         return columns * (wide + GAP) - GAP, rows * (high + GAP) - GAP
 
     def _size(self, node: Node, width: float) -> Size:
-        """Give the size of an empty node with the room in it; a place within itself has none."""
+        """Return the size of an empty node with its reserved space; a place that contains itself reserves none."""
         key = (node.key, width)
         if key not in self._reserved and node.key not in self._measured:
             self._measured.add(node.key)
@@ -196,13 +196,13 @@ class Arranger:
 
 
 def _widen(box: Box, width: float) -> None:
-    """Make a box that has things in or on it as wide as its neighbours."""
+    """Widen a box to a width, unless its shape has a fixed one."""
     if box.node.look.shape not in ("chip", "ball", "parcel", "tower"):
         box.width = max(box.width, width)
 
 
 def _add_notes(box: Box, width: float) -> None:
-    """Write below what is in a box where one gets from there."""
+    """Write the connections of a node below the contents of its box."""
     letters = max(12, int((max(box.width, min(width, 240)) - 2 * PAD) / 6.5))
     lines = textwrap.wrap(f"to {', '.join(box.node.notes)}", letters)
     for number, line in enumerate(lines):
@@ -212,7 +212,7 @@ def _add_notes(box: Box, width: float) -> None:
 
 
 def _rows(boxes: list[Box], width: float, top: float) -> Size:
-    """Put boxes into rows of a width, all of a row equally high; give the size of all."""
+    """Place boxes in rows of a width, with one height per row, and return their total size."""
     at, y, high, widest = 0.0, top, 0.0, 0.0
     row: list[Box] = []
     for box in [*boxes, None]:

@@ -1,4 +1,4 @@
-"""A state of a task as a picture."""
+"""Pictures of the states of a task."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from .raster import png
 from .scene import Node, Scene, arrange
 from .subject import Subject
 
-MARGIN = 12.0
-WIDTH = 760.0
+MARGIN = 12.0  # pixels around a drawing
+WIDTH = 760.0  # default width of a picture in pixels; fits the text column of a page or a notebook
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A drawing.
+    """A drawing and its description.
 
     Attributes
     ----------
     svg : str
-        A whole SVG document with a style of its own, light or dark as the reader prefers.
+        A complete SVG document with its own style sheet.
     text : str
-        What it shows, in words.
+        The description that screen readers read.
     width, height : float
-        Its natural size in pixels.
+        Natural size, in pixels.
     """
 
     svg: str
@@ -49,19 +49,19 @@ class Picture:
         return f"<Picture of {self.width:.0f} x {self.height:.0f} pixels: {self.text}>"
 
     def save(self, file: str | PathLike[str]) -> None:
-        """Write it, at once or not at all, in the format that the file's name asks for.
+        """Write the picture to a file, atomically.
 
         Parameters
         ----------
         file : path
-            Its name ends in `.svg`, or in `.png`: light, of one and a half times the size, with the extra `plots`.
+            Its name ends in `.svg` or `.png`. A PNG has light colours and 1.5 times the natural size.
 
         Raises
         ------
         ValueError
-            The name ends in something else.
+            The name has another ending.
         MissingExtraError
-            The extra is not installed.
+            The file is a PNG, and the extra `plots` is not installed.
         """
         path = Path(file)
         kind = path.suffix.lower()
@@ -69,7 +69,7 @@ class Picture:
             raise ValueError(f"{path}: expected a name that ends in .svg or .png")
         if kind == ".svg":
             content = self.svg.encode()
-        else:  # where pixels are made, colours that depend on the reader are not known
+        else:  # a PNG cannot follow the reader's preference of colours
             content = png(self.svg.replace(svg.style("auto"), svg.style("light")), self.width)
         with atomic(path) as new:
             new.write_bytes(content)
@@ -82,12 +82,13 @@ class Artist:
     ----------
     task : Task
     profile : Profile, optional
-        What drawings look like; `drawing.toml` beside the domain, or found out from the task, unless given.
+        The appearance of drawings. Read from `drawing.toml` in the domain's folder, or inferred from the task, unless
+        given.
 
     Raises
     ------
     ProfileError
-        The domain's `drawing.toml` cannot be used.
+        The domain's `drawing.toml` is invalid.
     """
 
     def __init__(self, task: Task, profile: Profile | None = None) -> None:
@@ -113,13 +114,13 @@ class Artist:
         values : sequence of int, shape (variables,), optional
             The state; the initial one unless given.
         width : float
-            About how wide the picture is to be, in pixels.
+            Approximate width of the picture, in pixels.
         acted, hint : collection of str
-            Objects to point out: with which something was done, and with which it might be.
+            Objects to highlight: those of an action, and those of a suggestion.
         goal : bool
-            Whether the goal is listed below.
+            Whether the goal is listed below the drawing.
         theme : "auto", "light", "dark" or None
-            Colours; None for a page that brings the style sheet.
+            The colours; None omits the style sheet, for pages that include it.
         """
         scene, layout = self._placed(tuple(self.subject.initial if values is None else values), width)
         across = max(layout.width, min(width, 320.0))
@@ -133,15 +134,15 @@ class Artist:
         return Picture(document, description, across + 2 * MARGIN, high + MARGIN)
 
     def scene(self, values: Sequence[int] | None = None) -> Scene:
-        """Arrange a state without drawing it."""
+        """Return the scene of a state."""
         return arrange(self.subject, self.profile, self.subject.initial if values is None else values)
 
     def layout(self, values: Sequence[int], width: float = WIDTH) -> Layout:
-        """Lay out a state."""
+        """Return the layout of a state in a picture of approximately the given width."""
         return self._placed(tuple(values), width)[1]
 
     def text(self, scene: Scene) -> str:
-        """Say in words what a picture shows."""
+        """Return the description of a scene: what is where, and which parts of the goal hold."""
         done = [text for text, so in scene.goal if so]
         left = [text for text, so in scene.goal if not so]
         words = [f"{'; '.join([*scene.said, *scene.also])}." if scene.said or scene.also else ""]
@@ -149,6 +150,11 @@ class Artist:
         if left:
             words.append(f"Open: {'; '.join(left)}.")
         return " ".join(filter(None, words))
+
+    def has_words(self, action: str) -> bool:
+        """Return whether the domain has words for a ground action."""
+        name = words_of(action)[0]
+        return name in self.profile.words and name in self.subject.parameters
 
     def say(self, action: str) -> str:
         """Return a ground action in words."""
@@ -164,7 +170,7 @@ class Artist:
         return scene, self._arranger.layout(scene, width)
 
     def _below(self, scene: Scene, width: float, top: float, goal: bool) -> tuple[list[str], float]:
-        """Draw what is said in words below the boxes; give where it ends."""
+        """Return the elements of the lists below the boxes, and the y coordinate of their end."""
         parts, y = [], top
         done = sum(so for _, so in scene.goal)
         lists: list[tuple[str, list[tuple[str, bool | None]]]] = [("Also", [(text, None) for text in scene.also])]
@@ -185,7 +191,7 @@ class Artist:
         return parts, y - GAP if parts else top - 2 * GAP
 
     def _room(self) -> dict[str, list[Node]]:
-        """Say of each place what may come to be there."""
+        """Return, for each place, the objects that may be there."""
         room: dict[str, dict[str, Node]] = {}
         nodes = {name: Node(name, name, self.profile.look(self.subject, name)) for name in self.subject.objects}
         nodes |= {f"#{name}": Node(f"#{name}", look.title or name, look) for name, look in self.profile.things.items()}
@@ -206,11 +212,11 @@ def draw(task: Task, values: Sequence[int] | None = None, *, width: float = WIDT
     values : sequence of int, shape (variables,), optional
         The state; the initial one unless given.
     width : float
-        About how wide the picture is to be, in pixels.
+        Approximate width of the picture, in pixels.
 
     Raises
     ------
     ProfileError
-        The domain's `drawing.toml` cannot be used.
+        The domain's `drawing.toml` is invalid.
     """
     return Artist(task).draw(values, width=width)

@@ -1,26 +1,26 @@
-"""What a domain's drawings look like: read from `drawing.toml` beside `domain.pddl`, or found out from the task.
+"""Appearance of a domain's drawings: read from `drawing.toml` next to `domain.pddl`, or inferred from the task.
 
-The file says of types how their objects look, and of predicates where these put what:
+The file defines how objects of each type look, and what each predicate means in a picture:
 
     [types]
-    slot = {shape = "slot", in = "kit", holds = 1}   # where objects of this type are unless a fact says otherwise
-    box = {shape = "crate", of = "holds ?1"}         # in a domain without types: what is ?1 in a fact that always holds
+    slot = {shape = "slot", in = "kit", holds = 1}   # default location of objects of this type
+    box = {shape = "crate", of = "holds ?1"}         # without PDDL types: argument 1 of a constant fact
     [things]
-    kit = {title = "Kit"}                            # what is drawn without being an object
+    kit = {title = "Kit"}                            # a drawn thing that is not an object of the task
     [places]
     in-slot = "?1 in ?2"                             # ?1 is drawn within ?2, as with `at`; `on` stacks
     [marks]
-    shut = "?1 shut"                                 # a word on an object; it may name others: "?1 has ?2"
+    shut = "?1 shut"                                 # a mark on an object; also with others: "?1 has ?2"
     [links]
-    road = "?1 to ?2, length"                        # written on ?1, with a function's value
+    road = "?1 to ?2, length"                        # a note on ?1, with the value of a function
     [colours]
     belongs = "?1 as ?2"                             # ?1 has the colour of ?2
     [words]
-    place = "Put ?i into ?s"                         # how an action is said
+    place = "Put ?i into ?s"                         # an action in words
     [hide]
-    predicates = ["slot-free"]                       # what the picture says already
+    predicates = ["slot-free"]                       # predicates that are not shown
 
-Where several facts place the same object, the predicate that comes first in the file counts.
+If several facts place the same object, the first of their predicates in the file decides.
 """
 
 from __future__ import annotations
@@ -51,32 +51,33 @@ SHAPES = (
     "parcel",
     "part",
 )
-"""How an object can look."""
+"""The shapes of objects."""
 
 
 class ProfileError(ValueError):
-    """A `drawing.toml` that cannot be used; the message says where and why."""
+    """A `drawing.toml` is invalid; the message has the file, the entry and the reason."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How objects of a type look, or a thing that is no object.
+    """The appearance of the objects of a type, or of a thing that is not an object.
 
     Attributes
     ----------
     shape : str
         One of `SHAPES`.
     title : str or None
-        What is written on it; an object's name unless given.
+        The text on it; the name of the object unless given.
     inside : str or None
-        Where it is unless a fact says otherwise.
+        Its location if no fact places it.
     holds : int or None
-        How many objects it has room for at a time; room is left for them when there are fewer.
+        The number of objects for which space is reserved.
     high : int
-        How many objects there is room for on top of each other.
+        The number of stacked objects for which space is reserved.
     parts : tuple of pair of str and Look
-        Places within each of them, by name.
+        Named places within each object.
     hidden : bool
+        Whether it is not drawn.
     """
 
     shape: str = "chip"
@@ -90,14 +91,14 @@ class Look:
 
 @dataclass(frozen=True)
 class Rule:
-    """What a predicate says in a picture: `what` is `how` with regard to `where`.
+    """The meaning of a predicate in a picture: `what` is `how` `where`, such as "?1 in ?2".
 
     Attributes
     ----------
     what, where : int or str
-        The place of an argument, counted from 1, or a name.
+        The number of an argument, from 1, or a name.
     how : str
-        "in" or "at", "on", "to", "as"; or empty, where `where` is a word.
+        "in", "at", "on", "to", "as"; empty if `where` is the text of a mark.
     part : str or None
         The place within `where`.
     """
@@ -108,9 +109,9 @@ class Rule:
     part: str | None = None
 
     def of(self, fact: Atom) -> tuple[str, str]:
-        """Give what a fact relates; a part of an object is `object#part`, a thing `#thing`.
+        """Return the keys of the two nodes that a fact relates: `object`, `object#part` or `#thing`.
 
-        Where it is a word that a fact puts on an object, the word is given as it is, with the fact's arguments in it.
+        For a mark the second value is its text, with the arguments of the fact inserted.
         """
         if not self.how:
             what = fact[self.what] if isinstance(self.what, int) else f"#{self.what}"
@@ -121,21 +122,21 @@ class Rule:
 
 @dataclass(frozen=True)
 class Profile:
-    """What a domain's drawings look like.
+    """The appearance of a domain's drawings.
 
     Attributes
     ----------
     types, things : dict of str to Look
     places, links, colours, marks : dict of str to Rule
-        By predicate.
+        Rules by predicate.
     words : dict of str to str
-        How an action is said, its parameters with their question marks.
+        Each action in words; parameters have their question marks.
     hidden : frozenset of str
         Predicates that are not shown.
     guessed : bool
-        Whether it was found out from the task.
+        Whether it was inferred from the task.
     own : dict of str to Look
-        How objects look that are known by what always holds of them.
+        The appearance of objects that a constant fact selects (`of` in the file).
     """
 
     types: dict[str, Look] = field(default_factory=dict)
@@ -151,28 +152,30 @@ class Profile:
 
     @classmethod
     def of(cls, subject: Subject) -> Profile:
-        """Read the file beside the task's domain; where there is none, find out what is placed where.
+        """Return the profile in the file next to the task's domain, or the inferred one if there is no file.
 
         Raises
         ------
         ProfileError
+            The file is invalid.
         """
         file = subject.task.instance.domain.parent / FILE
         return read(file, subject) if file.is_file() else guess(subject)
 
     def look(self, subject: Subject, name: str) -> Look:
-        """Give how an object looks."""
+        """Return the appearance of an object."""
         if name in self.own:
             return self.own[name]
         return next((self.types[kind] for kind in subject.types(name) if kind in self.types), Look())
 
 
 def read(file: Path, subject: Subject) -> Profile:
-    """Read a `drawing.toml`, and check it against the domain.
+    """Return the profile in a `drawing.toml`, checked against the domain.
 
     Raises
     ------
     ProfileError
+        The file is not TOML, or has an entry that is unknown, malformed or not of the domain.
     """
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
@@ -230,7 +233,7 @@ def read(file: Path, subject: Subject) -> Profile:
 
 
 def _known_by(file: Path, where: str, of: str | list[Any], subject: Subject) -> Iterator[str]:
-    """Give the objects of which something always holds: that they are an argument of such a fact."""
+    """Yield the objects that are the given argument of a constant fact, such as `holds ?1`."""
     for one in [of] if isinstance(of, str) else of:
         found = re.fullmatch(r"([\w-]+) \?(\d)", one) if isinstance(one, str) else None
         if found is None:
@@ -278,10 +281,10 @@ def _look(file: Path, where: str, value: Any) -> Look:
 
 
 def guess(subject: Subject) -> Profile:
-    """Find out what is placed where.
+    """Return a profile that is inferred from the variables of the task.
 
-    A variable whose values are facts that share one object says where this object is, or how it is: its facts with
-    two arguments place it at the other one, those with one are marks on it.
+    If the facts of a variable share exactly one object, the variable describes the place or condition of this object.
+    Facts with two arguments place the object at the other argument. Facts with one argument are marks.
     """
     votes: Counter[tuple[str, int]] = Counter()
     for variable in subject.task.variables:

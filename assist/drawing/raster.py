@@ -1,4 +1,4 @@
-"""SVG drawings as pixels, with the extra `plots`."""
+"""Conversion of SVG to PNG, with the extra `plots`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from pathlib import Path
 
 from planner.system.errors import MissingExtraError
 
-SCALE = 1.5  # pixels of a PNG for each of the drawing
-
 
 def require(suffix: str) -> None:
-    """Check that a format can be written.
+    """Check that the packages for a file format are installed.
 
     Raises
     ------
     MissingExtraError
+        A package is missing.
     """
     needed = {".png": ("resvg_py", "matplotlib"), ".gif": ("resvg_py", "matplotlib", "PIL")}.get(suffix, ())
     for package in needed:
@@ -23,16 +22,16 @@ def require(suffix: str) -> None:
             raise MissingExtraError(f"{suffix} files need", package, "plots")
 
 
-def png(svg: str, width: float, scale: float = SCALE) -> bytes:
-    """Return the PNG of an SVG document that was drawn for one theme.
+def png(svg: str, width: float, scale: float = 1.5) -> bytes:
+    """Return the PNG of an SVG document with fixed colours (theme "light" or "dark").
 
     Parameters
     ----------
     svg : str
     width : float
-        Its natural width, in pixels.
+        Natural width of the document, in pixels.
     scale : float
-        Pixels of the PNG for each of these.
+        Pixels of the PNG per pixel of the document. At the default text is sharp on common screens.
 
     Raises
     ------

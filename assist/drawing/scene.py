@@ -1,4 +1,4 @@
-"""A state as a tree: what is in what and on what, what is wanted where, and what is left to say in words."""
+"""Tree of a state: which object is in or on which other, the goal, and the facts that only words can show."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .subject import Atom, Subject, Wanted
 
 @dataclass
 class Node:
-    """An object, a thing that is no object, or a place within one, with what is there.
+    """An object, a thing that is not an object, or a part of an object, with its contents.
 
     Attributes
     ----------
@@ -21,13 +21,15 @@ class Node:
     look : Look
     marks : list of str
     wants : list of pair of str and bool
-        What the goal wants here, and whether it is so.
+        The parts of the goal about this place, and whether each holds.
     notes : list of str
-        What it is connected with.
+        The nodes to which it is connected.
     inside, on : list of Node
+        The nodes in it, and those stacked on it.
     done : bool or None
-        Whether every part of the goal that names it holds; None where the goal says neither where nor how it is to be.
+        Whether all parts of the goal that name it hold; None if the goal neither places nor marks it.
     colour : int or None
+        The number of its colour.
     """
 
     key: str
@@ -49,18 +51,18 @@ class Node:
 
 @dataclass(frozen=True)
 class Scene:
-    """A state, arranged.
+    """A state as trees of nodes.
 
     Attributes
     ----------
     roots : list of Node
-        What is nowhere else.
+        The nodes that are in or on no other.
     also : list of str
-        What holds and is not drawn.
+        Facts that hold and are not drawn.
     goal : list of pair of str and bool
-        What is wanted, in words, and whether it is so.
+        The parts of the goal in words, and whether each holds.
     said : list of str
-        All that is drawn, in words.
+        The drawn facts, in words.
     """
 
     roots: list[Node]
@@ -73,13 +75,14 @@ HEADING = Look(shape="panel")
 
 
 def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
-    """Arrange a state.
+    """Return the scene of a state.
 
     Parameters
     ----------
     subject : Subject
     profile : Profile
     values : sequence of int, shape (variables,)
+        The state.
     """
     facts = subject.facts(values)
     nodes = _nodes(subject, profile)
@@ -109,7 +112,7 @@ def arrange(subject: Subject, profile: Profile, values: Sequence[int]) -> Scene:
 
 
 def say_wanted(profile: Profile, wanted: Wanted) -> str:
-    """Say a part of the goal in words."""
+    """Return a part of the goal in words."""
     if wanted.atom is None:
         return wanted.text
     predicate = wanted.atom[0]
@@ -122,7 +125,7 @@ def say_wanted(profile: Profile, wanted: Wanted) -> str:
 
 
 def _said_by(rules: Mapping[str, Rule], facts: Iterable[Atom]) -> Iterator[tuple[Rule, Atom]]:
-    """Give the facts of which rules say something, in the order of the rules."""
+    """Yield the facts with a rule, in the order of the rules."""
     by_predicate: dict[str, list[Atom]] = {}
     for fact in sorted(facts):
         by_predicate.setdefault(fact[0], []).append(fact)
@@ -131,7 +134,7 @@ def _said_by(rules: Mapping[str, Rule], facts: Iterable[Atom]) -> Iterator[tuple
 
 
 def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
-    """Give a node for each thing, object and part, in the order in which they are drawn."""
+    """Return a node for each thing, object and part, in the order of drawing."""
     nodes = {}
     for name, look in profile.things.items():
         nodes[f"#{name}"] = Node(f"#{name}", look.title or name, look)
@@ -150,7 +153,7 @@ def _nodes(subject: Subject, profile: Profile) -> dict[str, Node]:
 def _places(
     subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]
 ) -> dict[str, tuple[str, str]]:
-    """Say of each node in or on which other one it is; never in a circle."""
+    """Return, for each node in or on another, the relation and the other node; cycles are excluded."""
     placed: dict[str, tuple[str, str]] = {}
 
     def put(what: str, how: str, where: str) -> None:
@@ -180,7 +183,7 @@ def _colour(profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> 
 
 
 def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) -> None:
-    """Write a part of the goal where it is to be: at the place, or on what is to be changed."""
+    """Add a part of the goal to the place that it is about, or to the object that has to change."""
     if wanted.atom is None:
         return
     rule = profile.places.get(wanted.atom[0]) or profile.marks.get(wanted.atom[0])
@@ -188,7 +191,7 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
         return
     what, where = rule.of(wanted.atom)
     if what in nodes:
-        nodes[what].done = done and nodes[what].done is not False  # as far as the goal says where or how it is to be
+        nodes[what].done = done and nodes[what].done is not False  # a part of the goal places or marks it
     text = nodes[what].title if what in nodes else what
     if rule.how in ("in", "at") and where in nodes:
         nodes[where].wants.append((f"{'no ' * wanted.negated}{text}", done))
@@ -198,7 +201,7 @@ def _want(profile: Profile, wanted: Wanted, done: bool, nodes: dict[str, Node]) 
 
 
 def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: dict[str, Node]) -> None:
-    """Write on each node with what it is connected, and how far that is."""
+    """Add to each node its connections and their lengths."""
     for rule, fact in _said_by(profile.links, facts):
         what, where = Rule(rule.what, rule.how, rule.where).of(fact)
         if what in nodes and where in nodes:
@@ -207,7 +210,7 @@ def _connect(subject: Subject, profile: Profile, facts: Iterable[Atom], nodes: d
 
 
 def _roots(subject: Subject, nodes: dict[str, Node], placed: dict[str, tuple[str, str]]) -> list[Node]:
-    """Give what is nowhere else; small objects of one type under one heading."""
+    """Return the nodes that are in or on no other; small objects of one type share one heading."""
     roots: list[Node] = []
     headings: dict[str, Node] = {}
     for key, node in nodes.items():

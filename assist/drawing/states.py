@@ -1,4 +1,4 @@
-"""A state from a file: the facts that hold, as PDDL or as a JSON list."""
+"""Reader for states in files: the facts that hold, in PDDL or as a JSON list."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .subject import Atom, Subject, atom
 
 
 class StateError(ValueError):
-    """A file from which no state of the task can be read; the message has file and line."""
+    """A file does not describe a state of the task; the message has the file and the line."""
 
 
 def read_state(file: str | Path, subject: Subject) -> list[int]:
-    """Return the values of the state in which the facts of a file hold, and no others that can change.
+    """Return the values of the state in which exactly the facts of a file hold, besides constant facts.
 
     Parameters
     ----------
     file : path
-        Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`, by themselves, in `(:init ...)` or in a whole
-        problem file; or a JSON list of such. Facts that always hold may be left out.
+        Facts as `(contains box-a hammer)` or `contains(box-a, hammer)`: a plain list, an `(:init ...)`, a complete
+        problem file, or a JSON list of texts. Constant facts may be omitted.
     subject : Subject
 
     Raises
     ------
     StateError
-        A fact that the task does not have, two that exclude each other, or too few.
+        A fact is not of the task, two facts exclude each other, or a variable has no value.
     """
     file = Path(file)
     try:
@@ -71,7 +71,7 @@ def _shown(fact: Atom | None) -> str:
 
 
 def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
-    """Read the facts of a text, each with its line."""
+    """Yield the facts of a text, each with its line number."""
     if text.lstrip().startswith("["):
         yield from _listed(file, text)
         return
@@ -87,12 +87,12 @@ def _facts(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
 
 
 def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Atom]]:
-    name: Expression | None = None  # of a fact that is written name(argument, ...)
+    name: Expression | None = None  # the predicate of a fact in the form name(argument, ...)
     for part in parts:
         if part.head == "and":
             yield from _atoms(file, part.parts[1:])
         elif part.head in ("=", "not") and name is None:
-            continue  # the value of a function; what does not hold need not be said
+            continue  # values of functions and negated facts do not matter
         elif name is None and part.word:
             name = part
         elif part.word or not all(one.word for one in part.parts) or (name is None and not part.parts):
@@ -106,7 +106,7 @@ def _atoms(file: Path, parts: tuple[Expression, ...]) -> Iterator[tuple[int, Ato
 
 
 def _listed(file: Path, text: str) -> Iterator[tuple[int, Atom]]:
-    """Read a JSON list of facts."""
+    """Yield the facts of a JSON list, each with its line number."""
     try:
         facts = json.loads(text)
     except ValueError as error:

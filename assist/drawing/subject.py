@@ -1,7 +1,7 @@
-"""What there is to draw of a task: its objects and their types, which facts hold in a state, and what is wanted.
+"""The parts of a task that drawings show: objects, types, the facts of a state, and the goal.
 
-A fact is a tuple of words, the predicate first. Types and parameters come from the PDDL files; where these are gone, or
-the problem was built in Python, the grounded task says what it can.
+A fact is a tuple of words with the predicate first. Types and parameters are read from the PDDL files. If there are no
+files, or they have changed, only the information of the grounded task is available.
 """
 
 from __future__ import annotations
@@ -23,20 +23,19 @@ from ..people.choices import STAND_STILL
 Atom = tuple[str, ...]
 """A predicate and its arguments."""
 
-CONNECTIVES = ("and", "or", "not", "imply", "exists", "forall")
-
 
 @dataclass(frozen=True)
 class Wanted:
-    """A part of the goal.
+    """A part of the goal: one fact, or a condition of several.
 
     Attributes
     ----------
     atom : tuple of str, or None
-        None where it is more than one fact; then it holds where `variable` has `value`.
+        The fact; None for a condition of several facts, which holds if `variable` has `value`.
     negated : bool
+        Whether the fact must not hold.
     text : str
-        In PDDL.
+        The part in PDDL.
     variable, value : int
     """
 
@@ -47,14 +46,14 @@ class Wanted:
     value: int = -1
 
     def names(self, name: str) -> bool:
-        """Tell whether it names an object."""
+        """Return whether it names an object."""
         words = self.text.replace("(", " ").replace(")", " ").split() if self.atom is None else self.atom[1:]
         return name in words
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What there is to draw of a task.
+    """The parts of a task that drawings show.
 
     Attributes
     ----------
@@ -63,13 +62,13 @@ class Subject:
         The type of each object, in the order of the files.
     supertypes : dict of str to str
     parameters : dict of str to tuple of str
-        Of each action, with their question marks.
+        The parameters of each action, with question marks.
     constant : frozenset of Atom
-        What holds in all states.
+        Facts that hold in all states.
     changing : frozenset of Atom
-        What may hold and may not.
+        Facts that hold in some states only.
     numbers : dict of Atom to str
-        Values of functions.
+        The values of functions.
     goal : tuple of Wanted
     """
 
@@ -84,11 +83,11 @@ class Subject:
 
     @classmethod
     def of(cls, task: Task) -> Subject:
-        """Read what there is to draw."""
+        """Return the subject of a task, from its PDDL files if they are present and unchanged."""
         files = [task.instance.domain, task.instance.problem]
         try:
             source = Source.of(task.instance) if all(file.is_file() for file in files) else None
-        except PDDLError:  # the files have changed since
+        except PDDLError:  # the files have changed since the task was loaded
             source = None
         changing = {a for v in task.variables if "dummy(" not in "".join(v.facts) for f in v.facts if (a := atom(f))}
         parts = () if source is None else _part(source.problem, ":init")
@@ -118,18 +117,18 @@ class Subject:
         return derived(self.task, self.task.initial)
 
     def facts(self, values: Sequence[int]) -> frozenset[Atom]:
-        """Give all that holds in a state, the constant facts included."""
+        """Return all facts that hold in a state, constant facts included."""
         found = (atom(variable.facts[value]) for variable, value in zip(self.task.variables, values, strict=True))
         return self.constant | {one for one in found if one and one in self.changing}
 
     def holds(self, wanted: Wanted, facts: frozenset[Atom], values: Sequence[int]) -> bool:
-        """Tell whether a part of the goal is reached."""
+        """Return whether a part of the goal holds."""
         if wanted.atom is None:
             return values[wanted.variable] == wanted.value
         return (wanted.atom in facts) != wanted.negated
 
     def types(self, name: str) -> Iterator[str]:
-        """Give an object's type and those above it, the closest first."""
+        """Yield the type of an object and its supertypes, the most specific first."""
         kind, seen = self.objects.get(name, "object"), set[str]()
         while kind and kind not in seen:
             yield kind
@@ -142,7 +141,7 @@ class Subject:
         Raises
         ------
         ValueError
-            It is unknown, or not applicable there.
+            The action is unknown, or not applicable in the state.
         """
         packing, successors, matcher = self._moves
         state = packing.pack([list(values)])
@@ -153,12 +152,12 @@ class Subject:
         return self.task.actions[actions[slot]], packing.unpack(after[[slot]])[0].tolist()
 
     def follow(self, plan: Sequence[str], values: Sequence[int] | None = None) -> list[list[int]]:
-        """Return the values of the states that a plan passes through, the first one included.
+        """Return the values of the states along a plan, the first state included.
 
         Raises
         ------
         ValueError
-            An action that is unknown, or not applicable where its turn comes.
+            An action is unknown, or not applicable in its state.
         """
         states = [list(self.initial if values is None else values)]
         for step, action in enumerate(plan):
@@ -175,7 +174,7 @@ class Subject:
 
 
 def atom(fact: str) -> Atom | None:
-    """Read a fact of a grounded task; None where it is that something does not hold, or one of the translator's own."""
+    """Return a fact of a grounded task as an atom; None for negated facts and the translator's auxiliary atoms."""
     found = re.fullmatch(r"Atom (?!new-axiom@)([^(]+)\((.*)\)", fact)
     return (found[1], *(found[2].split(", ") if found[2] else ())) if found else None
 
@@ -186,7 +185,7 @@ def _part(whole: Expression, head: str) -> tuple[Expression, ...]:
 
 
 def _typed(parts: tuple[Expression, ...]) -> Iterator[tuple[str, str]]:
-    """Give the names of a typed list, each with its type."""
+    """Yield the names of a typed list, each with its type."""
     names: list[str] = []
     words = iter(parts)
     for part in words:
@@ -201,7 +200,7 @@ def _typed(parts: tuple[Expression, ...]) -> Iterator[tuple[str, str]]:
 
 
 def _kind(name: str, constant: frozenset[Atom]) -> str:
-    """Give the type of an object where there are no types: what is said of it for all time."""
+    """Return the type of an object in a domain without types: the first unary predicate that is constant for it."""
     return min((fact[0] for fact in constant if fact[1:] == (name,)), default="object")
 
 
@@ -216,7 +215,7 @@ def _named(task: Task, changing: set[Atom]) -> list[str]:
 
 
 def _goal(problem: Expression, task: Task) -> tuple[Wanted, ...]:
-    """Read the goal from the file where it is a list of facts, and from the grounded task elsewhere."""
+    """Return the goal as in the file if it is a conjunction of literals, and as in the grounded task otherwise."""
     section = _part(problem, ":goal")
     waiting, found = list(section), []
     while waiting:
@@ -225,7 +224,7 @@ def _goal(problem: Expression, task: Task) -> tuple[Wanted, ...]:
             waiting[:0] = part.parts[1:]
             continue
         inner = part.parts[1] if part.head == "not" and len(part.parts) > 1 else part
-        if inner.head in (*CONNECTIVES, "="):
+        if inner.head in ("and", "or", "not", "imply", "exists", "forall", "="):
             return _grounded_goal(task, " ".join(map(str, section)))
         if inner.parts:
             found.append(Wanted(tuple(map(str, inner.parts)), part.head == "not", str(part)))

@@ -1,4 +1,4 @@
-"""Drawings as SVG text: elements, colours for light and dark, and what a screen reader says."""
+"""SVG elements of drawings, light and dark colours, and descriptions for screen readers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ ICON_PATHS = {
     "locker": "M4 2h10v14H4zM11 8v2",
     "parcel": "M3 5h12v10H3zM3 8h12M9 5v3",
 }
-COLOURS = 8
 ROUND = {
     "chip": 15.0,
     "ball": 15.0,
@@ -45,18 +44,18 @@ ROUND = {
 
 @cache
 def rules() -> str:
-    """Give the style sheet of all drawings, with variables for the colours."""
+    """Return the style sheet of all drawings, with variables for the colours."""
     return Path(__file__).with_name("drawing.css").read_text(encoding="utf-8")
 
 
 def variables(colours: dict[str, str]) -> str:
-    """Give the declarations of colours."""
+    """Return the CSS declarations of colours."""
     return "".join(f"--ka-{name}:{value};" for name, value in colours.items())
 
 
 @cache
 def style(theme: Theme = "auto") -> str:
-    """Give the style sheet in full: following the reader's preference, or of one theme without variables."""
+    """Return the complete style sheet: both themes for "auto", else one theme without variables."""
     if theme == "auto":
         dark = f"@media(prefers-color-scheme:dark){{.ka{{{variables(DARK)}}}}}"
         return f".ka{{{variables(LIGHT)}}}\n{dark}\n{rules()}"
@@ -65,19 +64,19 @@ def style(theme: Theme = "auto") -> str:
 
 
 def number(value: float) -> str:
-    """Write a length: no more digits than are seen."""
+    """Return a length in pixels as text, to a tenth."""
     return f"{value:.1f}".removesuffix(".0")
 
 
 def text(x: float, y: float, content: str, *classes: str, anchor: str = "start") -> str:
-    """Write a line of text."""
+    """Return a line of text."""
     named = f' class="{" ".join(classes)}"' if classes else ""
     middle = "" if anchor == "start" else f' text-anchor="{anchor}"'
     return f'<text x="{number(x)}" y="{number(y)}"{named}{middle}>{escape(content)}</text>'
 
 
 def rectangle(x: float, y: float, width: float, height: float, css: str, radius: float = 0.0) -> str:
-    """Write a rectangle."""
+    """Return a rectangle with rounded corners."""
     return (
         f'<rect class="{css}" x="{number(x)}" y="{number(y)}" width="{number(width)}" height="{number(height)}"'
         f' rx="{number(radius)}"/>'
@@ -85,7 +84,7 @@ def rectangle(x: float, y: float, width: float, height: float, css: str, radius:
 
 
 def tag(content: str, done: bool, x: float, y: float, width: float) -> list[str]:
-    """Write something that is wanted, ticked off when it is so."""
+    """Return the elements of a part of the goal, with a tick if it holds."""
     sign = (
         f'<path class="ka-tick" d="M{number(x + 7)} {number(y + 11)}l3 3.5 5.5-7"/>'
         if done
@@ -99,13 +98,13 @@ def tag(content: str, done: bool, x: float, y: float, width: float) -> list[str]
 
 
 def icon(name: str, x: float, y: float, *classes: str) -> str:
-    """Write one of the small signs."""
+    """Return one of the icons."""
     named = " ".join(("ka-icon", *classes))
     return f'<path class="{named}" transform="translate({number(x)} {number(y)})" d="{ICON_PATHS[name]}"/>'
 
 
 def draw_box(box: Box, x: float, y: float, acted: Collection[str], hint: Collection[str]) -> list[str]:
-    """Write a box with all that is in it, at absolute coordinates."""
+    """Return the elements of a box and its contents, at absolute coordinates."""
     x, y = x + box.x, y + box.y
     node, shape = box.node, box.node.look.shape
     inner = [part for one in box.boxes for part in draw_box(one, x, y, acted, hint)]
@@ -121,11 +120,12 @@ def draw_box(box: Box, x: float, y: float, acted: Collection[str], hint: Collect
     parts = [f'<g class="{" ".join(classes)}"{named}>']
     parts.append(rectangle(x, y, box.width, box.height, "ka-frame", ROUND.get(shape, 6.0)))
     if node.colour is not None:
-        parts.append(rectangle(x + 3, y + 5, 4, min(box.height, HEAD) - 10, f"ka-{node.colour % COLOURS}", 2))
+        colour = f"ka-{node.colour % 8}"  # `drawing.css` has eight colours of groups; more groups repeat them
+        parts.append(rectangle(x + 3, y + 5, 4, min(box.height, HEAD) - 10, colour, 2))
     at = x + PAD
     if shape in ICONS:
         parts.append(icon(shape, at, y + 6))
-        at += 22
+        at += TAG
     parts.append(
         text(
             at, y + 20, node.title, *(("ka-title",) if box.boxes or shape in ("panel", "part", "slot", "crate") else ())
@@ -145,14 +145,14 @@ def draw_box(box: Box, x: float, y: float, acted: Collection[str], hint: Collect
 def draw_layout(
     layout: Layout, x: float, y: float, acted: Collection[str] = (), hint: Collection[str] = ()
 ) -> list[str]:
-    """Write a layout."""
+    """Return the elements of a layout; `acted` and `hint` are objects to highlight."""
     return [part for box in layout.boxes for part in draw_box(box, x, y, acted, hint)]
 
 
 def document(
     parts: list[str], width: float, height: float, title: str, description: str, theme: Theme | None = "auto"
 ) -> str:
-    """Write a whole SVG; without a theme it has no style of its own, for pages that bring the style sheet."""
+    """Return a complete SVG document; theme None omits the style sheet, for pages that include it."""
     styled = "" if theme is None else f"<style>{style(theme)}</style>\n"
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" class="ka" role="img" viewBox="0 0 {number(width)} {number(height)}" '

@@ -1,4 +1,4 @@
-"""Problems, policies and teams in other programs' formats and interfaces."""
+"""Exports to other programs: POMDP file formats, pomdp-py objects, Gymnasium and PettingZoo environments."""
 
 from planner.system.lazy_imports import lazy_exports
 

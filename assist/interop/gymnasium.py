@@ -1,6 +1,6 @@
-"""The team as an environment of Gymnasium: one agent decides to whom the robot goes, and what it says there.
+"""The team problem as a Gymnasium environment: one agent chooses which person the robot visits and what it does there.
 
-Importing this module registers `kitassist/Team-v0`, and Gymnasium imports it when it is named before the id:
+Importing this module registers `kitassist/Team-v0`. Gymnasium imports the module if its name precedes the id:
 
     import gymnasium
 
@@ -40,7 +40,7 @@ Observation = dict[str, Any]
 
 
 class _Desk:
-    """What both environments share: teams, what is seen of them, and actions as numbers."""
+    """The teams, observations and numbering of actions that `TeamEnv` and `TeamVectorEnv` share."""
 
     def __init__(
         self, instance: str | Path | Pool, teams: int, humans: int, *, beliefs: bool, people: int, pool_seed: int,
@@ -55,7 +55,7 @@ class _Desk:
         self.actions = 1 + humans * self.sight.robots
 
     def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Discrete]:
-        """Give the spaces of one team."""
+        """Return the observation space and the action space of one team."""
         spaces, sight, humans = gymnasium.spaces, self.sight, self.teams.x.shape[1]
         seen = {
             "action_mask": spaces.MultiBinary(self.actions),
@@ -73,15 +73,18 @@ class _Desk:
         return spaces.Dict(seen), spaces.Discrete(self.actions)
 
     def mask(self) -> NDArray[np.int8]:
-        """Say which actions are possible, shape (N, actions): nothing always is, and is all while under way."""
+        """Return the mask of possible actions, shape (N, actions).
+
+        Action 0 (do nothing) is always possible. It is the only one while the robot is under way.
+        """
         teams = self.teams
         possible = self.sight.mask() * ~teams.finished[:, :, None]
-        possible[:, :, 1:] *= (teams.travel.steps[teams.location][:, :-1] == 0)[:, :, None]  # first it has to arrive
+        possible[:, :, 1:] *= (teams.travel.steps[teams.location][:, :-1] == 0)[:, :, None]  # the robot acts on arrival
         flat = possible.reshape(len(possible), -1) * teams.free()[:, None]
         return np.concatenate([np.ones((len(flat), 1), dtype=np.int8), flat.astype(np.int8)], axis=1)
 
     def observe(self) -> Observation:
-        """Give what is seen of all teams."""
+        """Return the observation of all teams; the first axis of each array is the team, N."""
         return {
             "action_mask": self.mask(),
             "free": self.teams.free().astype(np.int64),
@@ -90,19 +93,32 @@ class _Desk:
         }
 
     def decode(self, numbers: NDArray[np.int64]) -> TeamAction:
-        """Give what actions mean: 0 is nothing, and 1 + k R + r to go to person k and do r there."""
+        """Return the team actions that numbers of shape (N,) stand for.
+
+        0 does nothing; 1 + k R + r sends the robot to person k and does robot action r there.
+        """
         person, robot = np.divmod(numbers - 1, self.sight.robots)
         stays = numbers == 0
         return TeamAction(np.where(stays, NOBODY, person), np.where(stays, 0, robot))
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
-        """Give the numbers of a policy's actions."""
+        """Return the numbers of team actions, shape (N,); the inverse of `decode`."""
         return np.where(action.person == NOBODY, 0, 1 + action.person * self.sight.robots + action.robot)
 
     def step(
-        self, rows: NDArray[np.int64], numbers: NDArray[np.int64], luck: CommonRandomNumbers
+        self, rows: NDArray[np.int64], numbers: NDArray[np.int64], draws: CommonRandomNumbers
     ) -> tuple[Any, Any, Any]:
-        """Step some teams; give which actions were not possible, what everybody did, and the rewards, shape (N,)."""
+        """Advance some teams by one step.
+
+        Returns
+        -------
+        illegal : bool array, shape (N,)
+            Whether the action was impossible and did nothing.
+        done : pair of int arrays, shape (N, K)
+            The robot action on each person, and the slot of each person's action.
+        reward : float array, shape (N,)
+            In cost units.
+        """
         teams = self.teams
         illegal = self.mask()[np.arange(len(numbers)), numbers] == 0
         moved = np.zeros(len(numbers), dtype=bool)
@@ -111,32 +127,33 @@ class _Desk:
         drawn = np.empty((*teams.x.shape, 2))
         every = np.arange(len(numbers))
         for kind in (1, 2) if teams.on_grid else (1,):
-            drawn[..., kind - 1] = luck.draw(kind, every)
+            drawn[..., kind - 1] = draws.draw(kind, every)
         slot, cost = teams.step(rows, robot, drawn)
         return illegal, (robot, slot), -(way + cost).sum(axis=1)
 
 
 class TeamEnv(gymnasium.Env):
-    """One robot and a team of people, as an environment of one agent.
+    """One robot and a team of K people, as an environment with one agent.
 
-    An action is a number: 0 to do nothing, 1 + k R + r to go to person k and do robot action r there (0 says nothing,
-    the others suggest); `action_mask` in the observation and in `info` says which are possible. One that is not does
-    nothing, and `info["illegal"]` says so. The reward is minus the costs of a step, in cost units and not discounted.
-    The episode ends when everybody has finished, and is cut off after `setting.max_steps`.
+    Action 0 does nothing. Action 1 + k R + r sends the robot to person k, where it does robot action r: 0 says nothing,
+    the others suggest. `action_mask`, in the observation and in `info`, marks the possible actions. An impossible one
+    does nothing and sets `info["illegal"]`. The reward is minus the cost of the step, in cost units, undiscounted. An
+    episode terminates when all people have finished and is truncated after `setting.max_steps` steps.
 
-    After `reset(seed=s)` the episodes are those that `simulate(pool, ..., humans=K, episodes=n, seed=s)` numbers
-    0, 1, ...: with the same choices the same happens. `team` gives what team policies read.
+    After `reset(seed=s)` the episodes are episodes 0, 1, ... of `simulate(pool, ..., humans=K, episodes=n, seed=s)`,
+    with the same random numbers. The same actions therefore have the same outcome. `team` is the state that team
+    policies read.
 
     Parameters
     ----------
     instance : str, Path or Pool
-        The task, by its file or name, or a pool that is there already.
+        The task, by its file or name, or an existing pool.
     humans : int
-        K, people in a team.
+        K, the number of people in a team.
     beliefs : bool
-        Whether the robot's belief in (beta, theta) is seen; otherwise only what the task shows.
+        Whether the observation holds the belief over (beta, theta). Otherwise it holds the states of the task only.
     people, pool_seed : int
-        How many people there are to draw teams from, and the seed of those.
+        The size and the random seed of the pool from which teams are drawn.
     setting, population
         As in `Pool.sample`.
     distance : array, shape (K + 1, K + 1), optional
@@ -144,7 +161,12 @@ class TeamEnv(gymnasium.Env):
     world : "people" or "model"
         As in `simulate`.
     render_mode : "rgb_array" or "svg", optional
-        A picture of everybody's task, as an array of shape (height, width, 3), or as the text of an SVG document.
+        The type of the picture of all tasks: an array of shape (height, width, 3), or the text of an SVG document.
+
+    Raises
+    ------
+    ValueError
+        `render_mode` is unknown, or `humans` is not between 1 and the size of the pool.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array", "svg"], "render_fps": 1}
@@ -164,43 +186,44 @@ class TeamEnv(gymnasium.Env):
         self.observation_space, self.action_space = self._desk.spaces()
         self._seed: int | None = None
         self._episode = -1
-        self._luck: CommonRandomNumbers | None = None
+        self._draws: CommonRandomNumbers | None = None
         self._seen: list[tuple[int, str]] = []
         self._stage: EnvironmentPicture | None = None
 
     @property
     def pool(self) -> Pool:
-        """The people from whom teams are drawn."""
+        """The pool from which teams are drawn."""
         return self._desk.teams.pool
 
     @property
     def team(self) -> TeamState:
-        """What the robot knows, as team policies read it."""
+        """The state of the team as team policies read it."""
         return self._desk.teams.state()
 
     @property
     def is_free(self) -> bool:
-        """Whether the robot is at its place and may choose."""
+        """Whether the robot has arrived and may act."""
         return bool(self._desk.teams.free()[0])
 
     def encode(self, action: TeamAction) -> int:
-        """Give the number of a team policy's action."""
+        """Return the number of a team policy's action."""
         return int(self._desk.encode(action)[0])
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Say which actions are possible, as MaskablePPO of sb3-contrib asks for it."""
+        """Return the mask of possible actions, shape (actions,); the interface of MaskablePPO in sb3-contrib."""
         return self._desk.mask()[0].astype(bool)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin the next episode; the first with a seed.
+        """Begin the next episode, or the first one if a seed is given.
 
         Parameters
         ----------
         seed : int, optional
         options : dict, optional
-            `episode`: the number of the episode to begin, instead of the next; `team`: the numbers of its people.
+            `episode` is the number of the episode to begin, instead of the next; `team` the pool indices of its
+            people, shape (K,).
         """
         super().reset(seed=seed)
         options = options or {}
@@ -209,23 +232,31 @@ class TeamEnv(gymnasium.Env):
             self._episode = -1
         self._episode = int(options.get("episode", self._episode + 1))
         teams = self._desk.teams
-        luck = self._luck = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
-        drawn = luck.team(len(teams.pool.people))
+        draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), teams.x.shape[1])
+        drawn = draws.team(len(teams.pool.people))
         people = np.array([options["team"]], dtype=np.int64) if "team" in options else drawn
-        teams.begin(np.zeros(1, dtype=np.int64), people, lambda: luck.draw(0, np.zeros(1, dtype=np.int64)))
+        teams.begin(np.zeros(1, dtype=np.int64), people, lambda: draws.draw(0, np.zeros(1, dtype=np.int64)))
         self._seen = []
         return self._observation(), self._info(illegal=False)
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Let the robot act, and then everybody who has not finished."""
-        if self._luck is None:
+        """Apply the robot's action, then let each person who has not finished act once.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            No episode has begun.
+        ValueError
+            The action is out of range.
+        """
+        if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         teams = self._desk.teams
         number = np.array([int(action)])
         if not 0 <= number[0] < self._desk.actions:
             raise ValueError(f"action {action}: expected 0 to {self._desk.actions - 1}")
         before = teams.x[0].copy()
-        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._luck)
+        illegal, (robot, slot), reward = self._desk.step(np.zeros(1, dtype=np.int64), number, self._draws)
         if self.render_mode is not None:
             self._remember(before, robot[0], slot[0])
         terminated = bool(teams.finished.all())
@@ -243,7 +274,7 @@ class TeamEnv(gymnasium.Env):
         }  # fmt: skip
 
     def _remember(self, x: NDArray[np.int64], robot: NDArray[np.int64], slot: NDArray[np.int64]) -> None:
-        """Keep what was done, from which a picture is made when one is asked for."""
+        """Record the actions of a step for later pictures."""
         for place, number in enumerate(self._desk.teams.people[0]):
             pomdp = self.pool.policies[self.pool.model[number]].pomdp
             executed = pomdp.executes(int(x[place]), int(robot[place]))
@@ -253,11 +284,19 @@ class TeamEnv(gymnasium.Env):
             self._seen += [(place, action) for action in done if action]
 
     def render(self) -> Any:
-        """Draw everybody's task as it is now."""
+        """Return a picture of the current state of all tasks; None without a `render_mode`.
+
+        Raises
+        ------
+        TypeError
+            The environment was made from a pool, which has no task to draw.
+        MissingExtraError
+            The mode is "rgb_array" and the extra `plots` is not installed.
+        """
         if self.render_mode is None:
             return None
         if isinstance(self._instance, Pool):
-            raise TypeError("render: expected an environment of a task by its file or name, and this one is of a pool")
+            raise TypeError("render: expected an environment made from a task's file or name, not from a pool")
         if self._stage is None:
             self._stage = EnvironmentPicture(self._instance)
         teams = self._desk.teams
@@ -268,18 +307,18 @@ class TeamEnv(gymnasium.Env):
 
 
 class TeamVectorEnv(gymnasium.vector.VectorEnv):
-    """Many teams at a time, all in one compiled step; actions, observations and rewards are those of `TeamEnv`.
+    """A batch of N teams that advance in one compiled step, with actions, observations and rewards as in `TeamEnv`.
 
-    A team whose episode has ended begins the next in the step after (`AutoresetMode.NEXT_STEP`); that step's action
-    counts for nothing. After `reset(seed=s)` the first episode of team i is the one that `simulate` numbers i.
+    A team whose episode has ended begins the next one in the following step (`AutoresetMode.NEXT_STEP`). The action of
+    that step is ignored. After `reset(seed=s)` the first episode of team i is episode i of `simulate`.
 
     Parameters
     ----------
     instance : str, Path or Pool
     num_envs : int
-        N, teams at a time.
+        N, the number of teams.
     humans, beliefs, people, pool_seed, setting, population, distance, world
-        As in `TeamEnv`; without beliefs none are kept, and `team` has none.
+        As in `TeamEnv`. Without `beliefs` no filters are run, and `team.belief` is None.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"autoreset_mode": gymnasium.vector.AutoresetMode.NEXT_STEP}
@@ -298,25 +337,25 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         batch = gymnasium.vector.utils.batch_space
         self.observation_space = batch(self.single_observation_space, num_envs)
         self.action_space = batch(self.single_action_space, num_envs)
-        self._luck: CommonRandomNumbers | None = None
+        self._draws: CommonRandomNumbers | None = None
         self._ended = np.zeros(num_envs, dtype=bool)
 
     @property
     def pool(self) -> Pool:
-        """The people from whom teams are drawn."""
+        """The pool from which teams are drawn."""
         return self._desk.teams.pool
 
     @property
     def team(self) -> TeamState:
-        """What the robots know, as team policies read it."""
+        """The state of the teams as team policies read it."""
         return self._desk.teams.state()
 
     def encode(self, action: TeamAction) -> NDArray[np.int64]:
-        """Give the numbers of a team policy's actions, shape (N,)."""
+        """Return the numbers of a team policy's actions, shape (N,)."""
         return self._desk.encode(action)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Say which actions are possible, shape (N, actions)."""
+        """Return the mask of possible actions, shape (N, actions)."""
         return self._desk.mask().astype(bool)
 
     def reset(
@@ -327,9 +366,9 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         Parameters
         ----------
         seed : int or sequence of int, optional
-            A sequence counts as a whole: the teams draw from one source.
+            A sequence is combined into one seed, since all teams use one random generator.
         options : dict, optional
-            There are none.
+            Ignored; there are no options.
         """
         super().reset(
             seed=None if seed is None else seed if isinstance(seed, int) else _one_seed(seed), options=options
@@ -337,28 +376,28 @@ class TeamVectorEnv(gymnasium.vector.VectorEnv):
         given = self.np_random_seed if seed is not None else None
         number = int(self.np_random.integers(2**63)) if given is None else int(given)
         teams = self._desk.teams
-        self._luck = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
-        self._begin(np.arange(self.num_envs), self._luck)
+        self._draws = CommonRandomNumbers(number, np.arange(self.num_envs), teams.x.shape[1])
+        self._begin(np.arange(self.num_envs), self._draws)
         self._ended = np.zeros(self.num_envs, dtype=bool)
         return self._observed(np.zeros(self.num_envs, dtype=bool))
 
-    def _begin(self, rows: NDArray[np.int64], luck: CommonRandomNumbers) -> None:
-        people = luck.team(len(self.pool.people))[rows]
-        self._desk.teams.begin(rows, people, lambda: luck.draw(0, rows))
+    def _begin(self, rows: NDArray[np.int64], draws: CommonRandomNumbers) -> None:
+        people = draws.team(len(self.pool.people))[rows]
+        self._desk.teams.begin(rows, people, lambda: draws.draw(0, rows))
 
     def step(
         self, actions: NDArray[np.int64]
     ) -> tuple[Observation, Floats, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Let every robot act, and then everybody who has not finished."""
-        if self._luck is None:
+        if self._draws is None:
             raise gymnasium.error.ResetNeeded("step: expected reset before it")
         numbers = np.asarray(actions, dtype=np.int64)
         if numbers.shape != (self.num_envs,) or (numbers < 0).any() or (numbers >= self._desk.actions).any():
             raise ValueError(f"actions: expected {self.num_envs} numbers from 0 to {self._desk.actions - 1}")
         teams, ended = self._desk.teams, self._ended
-        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), numbers, self._luck)
+        illegal, _, reward = self._desk.step(np.flatnonzero(~ended), numbers, self._draws)
         if ended.any():
-            self._begin(np.flatnonzero(ended), self._luck)
+            self._begin(np.flatnonzero(ended), self._draws)
         terminated = np.logical_and.reduce(teams.finished, axis=1)
         truncated = ~terminated & (teams.clock >= self.pool.setting.max_steps)
         self._ended = terminated | truncated

@@ -1,13 +1,13 @@
-"""One person's problem as other programs' formats see it.
+"""One person's POMDP in the form that the file formats of other programs share.
 
-All formats hold the same problem, exactly:
+All formats describe the same problem exactly:
 
-- **Same target.** The other programs see the next state, not the person's action. Where two actions of a state lead to
-  the same state they would learn less than the robot, so that such a target is written several times: as itself and
-  as *copies* that differ in name only. Most tasks need none.
-- **Same robot actions everywhere.** The formats give every state the same actions. One that a state does not have does
-  there what "nothing" does and costs `FORBIDDEN` more, so that no best policy takes it and no value changes.
-- **The end.** Goals stay where they are for ever, at no cost, and theta stays too.
+- **Observations.** The other programs observe the next state, not the person's action. If two actions of a state have
+  the same successor, the next state is less informative than the action. Such a successor is therefore written several
+  times: as itself, and as *copies* that differ in name only. Most tasks need none.
+- **Robot actions.** The formats have the same actions in all states. An action that a state lacks does the same as
+  "nothing" and costs 1 more. No optimal policy takes it, and the value function is unchanged, as for any extra cost.
+- **Goals.** Goal states are absorbing and free of cost, and theta does not change there.
 """
 
 from __future__ import annotations
@@ -25,13 +25,10 @@ from planner import Table
 from ..people.decision import NOTHING, Floats
 from ..person.pomdp import AssistPOMDP
 
-FORBIDDEN = 1.0
-"""What a robot action that a state does not have costs there, in cost units."""
-
 
 @dataclass(frozen=True)
 class Observed:
-    """What the formats observe: every state x, and copies of those that two actions of a state lead to.
+    """The observed variable of the formats: all states x, and copies of those that two actions of a state lead to.
 
     Attributes
     ----------
@@ -41,7 +38,7 @@ class Observed:
     targets : int array, shape (n, A)
         The observed value after the action in each slot.
     table : Table, optional
-        Of the task, by whose facts states are called.
+        The table of the task, whose facts name the states.
     """
 
     pomdp: AssistPOMDP
@@ -51,21 +48,23 @@ class Observed:
 
     @classmethod
     def of(cls, pomdp: AssistPOMDP, table: Table | None = None) -> Observed:
-        """Find the copies that a problem needs.
+        """Return the observed values of a problem, with the copies that it needs.
 
         Parameters
         ----------
         pomdp : AssistPOMDP
         table : Table, optional
-            That of its task, by whose facts states are called.
+            The table of its task, whose facts name the states; `s0`, `s1`, ... unless given.
 
         Raises
         ------
         ValueError
-            The problem breaks off at a frontier.
+            The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
         """
         if pomdp.frontier is not None:
-            raise ValueError("the problem breaks off at a frontier; expected one of all states of the task")
+            raise ValueError("the problem is truncated at a frontier; expected one of an enumerated task")
+        if pomdp.followed_low is not None:
+            raise ValueError("the trust rule depends on whether advice is followed; expected one that does not")
         choices = pomdp.model.choices
         targets = choices.targets.copy()
         state = list(range(len(choices)))
@@ -74,7 +73,7 @@ class Observed:
             row = choices.targets[x, : choices.applicable[x].sum()]
             for slot, y in enumerate(row):
                 rank = int((row[:slot] == y).sum())
-                if rank and not choices.goal[y]:  # what led to a goal does not matter any more
+                if rank and not choices.goal[y]:  # the belief at a goal does not matter
                     if (y, rank) not in copies:
                         copies[y, rank] = len(state)
                         state.append(int(y))
@@ -83,7 +82,7 @@ class Observed:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The name of each observed value: `s7`, or what the task's facts say; `_2` for a second one of a name."""
+        """The name of each observed value: `s7`, or the facts of the state; equal names end in `_2`, `_3`, ..."""
         seen: dict[str, int] = {}
         names: list[str] = []
         for x in self.state.tolist():
@@ -97,18 +96,18 @@ class Observed:
 
     @cached_property
     def _facts(self) -> list[str]:
-        """What is different in each state than in the initial one, in characters that formats allow."""
+        """The facts of each state that differ from the initial state, in characters that the formats allow."""
         assert self.table is not None
         choices, variables = self.pomdp.model.choices, self.table.task.variables
         rows = self.table.values(choices.of_task(np.arange(len(self.table))))
         start = rows[choices.initial]
-        own = [k for k, variable in enumerate(variables) if variable.axiom_layer < 0]  # the others follow from these
+        own = [k for k, variable in enumerate(variables) if variable.axiom_layer < 0]  # not derived by axioms
         positive = [[_word(fact) for fact in variable.facts] for variable in variables]
         whole = [
             [word or f"not-{words[first]}" for word in words]
             for words, first in zip(positive, start.tolist(), strict=True)
         ]
-        for named in (positive, whole):  # that something is no longer so is said where states would be called alike
+        for named in (positive, whole):  # negative facts only where names would collide
             found = [
                 "__".join(filter(None, (named[k][row[k]] for k in own if row[k] != start[k]))) for row in rows.tolist()
             ]
@@ -117,7 +116,7 @@ class Observed:
         return [name or "start" for name in found]
 
     def legend(self) -> Iterator[str]:
-        """Return, for each observed value, what the robot's actions are there: a line each, without goals."""
+        """Yield one line per observed value that describes its robot actions; goals have none."""
         pomdp = self.pomdp
         for name, x in zip(self.names, self.state.tolist(), strict=True):
             if not pomdp.model.choices.goal[x] and pomdp.robot_actions[x] > 1:
@@ -131,9 +130,9 @@ class Observed:
                 yield f"{name}: {', '.join(meant)}"
 
     def step(self, x: int, r: int) -> list[tuple[int, Floats]]:
-        """Give where robot action r leads from state x: pairs of an observed value and its chance, shape (B, T).
+        """Return the successors of state x under robot action r: pairs (observed value, probability of shape (B, T)).
 
-        Chances of 0 are left out; where a chance does not depend on theta its shape is (B, 1).
+        Successors of probability 0 are omitted. A probability that does not depend on theta has shape (B, 1).
         """
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         r = r if r < pomdp.robot_actions[x] else 0
@@ -150,14 +149,14 @@ class Observed:
         return [(y, p) for y, p in after.items() if (p > 0).any()]
 
     def reward(self, x: int, r: int) -> Floats:
-        """Give the expected reward of robot action r in state x, shape (B, T), (B, 1) or (1, 1)."""
+        """Return the expected reward of robot action r in state x, in cost units, shape (B, T), (B, 1) or (1, 1)."""
         pomdp, choices = self.pomdp, self.pomdp.model.choices
         if choices.goal[x]:
             return np.zeros((1, 1))
         forbidden = r >= pomdp.robot_actions[x]
         r = 0 if forbidden else r
         place = int(pomdp.afterstate[x, r])
-        charge = np.full((1, 1), float(pomdp.robot_costs[x, r]) + FORBIDDEN * forbidden)
+        charge = np.full((1, 1), float(pomdp.robot_costs[x, r]) + 1.0 * forbidden)
         if choices.goal[place]:
             return -charge
         slots = np.arange(int(choices.applicable[place].sum()))
@@ -170,7 +169,10 @@ class Observed:
         return np.asarray(-charge - np.tensordot(costs, chance, axes=1))
 
     def moves(self, x: int, r: int) -> Floats | None:
-        """Give where robot action r in state x moves theta, shape (T, T); None where it stays."""
+        """Return the transition matrix of theta for robot action r in state x, shape (T, T); None for the identity.
+
+        An updated theta that lies between two grid points is split linearly between them.
+        """
         pomdp = self.pomdp
         if r >= pomdp.robot_actions[x] or pomdp.suggested[x, r] == NOTHING:
             return None
@@ -182,7 +184,7 @@ class Observed:
 
 
 def _word(fact: str) -> str:
-    """Return a fact as one word of letters, digits, `_`, `-` and `.`; empty where it says that something is not so."""
+    """Return a fact as one word of letters, digits, `_`, `-` and `.`; the empty text for a negated fact."""
     if not fact.startswith("Atom "):
         return ""
     words = re.findall(r"[^\s(),]+", fact.removeprefix("Atom "))
@@ -190,10 +192,10 @@ def _word(fact: str) -> str:
 
 
 def action_names(pomdp: AssistPOMDP) -> list[str]:
-    """Name the robot actions: `nothing`, then `robot1`, `robot2`, ... as each state numbers them."""
+    """Return the names of robot actions: `nothing`, `robot1`, `robot2`, ...; each state numbers its own."""
     return ["nothing", *(f"robot{r}" for r in range(1, int(pomdp.robot_actions.max(initial=1))))]
 
 
 def numbers(array: Floats) -> str:
-    """Write numbers with the shortest digits that read back as the same."""
+    """Return numbers as text, each with the fewest digits from which the same float is read."""
     return " ".join("0" if v == 0 else "1" if v == 1 else repr(v) for v in array.ravel().tolist())

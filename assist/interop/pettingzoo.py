@@ -1,4 +1,4 @@
-"""A robot at each station, as a parallel environment of PettingZoo: every one has a person of its own to help."""
+"""A PettingZoo parallel environment: K stations, each with one person and one robot that assists this person."""
 
 from __future__ import annotations
 
@@ -24,32 +24,37 @@ except ImportError as error:
 
 
 class StationsEnv(pettingzoo.ParallelEnv):
-    """K stations with a person and a robot at each; no robot moves.
+    """K stations with one person and one robot each; the robots do not move.
 
     An agent's actions are the robot actions of its person's problem: 0 says nothing, the others suggest.
-    `action_mask` in the observation and in `info` says which are possible; one that is not does nothing, and
-    `info["illegal"]` says so. The reward is minus the costs at the station, in cost units, or those of all stations
-    where it is shared. An agent is done when its person has finished; all are cut off after `setting.max_steps`.
+    `action_mask`, in the observation and in `info`, marks the possible actions. An impossible one does nothing and
+    sets `info["illegal"]`. The reward is minus the cost of the step at the station (of all stations if `shared`), in
+    cost units. An agent terminates when its person has finished. All are truncated after `setting.max_steps` steps.
 
-    After `reset(seed=s)` the episodes have the people and the luck of those that `simulate` numbers 0, 1, ... with
+    After `reset(seed=s)` the episodes have the people and the random numbers of episodes 0, 1, ... of `simulate` with
     that seed.
 
     Parameters
     ----------
     instance : str, Path or Pool
-        The task, by its file or name, or a pool that is there already.
+        The task, by its file or name, or an existing pool.
     humans : int
-        K, stations.
+        K, the number of stations.
     beliefs : bool
-        Whether the robots' beliefs in (beta, theta) are seen.
+        Whether the observations hold the beliefs over (beta, theta).
     shared : bool
-        Whether every agent's reward is that of all.
+        Whether each agent receives the sum of all rewards.
     people, pool_seed : int
-        How many people there are to draw teams from, and the seed of those.
+        The size and the random seed of the pool from which teams are drawn.
     setting, population
         As in `Pool.sample`.
     world : "people" or "model"
         As in `simulate`.
+
+    Raises
+    ------
+    ValueError
+        `humans` is not between 1 and the size of the pool.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -92,41 +97,41 @@ class StationsEnv(pettingzoo.ParallelEnv):
         return spaces.Dict(seen)
 
     def observation_space(self, agent: str) -> Any:
-        """Give an agent's observation space, always the same object."""
+        """Return an agent's observation space, always the same object."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Any:
-        """Give an agent's action space, always the same object."""
+        """Return an agent's action space, always the same object."""
         return self.action_spaces[agent]
 
     @property
     def pool(self) -> Pool:
-        """The people from whom teams are drawn."""
+        """The pool from which teams are drawn."""
         return self._teams.pool
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin the next episode; the first with a seed.
+        """Begin the next episode, or the first one if a seed is given.
 
         Parameters
         ----------
         seed : int, optional
         options : dict, optional
-            `episode`: the number of the episode to begin, instead of the next.
+            `episode` is the number of the episode to begin, instead of the next.
         """
         if seed is not None or self._seed is None:
             self._seed = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
             self._episode = -1
         self._episode = int((options or {}).get("episode", self._episode + 1))
         teams, row = self._teams, np.zeros(1, dtype=np.int64)
-        luck = self._luck = CommonRandomNumbers(self._seed, np.array([self._episode]), len(self.possible_agents))
-        teams.begin(row, luck.team(len(teams.pool.people)), lambda: luck.draw(0, row))
+        draws = self._draws = CommonRandomNumbers(self._seed, np.array([self._episode]), len(self.possible_agents))
+        teams.begin(row, draws.team(len(teams.pool.people)), lambda: draws.draw(0, row))
         self.agents = list(self.possible_agents)
         return self._observed(dict.fromkeys(self.agents, False))
 
     def step(self, actions: dict[str, int]) -> tuple[dict[str, Any], ...]:
-        """Let every robot act, and then everybody who has not finished."""
+        """Apply the robots' actions, then let each person who has not finished act once."""
         teams, row = self._teams, np.zeros(1, dtype=np.int64)
         robot = np.zeros_like(teams.x)
         illegal = {}
@@ -136,10 +141,10 @@ class StationsEnv(pettingzoo.ParallelEnv):
             wanted = int(actions[agent])
             illegal[agent] = not possible[place, wanted]
             robot[0, place] = 0 if illegal[agent] else wanted
-        luck = np.empty((*teams.x.shape, 2))
+        draws = np.empty((*teams.x.shape, 2))
         for kind in (1, 2) if teams.on_grid else (1,):
-            luck[..., kind - 1] = self._luck.draw(kind, row)
-        _, cost = teams.step(row, robot, luck)
+            draws[..., kind - 1] = self._draws.draw(kind, row)
+        _, cost = teams.step(row, robot, draws)
         rewards = {agent: -float(cost.sum() if self._shared else cost[0, place]) for agent, place in places.items()}
         terminated = {agent: bool(teams.finished[0, place]) for agent, place in places.items()}
         late = bool(teams.clock[0] >= teams.pool.setting.max_steps)
@@ -161,20 +166,20 @@ class StationsEnv(pettingzoo.ParallelEnv):
         return observations, infos
 
     def render(self) -> None:
-        """Draw nothing: `TeamEnv` has pictures."""
+        """Do nothing; this environment has no pictures (see `TeamEnv`)."""
 
     def close(self) -> None:
-        """Let nothing go: nothing is held."""
+        """Do nothing; the environment holds no resources."""
 
 
 def parallel_env(instance: str | Path | Pool, humans: int = 2, **options: Any) -> StationsEnv:
-    """Make a parallel environment, a robot at each station.
+    """Return a parallel environment with one robot at each station.
 
     Parameters
     ----------
     instance : str, Path or Pool
     humans : int
     **options
-        Of `StationsEnv`.
+        Further arguments of `StationsEnv`.
     """
     return StationsEnv(instance, humans, **options)

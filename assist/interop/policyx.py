@@ -1,4 +1,4 @@
-"""Policies that SARSOP writes for a problem in POMDPX."""
+"""Reader for the policies (alpha vectors) that SARSOP computes for a problem in POMDPX."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from .observed import Observed
 
 
 class PolicyFileError(ValueError):
-    """A policy file that cannot be read or is of another problem: `FILE:LINE: what is wrong`."""
+    """A policy file is malformed or belongs to another problem; the message begins with `FILE:LINE:`."""
 
 
 def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     """Read the policy that SARSOP wrote for a problem exported by `write_pomdpx`.
 
-    SARSOP numbers the observed values and the hidden pairs as the file that it read does: x first to last, and
-    beta * T + theta. It writes six significant digits. The vectors of a state's copies are vectors of the state; an
-    action that a state does not have reads as nothing. Goals get no vectors, whose values are 0.
+    SARSOP numbers observed values and hidden pairs in the order of the problem file: x from first to last, and
+    beta * T + theta. It writes six significant digits. The vectors of a state's copies become vectors of the state. An
+    action that a state lacks is read as "nothing". Goals have the value 0 and no vectors.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
     Raises
     ------
     PolicyFileError
-        The file is malformed, or of another problem.
+        The file is malformed, or belongs to another problem.
     """
     observed = Observed.of(pomdp)
     reader = _PolicyReader(str(path), observed)
@@ -52,7 +52,7 @@ def read_policy(path: Path | str, pomdp: AssistPOMDP) -> VectorPolicy:
 
 
 class _PolicyReader:
-    """Reads a policy as a stream of XML elements, so that every complaint has its line."""
+    """Reads a policy as a stream of XML elements, so that each error has a line number."""
 
     def __init__(self, name: str, observed: Observed) -> None:
         self.name, self.observed = name, observed
@@ -81,7 +81,7 @@ class _PolicyReader:
         if self.declared is None:
             raise self.fail("no <AlphaVector> element; expected a policy of SARSOP")
         if self.declared != len(self.vectors):
-            raise self.fail(f"{len(self.vectors)} vectors, although {self.declared} are announced")
+            raise self.fail(f"{len(self.vectors)} vectors; the file declares {self.declared}")
 
     def number(self, attributes: dict[str, str], name: str, limit: int | None = None) -> int:
         try:

@@ -1,4 +1,4 @@
-"""The flat format of Cassandra's pomdp-solve, in which every state (x, beta, theta) has a number."""
+"""Writer for the flat format of Cassandra's pomdp-solve, in which each triple (x, beta, theta) is one state."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from planner.system.files import atomic
 from ..person.pomdp import AssistPOMDP
 from .observed import Observed, action_names, numbers
 
-FLAT_STATES = 20_000
-"""The largest number of flat states, (x, beta, theta), that is written one by one."""
 
-
-def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None) -> None:
+def write_pomdp(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None, *, max_states: int = 20_000) -> None:
     """Write a small problem in Cassandra's flat format, one state per (x, beta, theta).
 
-    State `(x * B + beta) * T + theta`, with x an observed value (see `Observed`), which is also what is observed
-    after each step. Values of robot actions and rewards are as in `write_pomdpx`.
+    The number of a state is `(x * B + beta) * T + theta`, where x is an observed value (see `Observed`). After each
+    step x is observed. Robot actions and rewards are those of `write_pomdpx`.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     path : path
     table : Table, optional
-        That of the task, by whose facts comments call states; `s0`, `s1`, ... unless given.
+        The table of the task, whose facts name the states in comments; `s0`, `s1`, ... unless given.
+    max_states : int
+        Largest number of states of the flat format. Larger problems fit POMDPX, which is factored.
 
     Raises
     ------
     ValueError
-        The problem has more than `FLAT_STATES` flat states, or breaks off at a frontier.
+        The problem has more than `max_states` flat states, is truncated at a frontier, or its trust rule depends on
+        whether advice is followed.
     """
     observed = Observed.of(pomdp, table)
     betas, thetas = pomdp.grid.shape
     size = len(observed.state) * betas * thetas
-    if size > FLAT_STATES:
+    if size > max_states:
         raise ValueError(
-            f"{len(observed.state):,} states of the task times {betas * thetas} hidden ones are {size:,} flat states; "
-            f"expected at most {FLAT_STATES:,}: write POMDPX"
+            f"{len(observed.state):,} observed values times {betas * thetas} pairs (beta, theta) are {size:,} states; "
+            f"expected at most {max_states:,}: write POMDPX"
         )
     with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
         _flat(observed, stream)

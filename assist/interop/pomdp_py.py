@@ -1,4 +1,4 @@
-"""The objects of the library pomdp-py."""
+"""Conversion of a problem to objects of the library pomdp-py."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .observed import Observed, action_names
 
 @dataclass(frozen=True)
 class PomdpPy:
-    """A problem as objects of pomdp-py; `agent()` puts them together.
+    """A problem as objects of pomdp-py; `agent()` combines them.
 
-    States are `SimpleState((x, beta, theta))` with an observed value (see `Observed`) and two places in the grid,
-    actions `SimpleAction` with the names of `action_names`, observations `SimpleObservation(x)`.
+    A state is `SimpleState((x, beta, theta))`, with an observed value (see `Observed`) and two grid indices. An action
+    is a `SimpleAction` with a name of `action_names`, and an observation is `SimpleObservation(x)`.
 
     Attributes
     ----------
     belief : pomdp_py.Histogram
-        The prior, in the initial state.
+        The prior over (beta, theta) in the initial state.
     policy, transition, observation, reward : models of pomdp_py
     """
 
@@ -38,32 +38,32 @@ class PomdpPy:
     reward: Any
 
     def agent(self) -> Any:
-        """Make a `pomdp_py.Agent`."""
+        """Return a `pomdp_py.Agent`."""
         import pomdp_py
 
         return pomdp_py.Agent(self.belief, self.policy, self.transition, self.observation, self.reward)
 
 
 def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
-    """Make the classes and models of the library pomdp-py (extra `pomdp-py`).
+    """Return a problem as models of the library pomdp-py (extra `pomdp-py`).
 
-    The actions are those that the state has; where the library does not give the state they are all, and one that a
-    state does not have does what `write_pomdpx` says. The reward is the expected one of state and action. In
-    rollouts the robot does nothing, so that they estimate the return of never helping again. The library leaves
-    gamma to its planners (`discount_factor`).
+    The actions of a state are its own robot actions. If the library asks without a state, all actions are returned; one
+    that the state lacks has the effect described in `assist.interop.observed`. The reward is the expected reward of
+    state and action, in cost units. The rollout policy does nothing, so that rollouts estimate the return without
+    further assistance. The discount factor gamma is an argument of the library's planners (`discount_factor`).
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     rng : numpy.random.Generator
-        Of the transition model's samples; the library's planners draw from `random` besides.
+        Draws the samples of the transition model; the library's planners also use the module `random`.
 
     Raises
     ------
     MissingExtraError
         pomdp-py is not installed.
     ValueError
-        The problem breaks off at a frontier.
+        The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
     """
     if importlib.util.find_spec("pomdp_py") is None:
         raise MissingExtraError("this conversion needs", "pomdp-py", "pomdp-py")
@@ -79,7 +79,7 @@ def to_pomdp_py(pomdp: AssistPOMDP, rng: np.random.Generator) -> PomdpPy:
 
     @cache
     def rows(value: int, r: int) -> tuple[list[int], Floats, Floats | None, Floats]:
-        """Give, from an observed value: those after it, their chances (Y, B, T), the theta matrix and the reward."""
+        """Return the successors of an observed value, their probabilities (Y, B, T), theta's matrix and the reward."""
         x = int(observed.state[value])
         if goal[x]:
             return [value], np.ones((1, betas, thetas)), None, np.zeros((betas, thetas))

@@ -1,4 +1,4 @@
-"""POMDPX, the format of APPL's solvers (SARSOP): the task's state is observed, (beta, theta) is hidden."""
+"""Writer for POMDPX, the format of SARSOP: the state of the task is observed, (beta, theta) is hidden."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from .observed import Observed, action_names, numbers
 def write_pomdpx(pomdp: AssistPOMDP, path: Path | str, table: Table | None = None) -> None:
     """Write a problem in POMDPX 1.0, with mixed observability.
 
-    The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given a step's beginning, beta,
-    theta and x after it are independent of each other, which is what keeps the file small. The prior is written
-    as that of beta and that of theta, or of theta given beta where they are not independent.
+    The state variable `x` is observed; `beta` and `theta` are hidden, in this order. Given (x, beta, theta) and the
+    robot action, the next values of x, beta and theta are independent, so that the file is small. The prior is written
+    as P(beta) and P(theta), or as P(beta) and P(theta | beta) if they are dependent.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     path : path
     table : Table, optional
-        That of the task, by whose facts states are called; `s0`, `s1`, ... unless given.
+        The table of the task, whose facts name the states; `s0`, `s1`, ... unless given.
 
     Raises
     ------
     ValueError
-        The problem breaks off at a frontier.
+        The problem is truncated at a frontier, or its trust rule depends on whether advice is followed.
     """
     observed = Observed.of(pomdp, table)
     with atomic(Path(path)) as file, file.open("w", encoding="ascii") as stream:
@@ -97,7 +97,7 @@ def _function(
 
 
 def _over(array: Floats) -> str:
-    """Say over which of beta and theta an array, shape (B or 1, T or 1), runs."""
+    """Return the POMDPX index of an array of shape (B or 1, T or 1): `-` per axis that varies, `*` per constant one."""
     return " ".join("-" if size > 1 else "*" for size in array.shape)
 
 

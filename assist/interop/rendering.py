@@ -1,4 +1,4 @@
-"""Environments as pictures: everybody's task as it is, and where the robot is."""
+"""Pictures of environments: the state of each person's task, and the robot."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..drawing.raster import png, require
 
 
 class EnvironmentPicture:
-    """Draws teams at a task.
+    """Draws the tasks of a team.
 
     Parameters
     ----------
@@ -32,23 +32,23 @@ class EnvironmentPicture:
     def draw(
         self, done: Sequence[tuple[int, str]], finished: NDArray[np.bool_], robot: int, step: int, *, as_svg: bool
     ) -> Any:
-        """Draw everybody after what has been done.
+        """Draw all tasks after a sequence of actions.
 
         Parameters
         ----------
         done : sequence of (int, str)
-            At which place, and the ground action; in order.
+            The person (0 to K - 1) and the ground action, in order.
         finished : bool array, shape (K,)
         robot : int
-            The place where the robot is; another number where it is with nobody.
+            The person whom the robot is with; any other number if it is with none.
         step : int
         as_svg : bool
-            Give the text of an SVG document, instead of an array of shape (height, width, 3).
+            Return the text of an SVG document instead of an array of shape (height, width, 3).
 
         Raises
         ------
         MissingExtraError
-            An array without the extra `plots`.
+            An array is asked for, and the extra `plots` is not installed.
         """
         rows = []
         for place, ended in enumerate(finished):
@@ -59,7 +59,7 @@ class EnvironmentPicture:
         (picture,) = draw_frames(self.artist, rows, theme="light")
         if as_svg:
             return picture.svg
-        require(".gif")  # Pillow reads what was drawn
+        require(".gif")  # Pillow decodes the PNG
         from PIL import Image
 
         with Image.open(io.BytesIO(png(picture.svg, picture.width, 1.0))) as image:

@@ -1,7 +1,7 @@
-"""Teams that are stepped from outside: whoever steps them chooses what the robots do, and when an episode begins.
+"""Teams for environments: the caller chooses the robots' actions and when an episode begins.
 
-The rules are those of `assist.simulation`: with the same luck and the same choices the same happens. Each team has a
-clock of its own, so that one may begin again while others go on.
+The dynamics are those of `assist.simulation`: the same random numbers and the same actions have the same outcome. Each
+team has its own clock, so that one team may begin an episode while others continue theirs.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from planner import load, sweep
 from ..people.decision import NOTHING, Floats
 from ..people.human import Mixture, Population
 from ..simulation.common_random_numbers import from_the_prior
-from ..simulation.dynamics import PeopleArrays, act
-from ..simulation.pool import LARGEST, Pool
+from ..simulation.dynamics import PeopleArrays
+from ..simulation.pool import MAX_ENUMERATED, Pool
 from ..simulation.task_view import ModelGroup, World
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, TeamAction, TeamState, by_model
@@ -34,24 +34,29 @@ def pool_of(
     setting: Setting | None,
     population: Population | Mixture | None,
 ) -> Pool:
-    """Draw the people of environments: of a task by its file or name; a pool that is there already stays as it is."""
+    """Return the pool of an environment: sampled for a task's file or name; an existing pool is returned unchanged."""
     if isinstance(instance, Pool):
         return instance
-    table = sweep(load(instance), max_states=LARGEST)
-    return Pool.sample(table, size, seed=seed, setting=setting, population=population, states=LARGEST)
+    table = sweep(load(instance), max_states=MAX_ENUMERATED)
+    return Pool.sample(table, size, seed=seed, setting=setting, population=population, states=MAX_ENUMERATED)
 
 
 class Teams:
-    """N teams of K people each, and a robot for each of them.
+    """N teams of K people each, with one robot per team.
 
     Attributes
     ----------
     x, finished, erred, theta, ... : arrays, shape (N, K)
-        As in `TeamState`; `people` are numbers of the pool.
+        As in `TeamState`; `people` are indices into the pool.
     belief : float array, shape (N, K, B, T), or None
-        None where none is kept (`filters`).
+        The belief over (beta, theta) of each person; None without `filters`.
     location, busy_until, clock : int arrays, shape (N,)
-        Where the robot is, from which step on it is there, and how many steps the episode has had.
+        Where the robot is or is going, the step of its arrival, and the number of steps of the episode so far.
+
+    Raises
+    ------
+    ValueError
+        The pool is of a truncated task.
     """
 
     def __init__(
@@ -65,7 +70,7 @@ class Teams:
         filters: bool = True,
     ) -> None:
         if pool.truncated:
-            raise ValueError("pool: expected people on a task that is looked at whole (Pool.sample, `states`)")
+            raise ValueError("pool: expected people on an enumerated task (Pool.sample, `states`)")
         self.pool, self.on_grid = pool, world == "model"
         self.travel = pool.setting.travel(places, distance)
         self.groups = {number: ModelGroup.of_model(pool, number, world) for number in range(len(pool.policies))}
@@ -89,9 +94,10 @@ class Teams:
         ----------
         rows : int array, shape (m,)
         people : int array, shape (m, K)
-            Numbers of the pool.
+            Indices into the pool.
         draw : callable
-            Gives uniform numbers, shape (m, K), that decide who people are in the model's world; called in that only.
+            Returns uniform numbers, shape (m, K), that draw (beta, theta) from the prior. Called in the world "model"
+            only.
         """
         self.people[rows], self.model[rows], self.who[rows] = people, self.pool.model[people], self._row[people]
         self.beta[rows], self.theta[rows] = np.moveaxis(self._hidden[people], -1, 0)
@@ -104,18 +110,18 @@ class Teams:
             self.who[rows], self.beta[rows], self.theta[rows] = from_the_prior(pomdps, self.model[rows], draw())
 
     def free(self) -> NDArray[np.bool_]:
-        """Say which robots are under way to nobody, shape (N,)."""
+        """Return which robots are not under way, shape (N,)."""
         return self.busy_until <= self.clock
 
     def state(self) -> TeamState:
-        """Give what the robots know, as team policies read it; the step is that of the team that has had most."""
+        """Return the state that team policies read; its step is the largest clock of any team."""
         return TeamState(
             step=int(self.clock.max()), x=self.x, active=~self.finished, erred=self.erred, location=self.location,
             model=self.model, belief=self.belief, policies=self.pool.policies, travel=self.travel,
         )  # fmt: skip
 
     def send(self, action: TeamAction) -> tuple[NDArray[np.int64], Floats]:
-        """Let robots go and speak; give what they do to each person and what going there costs, shape (N, K)."""
+        """Send the robots; return their action on each person and the cost of moving (cost units), shape (N, K)."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
         rows = np.flatnonzero(action.person != NOBODY)
         to, origin = action.person[rows], self.location[rows]
@@ -125,50 +131,52 @@ class Teams:
         self.location[rows] = to
         return robot, charged
 
-    def step(self, rows: NDArray[np.int64], robot: NDArray[np.int64], luck: Floats) -> tuple[NDArray[np.int64], Floats]:
-        """Let everybody who has not finished act once, in some teams.
+    def step(
+        self, rows: NDArray[np.int64], robot: NDArray[np.int64], draws: Floats
+    ) -> tuple[NDArray[np.int64], Floats]:
+        """Let each person who has not finished act once, in some teams.
 
         Parameters
         ----------
         rows : int array, shape (m,)
         robot : int array, shape (N, K)
-            What is done to each person.
-        luck : float array, shape (N, K, 2)
-            Uniform numbers: for their choices, and in the model's world for the moves of theta.
+            The robot action on each person.
+        draws : float array, shape (N, K, 2)
+            Uniform numbers for the choices and, in the world "model", for the transitions of theta.
 
         Returns
         -------
         slot : int array, shape (N, K)
-            What each did; -1 where they did nothing.
+            The slot of each person's action; -1 for people who did not act.
         cost : float array, shape (N, K)
-            What the robot's suggestions and people's actions cost.
+            The cost of robot actions and of people's actions, in cost units.
         """
         there = np.zeros(self.x.shape, dtype=bool)
         there[rows] = ~self.finished[rows]
         charged = np.zeros(self.x.size)
-        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, luck, self.belief, self.erred)
+        people = PeopleArrays.of_teams(self.x, robot, self.who, self.theta, draws, self.belief, self.erred)
         for number, at in by_model(self.model.reshape(-1), np.flatnonzero(there), len(self.pool.policies)):
             group = self.groups[number]
             charged[at] = group.arrays.robot_costs[people.x[at], people.robot[at]]
-            act(at, people, group.minds, group.arrays)
+            group.act(at, people)
             self.finished.reshape(-1)[at] = group.arrays.goal[people.x[at]]
         self.clock[rows] += 1
         return people.slot.reshape(self.x.shape), (people.cost + charged).reshape(self.x.shape)
 
 
 class Sight:
-    """What a learner sees of teams: arrays with the teams as their first axis, and which actions are possible.
+    """Observations of teams for a learner, and masks of possible actions; the first axis of each array is the team.
 
     Attributes
     ----------
     robots : int
-        R: the most robot actions in any state of anybody.
+        R, the largest number of robot actions in any state of any model.
     states, models : int
-        How many states the largest task has, and how many models of people there are.
+        The number of states of the largest model, and the number of models.
     hidden : tuple of int
         B and T, the shape of a belief.
     largest : float
-        Above any cost-to-go: what is seen of a dead end.
+        The value that stands for the infinite cost-to-go of a dead end: 1 above the largest finite one (cost units).
     """
 
     def __init__(self, teams: Teams, *, beliefs: bool) -> None:
@@ -186,7 +194,11 @@ class Sight:
 
     @cached_property
     def _alone(self) -> Floats:
-        """How likely each beta does by itself what robot actions suggest, shape (states of all models, R, B)."""
+        """Choice probabilities without advice, shape (states of all models, R, B).
+
+        Entry [x, r, b] is the probability that a person of expertise b chooses the action that robot action r suggests.
+        For r = 0, nothing, it is the probability of an optimal action.
+        """
         parts = []
         for policy in self.teams.pool.policies:
             pomdp = policy.pomdp
@@ -200,7 +212,7 @@ class Sight:
 
     @cached_property
     def _alone_at_first(self) -> NDArray[np.float32]:
-        """The same for a person of whom only the prior is known, shape (states of all models, R)."""
+        """The expectation of `_alone` under the prior over beta, shape (states of all models, R)."""
         prior = np.concatenate([
             np.broadcast_to(policy.pomdp.prior.sum(axis=1), (len(policy.pomdp.robot_actions), len(policy.pomdp.prior)))
             for policy in self.teams.pool.policies
@@ -208,13 +220,13 @@ class Sight:
         return np.einsum("nrb,nb->nr", self._alone, prior).clip(0.0, 1.0).astype(np.float32)
 
     def mask(self) -> NDArray[np.int8]:
-        """Say which robot actions each person's state has, shape (N, K, R); only nothing for who has finished."""
+        """Return the mask of robot actions of each person, shape (N, K, R); finished people have only action 0."""
         teams = self.teams
         count = np.where(teams.finished, 1, self._count[self._offset[teams.model] + teams.x])
         return (np.arange(self.robots) < count[:, :, None]).astype(np.int8)
 
     def seen(self) -> dict[str, NDArray[Any]]:
-        """Give what is seen of people, each array of shape (N, K) or (N, K, ...)."""
+        """Return the observation of all people, each array of shape (N, K) or (N, K, ...)."""
         teams = self.teams
         row = self._offset[teams.model] + teams.x
         active = ~teams.finished

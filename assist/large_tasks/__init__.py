@@ -1,4 +1,4 @@
-"""Tasks that are too large to enumerate: truncated tasks, and policies and bounds on them."""
+"""Tasks that are too large to enumerate: truncated tasks, and policies and bounds for them."""
 
 from planner.system.lazy_imports import lazy_exports
 

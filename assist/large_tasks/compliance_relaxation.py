@@ -1,14 +1,35 @@
-"""What somebody gets at most who complies with every suggestion: an upper bound in many states of a large table.
+"""The compliance relaxation: upper bounds on one person's value in many states of a large table.
 
-Where a part of a task breaks off, what follows has to be bounded for somebody known, whatever the robot does. Here they
-do what it suggests, or avoid it, as is best for it, whatever their theta; else they choose as they do. No person gets
-more: theta weighs one choice against the others, which keep their shares among themselves, so that what is done after a
-suggestion is a mixture of what would be done with that choice alone and with all the others alone; and a mixture gets
-no more than the best of what it mixes, of which the suggestion's cost is paid in any case. Coming costs nothing.
+In the relaxation, the robot decides whether a person complies with a suggestion or avoids the suggested choice. Without
+a suggestion the person chooses as usual. The robot is always present, and theta has no effect. So a state has one value
+for each beta, and a million states fit into memory.
 
-So theta need not be told apart: a state has one value for each beta, and a million states are swept over. Values start
-from those of people who never err (`region.never_erring`) and every sweep leaves upper bounds, so that it does not
-matter which states are swept, or how often.
+Notation: u_b is the return of choice b, that is, minus its cost plus gamma times the value of its successor. p_b is the
+probability of b without a suggestion (equation 5), l the lapse rate, and m the mean of u over all choices. Let S be the
+set of choices that may be suggested, and o_a = sum_{b != a} p_b u_b / (1 - p_a). The Bellman operator of the relaxation
+is
+
+    (C U)(x, beta) = max( (1 - l) sum_b p_b u_b + l m,
+                          max_{a in S} (1 - l) max(u_a, o_a) + l m - c_suggest ).
+
+Assumptions.
+
+1. People choose by equation 5, with a perceived cost-to-go for each state.
+2. A suggestion acts by equation 6 with some theta in [0, 1]; theta may change in any way.
+3. Costs of suggestions, of travel and of attention are at least 0. The robot executes no action of the task.
+
+Claim: let W(x, beta, theta) be the optimal value with observed beta and theta. If U >= W, then C U >= W. So all values
+that result from sweeps of C over any states, starting from an upper bound, are upper bounds.
+
+Proof: Let the robot suggest a, and consider choices without a lapse. By equation 6, a has the weight theta p_a, and
+every other b has the weight (1 - theta) p_b. So the other choices keep their proportions among each other. The expected
+return is therefore a mixture of u_a and o_a, hence at most max(u_a, o_a). If equation 6 leaves the probabilities
+unchanged, it is the mixture with the weights p_a and 1 - p_a. Lapses contribute l m. The robot pays at least c_suggest.
+Without a suggestion, the first term is exact. The returns u are increasing in U, so that C is monotone, and the maximum
+over all robot actions is at least the Bellman backup of W, which is W itself.
+
+The sweeps start at `truncated_task.never_erring`, an upper bound for every person. States outside the swept ones keep
+this value.
 """
 
 from __future__ import annotations
@@ -30,41 +51,33 @@ from ..people.human import Human
 from ..people.misconception import Misconception
 from ..person.problem_arrays import read_only
 from ..person.qmdp import ROUNDING
-from .truncated_task import expected, never_erring
-
-TOLERANCE = 0.02
-"""Sweeps end when none changes a value by more, in cost units."""
-
-SWEEPS = 15
-"""And after so many in any case."""
-
-SLIGHT = 1e-3
-"""A state is left out of a sweep if nothing that follows it has changed by more since it was looked at."""
+from .truncated_task import never_erring, perceived_of_states
 
 Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class ComplianceBounds:
-    """Upper bounds on what the robot gets with somebody whose beta is seen.
+    """Upper bounds on the value of a person with known beta.
 
     Attributes
     ----------
     states : int array, shape (m,)
-        As the table numbers them, ascending.
+        Numbers of the states in the table, in ascending order.
     value : float array, shape (m, B)
+        Upper bound for each beta, in cost units.
     """
 
     states: Ints
     value: Floats
 
     def at(self, states: Ints) -> Floats:
-        """Give the bounds, shape (N, B), of some of these states."""
+        """Return the bounds, shape (N, B), of some of these states."""
         return np.asarray(self.value[np.searchsorted(self.states, states)])
 
 
-def around(known: Table, states: Ints, most: int) -> Ints:
-    """Give these states and those that are next to them, layer by layer, up to about so many, ascending."""
+def breadth_first(known: Table, states: Ints, most: int) -> Ints:
+    """Return the given states and their successors, layer by layer, up to about `most` states in ascending order."""
     layer = found = np.unique(states)
     while len(layer) and len(found) < most:
         layer = np.setdiff1d(known.choices(layer).targets, found)[: most - len(found)]
@@ -72,7 +85,7 @@ def around(known: Table, states: Ints, most: int) -> Ints:
     return found
 
 
-def at_most(
+def compliance_bounds(
     known: Table,
     human: Human | None,
     betas: Floats,
@@ -83,30 +96,36 @@ def at_most(
     lapse: float,
     optimal: bool = True,
     deadline: float = math.inf,
+    tolerance: float = 0.02,
+    max_sweeps: int = 15,
 ) -> ComplianceBounds:
-    """Bound from above what the robot gets with somebody from some states on.
+    """Return upper bounds on a person's value in some states, by the compliance relaxation.
 
-    They choose by cost-to-go alone (eq. 5).
+    The module's assumptions must hold.
 
     Parameters
     ----------
     known : Table
     human : Human or None
-        Of whom it is known what they are mistaken about, if it is.
+        The person, if their misconceptions are known.
     betas : float array, shape (B,)
     states : int array, shape (m,)
-        Which are swept over, ascending; beyond them nobody errs.
+        States that are swept, in ascending order. All others keep the value of people who never err.
     gamma, c_suggest, lapse : float
         As in `AssistPOMDP.of` and `HumanModel`.
     optimal : bool
         Whether only optimal actions are suggested, or all.
     deadline : float
-        No sweep begins after this time on `time.perf_counter()`'s clock.
+        Time on the clock of `time.perf_counter()` after which no sweep begins.
+    tolerance : float
+        Sweeps end when no value changes by more than this, in cost units. The values are upper bounds after any sweep.
+    max_sweeps : int
+        Largest number of sweeps. The values of people who move in circles converge slowly.
 
     Raises
     ------
     ValueError
-        They are mistaken about actions, not states.
+        The person has misconceptions about actions, not states.
     """
     if human is not None and not mistaken_about_states(human):
         raise ValueError("expected somebody who is mistaken about states, not about actions")
@@ -117,19 +136,19 @@ def at_most(
     number = np.where(inside, place, len(states) + np.searchsorted(rest, rows.targets)).astype(np.int32)
     every = np.concatenate([states, rest])
     h = known.lookup(every)
-    mine = h if human is None else expected(human, known, every, h)
+    perceived = h if human is None else perceived_of_states(human, known, every, h)
     costs = np.asarray(known.task.costs, dtype=np.float64)
     start = never_erring(h, costs, gamma)
     order = np.argsort(h[: len(states)], kind="stable")
     order = order[np.isfinite(h[order]) & ~known.is_goal(states)[order]]
-    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, h, mine)]
+    arrays = [read_only(array) for array in (order, rows.offsets, rows.actions, number, costs, h, perceived)]
 
     def one(beta: float) -> Floats:
         value, stamp = start.copy(), np.zeros(len(start), dtype=np.uint8)
-        for sweep in range(1, SWEEPS + 1):
+        for sweep in range(1, max_sweeps + 1):
             if time.perf_counter() > deadline:
                 break
-            if _sweep(value, stamp, sweep, *arrays, beta, gamma, c_suggest, lapse, optimal) <= TOLERANCE:
+            if _sweep(value, stamp, sweep, *arrays, beta, gamma, c_suggest, lapse, optimal) <= tolerance:
                 break
         return value[: len(states)] * (1 - ROUNDING / (1 - gamma))  # values are negative
 
@@ -138,17 +157,21 @@ def at_most(
 
 
 def mistaken_about_states(human: Human) -> bool:
-    """Tell whether what somebody takes for the cost-to-go is a number for each state."""
+    """Return whether a person's misconception is a perceived cost-to-go of each state."""
     return isinstance(human.h, Misconception) and human.h.noise == "state"
 
 
 @njit(nogil=True)
 def _sweep(
     value: Floats, stamp: NDArray[np.uint8], sweep: int, order: Ints, offsets: Ints, actions: NDArray[np.integer],
-    targets: NDArray[np.int32], prices: Floats, h: Floats, mine: Floats, beta: float, gamma: float, c_suggest: float,
-    lapse: float, optimal: bool,
+    targets: NDArray[np.int32], prices: Floats, h: Floats, perceived: Floats, beta: float, gamma: float,
+    c_suggest: float, lapse: float, optimal: bool,
 ) -> float:  # fmt: skip
-    """Lower the values of states once, in place, and return the largest change."""
+    """Lower the values of states once, in place, and return the largest change.
+
+    A state is skipped if no successor has changed by more than `slight` since its last backup; its bound remains valid.
+    """
+    slight = 1e-3  # cost units; a smaller change causes no backup of predecessors, to save time
     most = 0
     for x in order:
         most = max(most, offsets[x + 1] - offsets[x])
@@ -160,13 +183,13 @@ def _sweep(
         for a in range(choices):
             y = targets[first + a]
             latest = max(latest, stamp[y])
-            p[a] = prices[actions[first + a]] + mine[y]
+            p[a] = prices[actions[first + a]] + perceived[y]
             least = min(least, p[a])
         if latest + 1 < sweep or choices == 0:
             continue
         total = 0.0
         for a in range(choices):
-            # As in `decision.choice`; somebody of beta 0 does not look at what follows.
+            # As in `decision.choice`; the choices of a person with beta 0 do not depend on costs.
             p[a] = np.exp(-beta * (p[a] - least)) if beta > 0.0 and least < np.inf else 1.0
             total += p[a]
         alone, mean, highest = 0.0, 0.0, -np.inf
@@ -180,14 +203,14 @@ def _sweep(
         for a in range(choices):
             if optimal and prices[actions[first + a]] + h[targets[first + a]] != h[x]:
                 continue
-            heard = highest  # where hardly anything but the suggestion is left, a difference would lose its digits
+            influenced = highest  # an upper bound on o_a; for p close to 1 the difference below would lose precision
             if p[a] < 0.9:
-                heard = max(u[a], (alone - p[a] * u[a]) / (1.0 - p[a]))
-            best = max(best, (1.0 - lapse) * heard + lapse * mean - c_suggest)
+                influenced = max(u[a], (alone - p[a] * u[a]) / (1.0 - p[a]))
+            best = max(best, (1.0 - lapse) * influenced + lapse * mean - c_suggest)
         change = value[x] - best
         if change > 0.0:
             value[x] = best
-            if change > SLIGHT:
+            if change > slight:
                 stamp[x] = sweep
             largest = max(largest, change)
     return largest

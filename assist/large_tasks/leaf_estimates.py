@@ -1,9 +1,9 @@
-"""What a person's problem is worth on a region of their task, and about what it is worth everywhere else.
+"""Values of a person's problem on a truncated task, and estimates of the values outside it.
 
-Where a `TruncatedTask` breaks off, bounds are far from what really follows: a policy that took them for values would
-think that people who leave it never err again. So here the values at the frontier are *estimated*, by the mean of the
-region's values at states of the same cost-to-go, and worked out together with these: sweeps of value iteration, then
-new means, a few times. The same means stand for all states outside. No bound rests on them.
+The bounds at a frontier are far from the true values. A policy that used them as values would assume that people beyond
+the frontier never err. So the values at the frontier are *estimated*: as the mean value of those states of the
+truncated task that have the same cost-to-go. Value iteration and new means alternate a few times. The same means serve
+for all states outside. The estimates are not used for any bound.
 """
 
 from __future__ import annotations
@@ -18,42 +18,27 @@ from planner.system.progress import Progress
 
 from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import highest, improve
+from ..person.qmdp import initial_upper_bounds, value_iteration
 from .truncated_task import TruncatedTask, never_erring
-
-TOLERANCE = 0.3
-"""Largest error of a region's values given those at its frontier, in cost units.
-
-With a tenth of it policies on a task of seven million states got the same within 0.05, and took nearly twice as long to
-work out. Where it matters errors are far smaller: in the last sweep no value changes by more than 1 - gamma times this.
-"""
-
-DIGITS = 1e-3
-"""The same where the region is the whole task, so that no value is estimated."""
-
-ROUNDS = 4
-"""Times that the means are taken."""
-
-AGAIN = 2
-"""Times that they are taken where values begin from somebody else's."""
 
 
 @dataclass(frozen=True)
 class LeafEstimates:
-    """Values of a region's states, and of all others by their cost-to-go.
+    """Values of the states of a truncated task, and mean values by cost-to-go for all other states.
 
     Attributes
     ----------
     states : int array, shape (m,)
-        Of the region, ascending; those on its frontier are not among them.
+        States of the truncated task in ascending order, without the frontier.
     value : float array, shape (m, P, B, T)
-        Where beta and theta are seen, for each of P positions of the robot (one, if it is always there).
+        Values with observed beta and theta, in cost units, for each of P positions of the robot. P is 1 if the robot is
+        always there.
     level : float array, shape (L,)
-        Costs-to-go, ascending.
+        Distinct values of the cost-to-go, in ascending order.
     mean : float array, shape (L, P, B, T)
-        The mean value of the region's states of each.
+        Mean value of the states of each level.
     costs : float array
-        Of the task's actions.
+        Costs of the task's actions.
     gamma : float
     """
 
@@ -80,23 +65,29 @@ class LeafEstimates:
         tolerance: float | None = None,
         progress: Progress | None = None,
     ) -> LeafEstimates:
-        """Work them out.
+        """Compute the values and estimates.
+
+        There are four rounds of value iteration and averaging, or two with `like`, since these start close to a fixed
+        point. The tolerance is ten times larger in each earlier round, because early means need less precision.
 
         Parameters
         ----------
         problem : AssistPOMDP
-            One person's, on the region, which breaks off where the region does.
+            One person's problem on the truncated task, with the same frontier.
         region : TruncatedTask
-            Of n states.
+            Truncated task of n states.
         rows : int array, shape (P, n)
-            The problem's state for each position of the robot; those of the region unless given.
+            State of the problem for each position of the robot; by default the states of the task.
         like : LeafEstimates, optional
-            Of a problem with similar values, from which these begin; with as many positions, or one.
+            Estimates of a problem with similar values, at which the iteration starts. They have as many positions, or
+            one.
         tolerance : float
-            Largest error of a value given those at the frontier; `TOLERANCE` unless given, `DIGITS` where there is no
-            frontier.
+            Largest error of a value for given frontier values, in cost units; by default 0.3, or 1e-3 without a
+            frontier. A tenth of 0.3 changed returns on a task of seven million states by less than 0.05 and took almost
+            twice the time. Errors of probable states are much smaller: in the last sweep no value changes by more than
+            (1 - gamma) times the tolerance.
         progress : callable, optional
-            Told how far it is, as `qmdp` says.
+            Receives progress reports, as in `qmdp`.
         """
         choices, costs = region.choices, np.array(region.known.task.costs, dtype=np.float64)
         rows = np.arange(len(choices))[None] if rows is None else rows
@@ -104,15 +95,14 @@ class LeafEstimates:
         inside[region.frontier] = False
         order = np.flatnonzero(inside)[np.argsort(region.states[inside])]
         level, place = np.unique(choices.h[order], return_inverse=True)
-        value = highest(problem)
-        rounds = (ROUNDS if like is None else AGAIN) if len(region.frontier) else 1
-        tolerance = tolerance or (TOLERANCE if len(region.frontier) else DIGITS)
-        if like is not None and rounds > 1:  # where nothing breaks off values are bounds, and begin as such
+        value = initial_upper_bounds(problem)
+        rounds = (4 if like is None else 2) if len(region.frontier) else 1
+        tolerance = tolerance or (0.3 if len(region.frontier) else 1e-3)
+        if like is not None and rounds > 1:  # without a frontier the values are bounds, and start as such
             begins = np.flatnonzero(np.isfinite(choices.h) & ~choices.goal)
             value[rows[:, begins].T] = like.at(region.states[begins], choices.h[begins])
         for round_ in range(1, rounds + 1):
-            # Early means need no digits.
-            improve(problem, value, tolerance=tolerance * 10.0 ** (rounds - round_), progress=progress)
+            value_iteration(problem, value, tolerance=tolerance * 10.0 ** (rounds - round_), progress=progress)
             found = value[rows[:, order].T]
             mean = np.zeros((len(level), *found.shape[1:]))
             np.add.at(mean, place, found)
@@ -123,12 +113,12 @@ class LeafEstimates:
         return estimates
 
     def at(self, states: NDArray[np.int64], h: Floats) -> Floats:
-        """Give the values of states, shape (N, P, B, T).
+        """Return the values of states, shape (N, P, B, T).
 
         Parameters
         ----------
         states : int array, shape (N,)
-            As the task numbers them.
+            Numbers of the states in the task.
         h : float array, shape (N,)
             Their exact cost-to-go.
         """
@@ -140,9 +130,10 @@ class LeafEstimates:
         return values
 
     def beyond(self, h: Floats) -> Floats:
-        """Estimate the value of states by their cost-to-go, shape (N, P, B, T).
+        """Return estimates of the value of states with a given cost-to-go, shape (N, P, B, T).
 
-        That of the nearest level below, or of the lowest, times by how much more must be paid at least.
+        The estimate is the mean of the nearest level that is not higher, or else of the lowest level. It is scaled by
+        the ratio of the upper bounds `never_erring` of the state and of the level.
         """
         at = np.clip(np.searchsorted(self.level, h, side="right") - 1, 0, len(self.level) - 1)
         least, known = never_erring(h, self.costs, self.gamma), never_erring(self.level[at], self.costs, self.gamma)

@@ -1,4 +1,4 @@
-"""One person's problem on a task of any size: all of its states, or those that matter to one person."""
+"""One person's problem on a task of any size: on all states, or on a truncated task."""
 
 from __future__ import annotations
 
@@ -16,45 +16,45 @@ from ..people.arguments import whole
 from ..people.decision import perceived_cost, perceived_cost_to_go
 from ..people.human import HumanModel, Mixture, Population
 from ..people.memory import choices_of
+from ..people.trust_rules import TrustRule, trust_rule
 from ..person.pomdp import AssistPOMDP, Suggestions
 from .truncated_task import TruncatedTask
 
 WHOLE = 20_000
-"""States of a table up to which all are worked out, and those of a region beyond it."""
+"""Number of states of a table up to which a problem enumerates all of them; also the default size of a truncated task.
 
-ASKED = 200
-"""States of a region where each has to be asked for."""
+A solver keeps vectors and beliefs for each state, so that its time and memory limit their number.
+"""
 
 
 def is_whole(known: CostToGo, states: int | None = None) -> TypeGuard[Table]:
-    """Decide whether a person's problem covers all of a task, or only a `TruncatedTask` of it.
+    """Return whether a person's problem enumerates the whole task, or is restricted to a `TruncatedTask`.
 
-    All of it does if every cost-to-go is known and there are at most so many states: then nothing breaks off, the
-    value is that of the task, and people's misconceptions and the robot's own actions may lead anywhere. A solver
-    keeps much of each state and can do no more than that many. Where each state has to be asked for, nobody knows how
-    many there are; so that is a region always.
+    It enumerates the task if every cost-to-go is known and the number of states is small enough. Then the problem has
+    no frontier, and its value is that of the task. Misconceptions and executed actions may lead to any state. A task
+    whose states are solved on demand is always truncated, because its number of states is unknown.
 
     Parameters
     ----------
     known : CostToGo
     states : int, optional
-        `WHOLE` unless given.
+        Largest number of states to enumerate; `WHOLE` by default.
     """
     return isinstance(known, Table) and len(known) <= (WHOLE if states is None else states)
 
 
 @dataclass(frozen=True)
 class PersonProblem:
-    """The problem of assisting one person, and where its states are in the task.
+    """The problem of assisting one person, and the numbers of its states in the task.
 
     Attributes
     ----------
     known : CostToGo
-        The task's cost-to-go.
+        Cost-to-go of the task.
     pomdp : AssistPOMDP
         Its `frontier` is None if it covers the whole task.
     states : int array, shape (n,)
-        The number of each of the problem's states in `known`.
+        Number of each state of the problem in `known`.
     """
 
     known: CostToGo
@@ -79,39 +79,44 @@ class PersonProblem:
         suggestions: Suggestions = "optimal",
         execute: bool = False,
         c_execute: float = 1.0,
+        trust: str | TrustRule | None = None,
         sigma: float = 0.0,
         seed: int | np.random.Generator = 0,
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> PersonProblem:
-        """Set up the problem, on all states or on a region of them as `is_whole` decides.
+        """Build the problem on all states or on a truncated task, as `is_whole` decides.
 
-        What is not listed is as in `AssistPOMDP.of` and `HumanModel`.
+        The other parameters are those of `AssistPOMDP.of` and `HumanModel`.
 
         Parameters
         ----------
         known : CostToGo
         states : int, optional
-            The most states to work out; 20,000 of a table unless given, 200 where each has to be asked for.
+            Largest number of states; by default 20,000 for a table, and 200 if states are solved on demand. An
+            on-demand query takes up to seconds.
+        trust : str or TrustRule, optional
+            As in `Setting`.
         start : int, optional
-            Where a region begins; in the initial state unless given.
+            First state of a truncated task; by default the initial state.
         sigma : float
-            Size of a misconception, which the robot knows; of a whole task only.
+            Standard deviation of a misconception, in cost units, that the robot knows; only for a whole task.
         seed : int or Generator
-            From which it is drawn.
+            Random seed of the misconception.
         time_limit : float, optional
-            Seconds for collecting a region's states.
+            Seconds for collecting the states of a truncated task.
         progress : callable, optional
-            Called with how many of them have been looked at since the last call.
+            Called with the number of states that were expanded since the last call.
 
         Raises
         ------
         ValueError
-            Parameters that cannot be, or a misconception, executed actions, terms or a choice model on a region.
+            A parameter is out of its range, or a truncated task is combined with a misconception, executed actions,
+            terms or a choice model.
         """
         if not 0 <= sigma < np.inf:
             raise ValueError(f"sigma {sigma:g}: expected 0 or more")
-        states = None if states is None else whole("states", states, 1)
+        states, rule = None if states is None else whole("states", states, 1), trust_rule(trust, eta, utility_scale)
         if is_whole(known, states):
             people = population or Population()
             choices = choices_of(known, people.weights)
@@ -119,11 +124,11 @@ class PersonProblem:
             model = HumanModel(choices, perceived_cost(choices, h), eta=eta, lapse=lapse, utility_scale=utility_scale)
             pomdp = AssistPOMDP.of(
                 model, chooses=people.typical, population=people, gamma=gamma, c_suggest=c_suggest,
-                suggestions=suggestions, execute=execute, c_execute=c_execute,
+                suggestions=suggestions, execute=execute, c_execute=c_execute, trust=rule,
             )  # fmt: skip
             return cls(known, pomdp, choices.of_task(np.arange(len(known))))
         if states is None:
-            states = ASKED if known.searches else WHOLE
+            states = 200 if known.searches else WHOLE
         own = population is not None and (population.weights or population.chooses is not None)
         for name, given in (
             ("sigma", sigma > 0),
@@ -137,6 +142,6 @@ class PersonProblem:
         )
         pomdp = region.problem(
             population=population, eta=eta, lapse=lapse, utility_scale=utility_scale, gamma=gamma,
-            c_suggest=c_suggest, suggestions=suggestions,
+            c_suggest=c_suggest, suggestions=suggestions, trust=rule,
         )  # fmt: skip
         return cls(known, pomdp, region.states)

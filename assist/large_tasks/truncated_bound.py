@@ -1,51 +1,54 @@
-"""Bounds on one person's problem, computed on a part of a task and valid for all of it.
+"""Upper bounds on one person's problem that are computed on a truncated task and hold for the whole task.
 
-A solver that keeps beliefs can look at some thousand states. Where these end, at the frontier, it needs an upper bound
-on what follows, and a good one gives a good bound. So there are four parts, each around the one before:
+A solver for hidden (beta, theta) handles some thousand states. At its frontier it needs an upper bound on the value,
+and its own bound is only as tight as that. So four relaxations are nested, from the inside to the outside:
 
-- a region on which beta and theta are hidden, for the solver;
-- a larger one, on which they are seen. Its values are those of the best policies (`person.qmdp`), with the person's
-  own misconceptions, what a suggestion does to them and to their trust, what it costs, and what coming costs;
-- a still larger one, on which beta is seen and people comply with every suggestion
-  (`large_tasks.compliance_relaxation`). One number for each beta is kept of its states, so that there is room for a
-  million;
-- everything else, where people never err (`large_tasks.truncated_task.never_erring`).
+1. the inner truncated task, on which beta and theta are hidden, for the solver;
+2. a larger truncated task, on which the robot observes beta and theta. Its values are optimal (`person.qmdp`), with the
+   person's misconceptions, the effects of suggestions on choices and trust, and the costs of suggestions and of coming;
+3. a still larger set of states, on which the robot observes beta and people comply
+   (`large_tasks.compliance_relaxation`). It needs one number per state and beta, so that a million states fit into
+   memory;
+4. all other states, in which people never err (`truncated_task.never_erring`).
 
-Claim. Let W(x, p, beta, theta) be the best discounted return in the whole task from state x on, with the robot at
-position p, beta and theta seen, and presence free. Each value computed here is at least W. So an upper bound on the
-value of the first region's problem, which ends at its frontier with these values, is one of the whole task's.
+Definition. W(x, p, beta, theta) is the optimal discounted return in the whole task from state x, with the robot at
+position p, with observed beta and theta, and with free attention.
 
 Assumptions.
 
-1. Costs, of people's actions, suggestions, coming and presence, are 0 or more.
-2. A choice model is local: the chances in a state, and V(x) of eq. 7, follow from the state's own choices, which are
-   their costs, their perceived costs, and the h*, goals and keys of the states they lead to. A function that looks
-   further gives other numbers on a part than on all of a task, and no bound holds for it.
-3. The robot executes nothing (`AssistPOMDP.of` refuses that where a problem ends at a frontier).
+1. The costs of people's actions, of suggestions, of coming and of attention are at least 0.
+2. The choice model is local. The choice probabilities of a state, and V(x) of equation 7, depend only on the choices in
+   that state: their costs, their perceived costs, and the h*, goal flags and keys of their successors. A model that
+   looks further may give other numbers on a truncated task, and no bound holds for it.
+3. The robot executes no action (`AssistPOMDP.of` refuses this for a problem with a frontier).
 
-Proof, from the outside.
+Claim. All frontier values computed here are at least W. Hence an upper bound on the inner problem, which ends at its
+frontier with these values, is an upper bound on the whole task.
 
-- Beyond the third part the value is `never_erring`'s, which holds whatever people do and however they choose.
-- On the third, `compliance`'s, which holds for all theta, and so however trust moves. It is used for people who
-  choose by cost-to-go alone; for others the value there is the outermost one.
-- On the second, values start above W and each sweep applies the Bellman operator T of the part. T is monotone. A
-  choice has in the part the chances, costs and targets that it has in the whole task, by assumption 2. A suggestion
-  moves theta by V of the state it leads to less V(x). In frontier states no choices are seen, so that V is computed
-  there from their choices in the whole task (`_expected`), for every choice model and whatever the robot knows. So T,
-  with any values of at least W at the frontier, maps values of at least W to such values. With another V at the
-  frontier, as that of minus h* for people who look at something else, theta would arrive elsewhere, and T would be
-  another problem's.
-- In the first, beta and theta are hidden, which can only cost the robot something.
-- A price of presence is 0 or more, so that free presence is an upper bound. A way that takes time is taken to take
-  none: a robot that sets out later, when there is something to say, pays no earlier and gets no less.
+Proof, from the outside to the inside.
 
-What is known about people soon hardly differs from all there is to know: what they do shows it. So most of what seeing
-is worth is within a few steps of the beginning, in the innermost part.
+- Relaxation 4: `never_erring` bounds the value for all people and robots.
+- Relaxation 3: `compliance_bounds` bounds the value for all theta, hence for every trust update. It is used only for
+  people who choose by cost-to-go alone. For others, the bound of relaxation 4 takes its place.
+- Relaxation 2: value iteration starts at values that are at least W, and applies the Bellman operator T of this
+  truncated task. T is monotone. By assumption 2, a choice has the same probability, cost and successor as in the whole
+  task. The trust rule changes theta after a suggestion depending on the choices in x and on V of the suggested
+  successor. Frontier states have no choices in the truncated task, so that V is computed from their choices in the
+  whole task (`_expected`). Hence T agrees with the Bellman operator of the whole task at all states but the frontier,
+  and it maps values of at least W to values of at least W. With another V at the frontier, such as minus h* for people
+  who consider other things, theta would change differently, and T would be the operator of another problem.
+- Relaxation 1: beta and theta are hidden. The robot has less information than in the definition of W, so that its value
+  is at most the mean of W.
+- A price of attention is at least 0, so that free attention is an upper bound. Travel time is replaced by 0: a robot
+  that could arrive at once can also set out later, pays no earlier, and receives no less.
 
-People who leave that part can be followed on the larger region (`OuterRelaxation`); for a robot whose way takes time
-that is left out, since there it takes none. Where attention has a price at each step, there is a state for every step;
-so only the likeliest at each are looked at (`likely`), and the values at their frontier are computed step by step
-(`OuterRelaxation.beyond`).
+After a few steps the robot's belief is concentrated, because people's choices are informative. So most of the value of
+observing beta and theta lies in the first steps, inside the inner truncated task.
+
+`OuterRelaxation` follows people who leave the inner task. It is not used for a robot with a travel time, since the
+relaxation neglects that time. If attention has a price at each step, the problem has a copy of every state for each
+step. Then only the likeliest pairs of state and step are enumerated (`likely`), and the frontier values are computed
+for each step (`OuterRelaxation.beyond`).
 """
 
 from __future__ import annotations
@@ -66,109 +69,75 @@ from ..people.choice_model import boltzmann, value
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.pomdp import AssistPOMDP, LeafBounds
-from ..person.qmdp import backward, highest, improve
+from ..person.qmdp import bellman_backup, initial_upper_bounds, value_iteration
 from ..person.solver import first_bounds_bytes
 from ..team.attention_subproblem import AWAY, HERE, AttentionSubproblem
 from ..team.settings import Setting
-from .compliance_relaxation import around, at_most, mistaken_about_states
+from .compliance_relaxation import breadth_first, compliance_bounds, mistaken_about_states
 from .state_cache import StateCache
 from .truncated_task import TruncatedTask
 
-HIDDEN = 10_000
-"""States of the region on which beta and theta are hidden, if there are time and memory for so many.
 
-On tasks of 7.2 and of 3.7 million states 10,000 gave bounds of a person lower by .16 and .1 than 3,000 did (-25.41 and
--42.18), in two minutes; 20,000 brought .01 in three.
-"""
+@dataclass(frozen=True, kw_only=True)
+class BoundSizes:
+    """Sizes of the four relaxations, and the precision of the second; any sizes give valid bounds.
 
-FEW = 3_000
-"""So many in any case, and where it may take a search to look one up."""
+    The measurements below were made on kitting tasks of 3.7 and 7.2 million states. Values are in cost units.
 
-PER_SECOND = 400
-"""More than these for each second that there is for what is around them: the solver has more to do with them."""
+    Attributes
+    ----------
+    hidden : int
+        Largest number of states on which beta and theta are hidden. With 10,000 instead of 3,000 a person's bound
+        became tighter by 0.1 to 0.16 and took two minutes. With 20,000 it gained another 0.01 and took three.
+    hidden_least : int
+        Number of these states whatever the time and memory, and the largest number if states are solved on demand.
+    seen : int
+        Largest number of states on which the robot observes beta and theta; none if states are solved on demand. With
+        20,000 instead of 5,000 a bound of -40.1 became -42.0; with 50,000 it gained 0.04.
+    pairs : int
+        Largest number of pairs of state and step, if attention has a price at each step. With prices at 18 steps, the
+        likeliest 10,000 pairs gave a bound of -26.24 in 100 seconds, and 20,000 gave -26.25 in 180.
+    pairs_least : int
+        Number of these pairs whatever the time and memory.
+    price_states : int
+        Number of states on which prices are optimised. Each round does value iteration at every step.
+    complying : int
+        Largest number of states of the compliance relaxation. It is used for tables only, which need no search.
+    tolerance : float
+        Largest error of a value with observed beta and theta, in cost units. All values are bounds in any case. Errors
+        of probable states are much smaller: in the last sweep no value changes by more than 1 - gamma times this.
+    sweeps : int
+        Largest number of sweeps of the same value iteration. On a task of 654,610 states a bound was -22.224 after 16
+        sweeps, and -22.225 after 60. Later sweeps change the values of people who move in circles.
+    """
 
-FOR_HIDDEN = 0.3
-"""The share of a person's memory that their problem may take for more than these."""
+    hidden: int = 10_000
+    hidden_least: int = 3_000
+    seen: int = 20_000
+    pairs: int = 20_000
+    pairs_least: int = 3_000
+    price_states: int = 5_000
+    complying: int = 600_000
+    tolerance: float = 0.5
+    sweeps: int = 20
 
-SEEN = 20_000
-"""States of that on which they are seen, if the memory does; none where it may take a search to look one up.
 
-On the same tasks three times 5,000 brought .01 to a person's bound of -23 to -25; on one of 3.7 million states where
-the goal is twice as far 20,000 gave -42.0 where 5,000 gave -40.1, and 50,000 brought .04.
-"""
-
-PAIRS = 20_000
-"""States, each with one step, on which they are hidden where each is there once for every step, if time and memory do.
-
-For a person on a task of 7.2 million states, with prices on 18 steps, 1,000 states at all steps gave -25.97 and 2,000
-gave -26.12; the 10,000 likeliest of such pairs gave -26.24 in 100 seconds, and 20,000 -26.25 in 180.
-"""
-
-PAIRS_FEW = 3_000
-"""So many of these in any case."""
-
-PAIRS_PER_SECOND = 200
-"""More than these for each second that there is for what is around them."""
-
-FOR_PAIRS = 0.5
-"""The share of a person's memory that their problem may take for more than these."""
-
-NEXT_TO = 3.3
-"""How many states there are to be stored for each of them, with those where they break off, roughly."""
-
-ADVISED = 0.3
-"""The share of people who are advised, in each step, of those by whose chances states are chosen."""
-
-LATER = 3
-"""States are chosen by what is met within so many times the steps that are told apart."""
-
-BETWEEN = 5_000
-"""States of that on which prices are looked for, which takes value iteration at each step in every round."""
-
-COMPLYING = 600_000
-"""States of that on which people comply, about; only a table's are known without asking for each."""
-
-COMPLYING_PER_SECOND = 20_000
-"""No more than these for each second that there is for them: half of the sweeps over many say less than all over few.
-
-On a task of 654,610 states what follows on the frontier of a region of 20,000 was bounded by -20.3 on 150,000 states in
-4 seconds and by -21.1 on 600,000 in 17; cut off after 11, these gave -14.2.
-"""
-
-STATE_BYTES = 600
-"""What one of these states may take, roughly."""
-
-FOR_REGIONS = 0.5
-"""The share of the time there is that collecting the larger region may take."""
-
-FOR_COMPLYING = 0.6
-"""The share of what is left then that bounding those who comply may take."""
-
-ERROR = 0.5
-"""Largest error of a value on the larger region given those at its frontier, in cost units; all hold in any case.
-
-Where it matters errors are far smaller: in the last sweep no value changes by more than this times 1 - gamma.
-"""
-
-SWEEPS = 20
-"""Sweeps over that region at the most: later ones change what those get who go round in circles, hardly anything else.
-
-On a task of 654,610 states a person's bound at its beginning was -22.224 after 16, and -22.225 after 60.
-"""
+SIZES = BoundSizes()
+"""The sizes in use."""
 
 
 @dataclass(frozen=True)
 class OuterRelaxation:
-    """The larger region around that on which beta and theta are hidden, where a robot sees them.
+    """The larger truncated task around the inner one, with observed beta and theta.
 
     Attributes
     ----------
     visits : AttentionSubproblem
         The person's problem on it, with a robot that comes and goes.
     value : float array, shape (m, B, T)
-        What no robot exceeds in its states.
+        Upper bound on the value in each of its states, in cost units.
     place : int array, shape (n,)
-        Which of the region's states each of the inner one's is; -1 where it is none of them.
+        Index of each state of the inner truncated task in the outer one; -1 if it is not contained.
     """
 
     visits: AttentionSubproblem
@@ -177,26 +146,27 @@ class OuterRelaxation:
 
     @property
     def nbytes(self) -> int:
-        """How many bytes it takes, about."""
+        """The approximate memory in bytes."""
         return self.value.nbytes + sum(array.nbytes for array in _arrays(self.visits.pomdp))
 
     def priced(self, price: Floats) -> Iterator[tuple[int, Floats]]:
-        """Bound what a robot gets at each step, where attention has a price, shape (m, B, T): backwards, with the step.
+        """Yield each step and upper bounds, shape (m, B, T), with prices of attention; from the last step to the first.
 
-        Prices are of the steps from 0 on; after the last, which comes first, it is free.
+        `price` holds the prices of the steps from 0 on. After the last of them, the first to be yielded, attention is
+        free.
         """
-        found = self.value
+        found = self.value.copy()  # code is compiled for arrays that may be written to
         yield len(price), found
         for step in range(len(price) - 1, -1, -1):
-            found = backward(self.visits.at_price(float(price[step])), found)
-            np.minimum(found, self.value, out=found)  # prices make nobody better off
+            found = bellman_backup(self.visits.at_price(float(price[step])), found)
+            np.minimum(found, self.value, out=found)  # a price of at least 0 cannot raise the value
             yield step, found
 
     def beyond(self, visits: AttentionSubproblem, free: Floats) -> AttentionSubproblem:
-        """Give the problem of visits of the inner region, with prices, with what follows where that breaks off.
+        """Return the inner subproblem with prices, with the values of this relaxation at its frontier.
 
-        A robot on its way gets no more than one that is there, and is paid for as well. Nor does anybody get more than
-        where attention costs nothing: `free`, shape (P * n, B, T), by position and state.
+        A robot on its way has at most the value of one that is present. Free attention is an upper bound, too: `free`,
+        shape (P * n, B, T), by position and state.
         """
         layout, frontier = visits.layout, visits.pomdp.frontier
         assert frontier is not None
@@ -212,18 +182,18 @@ class OuterRelaxation:
 
 @dataclass(frozen=True)
 class TruncatedProblem:
-    """One person's problem, of which a bound is one of the whole task.
+    """One person's problem whose upper bounds hold for the whole task.
 
     Attributes
     ----------
     problem : AssistPOMDP
-        With a robot that is always there, on the region where beta and theta are hidden.
+        Problem with a robot that is always present, on the inner truncated task with hidden beta and theta.
     outer : OuterRelaxation or None
-        What is known around it, if that has been asked for and anything is.
+        The outer relaxation, if it was requested and exists.
     between : OuterRelaxation or None
-        The same on a smaller region: prices are looked for on it.
+        The same on a smaller truncated task, on which prices are optimised.
     pairs : int
-        On how many states, each with one step, they are hidden where each is there once for every step.
+        Number of pairs of state and step that are enumerated if attention has a price at each step.
     """
 
     problem: AssistPOMDP
@@ -240,57 +210,61 @@ def bounded(
     *,
     entry: float,
     size: int,
-    around: bool = False,
+    with_outer: bool = False,
     until: float = math.inf,
     memory_limit_mb: float = math.inf,
     kept_mb: float = math.inf,
 ) -> TruncatedProblem:
-    """Set up a person's problem with a robot that is always there, on a region with bounds of the whole task beyond.
+    """Return a person's problem on an inner truncated task, with upper bounds of the whole task at its frontier.
+
+    The robot of this problem is always present.
 
     Parameters
     ----------
     known : CostToGo
     setting : Setting
     human : Human or None
-        The person, as far as the robot knows what they are mistaken about.
+        The person, if the robot knows their misconceptions.
     prior : Population or Mixture
-        Whom the robot takes them for.
+        The robot's prior of the person.
     entry : float
-        What coming costs at least, in cost units.
+        Smallest cost of coming to the person, in cost units.
     size : int
-        States that policies are worked out on: beta and theta are hidden on no more.
-    around : bool
-        Whether what is around that region is wanted, too.
+        Number of states on which policies are solved; the inner truncated task is not larger.
+    with_outer : bool
+        Whether the outer relaxation is returned as well.
     until : float
-        A time on `time.perf_counter()`'s clock: states that are met later are not looked at, and no sweep begins then.
+        Time on the clock of `time.perf_counter()` after which no state is expanded and no sweep begins.
     memory_limit_mb : float
-        What it may take while it is worked out.
+        Memory during the computation, in MB.
     kept_mb : float
-        What it may take then.
+        Memory of the result, in MB.
 
     Raises
     ------
     LimitError
-        It would take more memory than is allowed.
+        The computation would exceed the memory limit.
     """
     who = {"population": prior, "human": human}
-    in_time = PAIRS_PER_SECOND * (until - time.perf_counter())
-    hidden, seen = min(size, HIDDEN, FEW), 0 if known.searches else SEEN
+    in_time = 200 * (until - time.perf_counter())  # pairs: the solver's time grows with their number
+    hidden, seen = min(size, SIZES.hidden, SIZES.hidden_least), 0 if known.searches else SIZES.seen
     inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
     problem = _seen(inner, setting, human, prior)
-    more = int(min(size, HIDDEN, _affordable(problem, hidden, until, kept_mb)))
+    more = int(min(size, SIZES.hidden, _affordable(problem, hidden, until, kept_mb)))
     if more > hidden and len(inner.frontier) and not known.searches:
         hidden = more
         inner = TruncatedTask.of(known, states=hidden, **who)  # type: ignore[arg-type]
         problem = _seen(inner, setting, human, prior)
     assert problem.frontier is not None
-    left = (until - time.perf_counter()) * FOR_REGIONS
+    left = (until - time.perf_counter()) / 2  # for the expansion of the outer task; the rest is for its values
     if not (seen > hidden and len(inner.frontier) and left > 0):
         return TruncatedProblem(_within(inner, problem, None, setting, human, prior))
     limit = None if left == math.inf else left
     outer = TruncatedTask.of(known, states=seen, time_limit=limit, **who)  # type: ignore[arg-type]
     around_it = _seen(outer, setting, human, prior)
-    if (share := memory_limit_mb * 1e6 / _bytes(around_it)) < 1:  # half of it, as small ones have larger frontiers
+    if (
+        share := memory_limit_mb * 1e6 / _bytes(around_it)
+    ) < 1:  # half of the share, since smaller tasks have relatively larger frontiers
         few = int(share / 2 * (len(outer.states) - len(outer.frontier)))
         outer = TruncatedTask.of(known, states=max(hidden, few), time_limit=limit, **who)  # type: ignore[arg-type]
         around_it = _seen(outer, setting, human, prior)
@@ -298,13 +272,15 @@ def bounded(
     visits, value = _values(around_it, comply, entry, until, memory_limit_mb)
     found = OuterRelaxation(visits, value, outer.local(inner.states))
     problem = _within(inner, problem, found, setting, human, prior)
-    if not around or (found.place < 0).any():
+    if not with_outer or (found.place < 0).any():
         return TruncatedProblem(problem)
-    room = FOR_PAIRS * kept_mb * 1e6 / (2 * NEXT_TO * _bytes_of_a_state(problem))
-    pairs = int(max(PAIRS_FEW, min(PAIRS, in_time, room)))
-    middle = TruncatedTask.of(known, states=min(BETWEEN, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
+    # Half of the memory is for the pairs, at two positions of the robot each. A pair needs about 3.3 stored states,
+    # since its successors on the frontier are stored as well.
+    room = 0.5 * kept_mb * 1e6 / (2 * 3.3 * _bytes_of_a_state(problem))
+    pairs = int(max(SIZES.pairs_least, min(SIZES.pairs, in_time, room)))
+    middle = TruncatedTask.of(known, states=min(SIZES.price_states, len(outer.states) - len(outer.frontier)), **who)  # type: ignore[arg-type]
     place = outer.local(middle.states)
-    if (place < 0).any():  # time was over before
+    if (place < 0).any():  # the time limit ended the expansion of the outer task
         return TruncatedProblem(problem, found, found, pairs)
     between = _within(middle, _seen(middle, setting, human, prior), replace(found, place=place), setting, human, prior)
     own = AttentionSubproblem.of(between, entry)
@@ -312,24 +288,25 @@ def bounded(
     return TruncatedProblem(problem, found, OuterRelaxation(own, values, middle.local(inner.states)), pairs)
 
 
-def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
-    """Tell which states are met most likely at each of so many steps, and later, shape (steps + 1, n): `most` in all.
+def likely(alone: AssistPOMDP, steps: int, most: int, *, advised: float = 0.3, horizon: int = 3) -> NDArray[np.bool_]:
+    """Return a mask of the `most` likeliest pairs of step and state, shape (steps + 1, n).
 
-    By people who are advised in a share of steps (`ADVISED`), each optimal action alike, and follow; else they choose
-    as they do by themselves.
+    The last row stands for all later steps. The probabilities are those of people who receive and follow an optimal
+    suggestion in a share `advised` of the steps. All optimal actions are equally likely then. In other steps people
+    choose without a suggestion. Visits are counted up to `horizon` times the number of steps.
     """
     choices = alone.model.choices
     row, slot = np.nonzero(choices.applicable & ~alone.final[:, None])
-    target, advised = choices.targets[row, slot], choices.optimal[row, slot].astype(float)
-    advised /= np.maximum(np.bincount(row, advised, len(choices)), 1)[row]
+    target, optimal = choices.targets[row, slot], choices.optimal[row, slot].astype(float)
+    optimal /= np.maximum(np.bincount(row, optimal, len(choices)), 1)[row]
     chance = np.zeros((steps + 1, len(choices)))
     for chosen, share in zip(np.moveaxis(alone.chosen, 2, 0), alone.prior.sum(axis=1), strict=True):
-        goes = (1 - ADVISED) * chosen[row, slot] + ADVISED * advised
+        follows = (1 - advised) * chosen[row, slot] + advised * optimal
         there = np.zeros(len(choices))
         there[choices.initial] = share
-        for step in range(LATER * steps):
+        for step in range(horizon * steps):
             chance[min(step, steps)] += there
-            there = np.bincount(target, there[row] * goes, len(choices)).astype(float)
+            there = np.bincount(target, there[row] * follows, len(choices)).astype(float)
     chance[:, alone.final] = 0.0
     kept, order = np.zeros(chance.size, dtype=bool), np.argsort(-chance, axis=None, kind="stable")[:most]
     kept[order] = chance.ravel()[order] > 0.0
@@ -337,24 +314,29 @@ def likely(alone: AssistPOMDP, steps: int, most: int) -> NDArray[np.bool_]:
 
 
 def _affordable(problem: AssistPOMDP, hidden: int, until: float, kept_mb: float) -> float:
-    """Give on how many states beta and theta can be hidden, with as much memory for each as a problem takes on some."""
+    """Return the number of states on which beta and theta can be hidden, by the time and the memory that are left."""
     states, robots = problem.suggested.shape
-    values = 8 * states * problem.prior.size * (robots + 2)  # of each robot action, one more than these, and the best
-    needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # away, and here
-    return min(PER_SECOND * (until - time.perf_counter()), FOR_HIDDEN * kept_mb * 1e6 / needed * hidden)
+    values = 8 * states * problem.prior.size * (robots + 2)  # Q-values of one more robot action, and values
+    needed = 2 * (sum(array.nbytes for array in _arrays(problem)) + values)  # two positions of the robot: away and here
+    in_time = 400 * (until - time.perf_counter())  # the solver's time grows with the number of states
+    return min(in_time, 0.3 * kept_mb * 1e6 / needed * hidden)  # the rest of the memory is for the other parts
 
 
 def _within(
     region: TruncatedTask, problem: AssistPOMDP, outer: OuterRelaxation | None, setting: Setting, human: Human | None,
     prior: Population | Mixture,
 ) -> AssistPOMDP:  # fmt: skip
-    """Give a region's problem with what is known where it breaks off; `outer.place` is of the region's states."""
+    """Return the problem of a truncated task with the best known bounds at its frontier.
+
+    `outer.place` refers to the states of this truncated task.
+    """
     assert problem.frontier is not None
-    here = np.repeat(highest(problem)[region.frontier][:, None], 2, axis=1)  # nobody gets more, away or here
+    # The same bound holds for both positions of the robot, away and here.
+    here = np.repeat(initial_upper_bounds(problem)[region.frontier][:, None], 2, axis=1)
     if outer is not None:
         at = outer.place[region.frontier]
         away, there = (outer.value[outer.visits.states(0, position)] for position in (AWAY, HERE))
-        found = np.stack([np.minimum(away, there), there], axis=1)  # to be here is never worse, as leaving is free
+        found = np.stack([np.minimum(away, there), there], axis=1)  # being here is never worse, since leaving is free
         here = np.where((at >= 0)[:, None, None, None], np.minimum(here, found[at]), here)
     upper = np.ascontiguousarray(here[:, 1])
     frontier = replace(problem.frontier, upper=upper, lower=upper.copy(), away=np.ascontiguousarray(here[:, 0]))
@@ -362,10 +344,10 @@ def _within(
 
 
 def _seen(region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture) -> AssistPOMDP:
-    """Return the problem on a region beyond which people never err, with V(x) of the whole task at its frontier."""
+    """Return the problem on a truncated task, with `never_erring` and V(x) of the whole task at its frontier."""
     beyond = region.bounds_of_anybody(setting.gamma, 1)
     expected = -region.choices.h[region.frontier]
-    if human is not None or hasattr(setting.chooses(human, prior), "value"):  # else V(x) is minus the cost-to-go
+    if human is not None or hasattr(setting.chooses(human, prior), "value"):  # otherwise V(x) is minus the cost-to-go
         choices = region.choices
         advised = choices.optimal if setting.suggestions == "optimal" else choices.applicable
         at = np.flatnonzero(np.isin(region.frontier, choices.targets[advised]))
@@ -376,7 +358,7 @@ def _seen(region: TruncatedTask, setting: Setting, human: Human | None, prior: P
 def _expected(
     known: CostToGo, states: NDArray[np.int64], setting: Setting, human: Human | None, prior: Population | Mixture
 ) -> Floats:
-    """Return V(x) of eq. 7 in some states, shape (N,), from their choices in the whole task."""
+    """Return V(x) of equation 7 in some states, shape (N,), computed from their choices in the whole task."""
     if not len(states):
         return np.empty(0)
     around = StateCache(known).around(states)
@@ -388,22 +370,26 @@ def _complying(
     region: TruncatedTask, setting: Setting, human: Human | None, prior: Population | Mixture, until: float,
     memory_limit_mb: float,
 ) -> Floats | None:  # fmt: skip
-    """Bound what anybody gets in a region's states, shape (n, B), with a part around it where people comply.
+    """Return upper bounds in the states of a truncated task, shape (n, B), by the compliance relaxation around it.
 
-    None where that is not known: of tasks that are no table, people who are mistaken about actions or choose in a way
-    of their own, and a robot that acts itself.
+    The result is None if the relaxation does not apply: the task is no table, the misconceptions concern actions, there
+    is another choice model than equation 5, or the robot executes actions.
     """
     known = region.known
     by_cost = setting.chooses(human, prior) is boltzmann and (human is None or mistaken_about_states(human))
     if not (by_cost and isinstance(known, Table)) or setting.execute:
         return None
     left = until - time.perf_counter()
-    in_time = COMPLYING_PER_SECOND * FOR_COMPLYING * max(0.0, left)
-    most = int(min(COMPLYING, memory_limit_mb * 1e6 / STATE_BYTES, in_time))
-    found = at_most(
-        known, human, Grid.regular(prior).beta, around(known, region.states, most), gamma=setting.gamma,
+    share = 0.6  # of the time left; the rest is for the values with observed theta
+    # Half of the sweeps over many states give looser bounds than all sweeps over few: a bound was -20.3 with 150,000
+    # states in 4 seconds, -21.1 with 600,000 in 17, and -14.2 when these were cut off after 11.
+    in_time = 20_000 * share * max(0.0, left)
+    bytes_of_a_state = 600  # values and transitions, roughly
+    most = int(min(SIZES.complying, memory_limit_mb * 1e6 / bytes_of_a_state, in_time))
+    found = compliance_bounds(
+        known, human, Grid.regular(prior).beta, breadth_first(known, region.states, most), gamma=setting.gamma,
         c_suggest=setting.c_suggest, lapse=setting.lapse, optimal=setting.suggestions == "optimal",
-        deadline=until if until == math.inf else until - (1 - FOR_COMPLYING) * left,
+        deadline=until if until == math.inf else until - (1 - share) * left,
     )  # fmt: skip
     return found.at(region.states)
 
@@ -411,9 +397,9 @@ def _complying(
 def _values(
     problem: AssistPOMDP, comply: Floats | None, entry: float, until: float, memory_limit_mb: float
 ) -> tuple[AttentionSubproblem, Floats]:
-    """Bound what a robot that comes and goes gets on a region where it sees beta and theta, shape (m, B, T).
+    """Return upper bounds for a robot that comes and goes and observes beta and theta, shape (m, B, T).
 
-    Nobody gets more there than `comply`, shape (n, B), if that is known.
+    `comply`, shape (n, B), holds the bounds of the compliance relaxation, if there are any.
     """
     needed = _bytes(problem) / 1e6
     if needed > memory_limit_mb:
@@ -422,26 +408,26 @@ def _values(
             f"memory, and {memory_limit_mb:,.0f} MB are allowed; expected a smaller region or a higher limit"
         )
     visits = AttentionSubproblem.of(problem, entry)
-    found = highest(visits.pomdp)
+    found = initial_upper_bounds(visits.pomdp)
     if comply is not None:
         found = np.minimum(found, comply[visits.layout.x][:, :, None])
-    improve(visits.pomdp, found, tolerance=ERROR, max_sweeps=SWEEPS, deadline=until)
+    value_iteration(visits.pomdp, found, tolerance=SIZES.tolerance, max_sweeps=SIZES.sweeps, deadline=until)
     return visits, found
 
 
 def _bytes(problem: AssistPOMDP) -> int:
-    """Give about how many bytes `_values` takes beside a problem: one of visits, values, and copies of both."""
+    """Return the approximate memory of `_values` in bytes: a subproblem, its values, and copies of both."""
     values = 8 * len(problem.robot_actions) * problem.prior.size
     return 3 * sum(array.nbytes for array in _arrays(problem)) + 4 * values
 
 
 def _bytes_of_a_state(problem: AssistPOMDP) -> float:
-    """Give about how many bytes a solver takes before its search begins, and the problem, for one of its states."""
+    """Return the approximate memory per state, in bytes, of a problem and of a solver before its search begins."""
     return (sum(array.nbytes for array in _arrays(problem)) + first_bounds_bytes(problem)) / len(problem.robot_actions)
 
 
 def _arrays(problem: AssistPOMDP) -> tuple[NDArray[Any], ...]:
-    """Give the largest arrays of a problem."""
+    """Return the largest arrays of a problem."""
     return (
         problem.suggested, problem.afterstate, problem.robot_costs, problem.chosen, problem.unsuggested, problem.low,
         problem.weight, problem.model.q, problem.model.choices.targets,

@@ -1,14 +1,14 @@
 """One person's policy on a task of any size.
 
-A task of millions of states, or one that is only asked on demand, has no room for what a policy keeps of each of them.
-A `TruncatedPolicy` is worked out on the states that are met most likely from the initial one on (a `TruncatedTask`),
-and looks one step ahead from wherever somebody is: exactly, with the person's misconceptions there, on values that are
-those of the region inside it and estimates by the exact cost-to-go outside (`large_tasks.leaf_estimates`). So it
-suggests optimal actions where the person would err anywhere in the task, and forgets about states as soon as they are
-left.
+A policy cannot keep values for the states of a task with millions of states, or of a task whose states are solved on
+demand. A `TruncatedPolicy` is solved on the states that are most likely to be visited (a `TruncatedTask`). In any state
+of the task it does one exact Bellman backup, with the person's misconceptions there. The values of the successors are
+those of the truncated task, or estimates by the exact cost-to-go outside it (`large_tasks.leaf_estimates`). So it
+suggests optimal actions where the person would err, in the whole task, and it keeps no data of other states.
 
-What the next step needs of the states in which people are is a problem of its own (`LocalProblem`), which breaks off at
-once: its arrays have a row for each of these states and for those that come next. Team policies see the people in it.
+The next step of people in some states is a problem of its own (`LocalProblem`), whose frontier follows after one step.
+Its arrays have a row for each of these states and their successors. Team policies receive the people's states in this
+problem.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..people.belief import Grid
 from ..people.decision import Floats
 from ..people.human import Human, Mixture, Population
 from ..person.pomdp import AssistPOMDP
-from ..person.qmdp import QMDP, SOLVING, ahead
+from ..person.qmdp import QMDP, SOLVING, look_ahead
 from ..team.attention_subproblem import AttentionSubproblem
 from ..team.settings import Setting
 from .leaf_estimates import LeafEstimates
@@ -37,47 +37,50 @@ from .truncated_bound import TruncatedProblem, bounded
 from .truncated_task import TruncatedTask
 
 REGION = {"sweep": 20_000, "orbits": 3_000, "on-demand": 200}
-"""States that a policy is worked out on, by how a state's cost-to-go is come by."""
+"""Number of states of a policy's truncated task, by the kind of cost-to-go.
+
+A table answers at once; a query by symmetry takes longer, and a search may take seconds.
+"""
 
 
-def how(known: CostToGo) -> str:
-    """Say how a state's cost-to-go is come by: from a table, from that of orbits, or by a search."""
+def lookup_kind(known: CostToGo) -> str:
+    """Return how cost-to-go is computed: "sweep" (a table), "orbits" (by symmetry) or "on-demand" (a search)."""
     return "orbits" if known.method == "on-demand" and not known.searches else known.method
 
 
 class SharedTask:
-    """A task that people of one pool share, and what has been met of it.
+    """The task of a pool of people, and the cache of its visited states.
 
     Parameters
     ----------
     known : CostToGo
     prior : Population or Mixture
-        From whom the robot takes people to be drawn.
+        The robot's prior of people.
     size : int, optional
-        States of each person's region; `REGION` unless given.
+        Number of states of each person's truncated task; by default as in `REGION`.
     """
 
     def __init__(self, known: CostToGo, prior: Population | Mixture, size: int | None = None) -> None:
-        self.known, self.prior, self.size = known, prior, size or REGION[how(known)]
+        self.known, self.prior, self.size = known, prior, size or REGION[lookup_kind(known)]
         self.visited = StateCache(known)
 
 
 @dataclass(frozen=True, eq=False)
 class TruncatedPolicy:
-    """One person's policy on a task of any size; states are named as the task's cost-to-go names them.
+    """One person's policy on a task of any size; states have the numbers of the task's cost-to-go.
 
     Attributes
     ----------
     ground : SharedTask
     setting : Setting
     human : Human or None
-        The person, as far as the robot knows what they are mistaken about; None: it knows the task only.
+        The person, if the robot knows their misconceptions; None if it knows the task only.
     like : TruncatedPolicy or None
-        For somebody else, from whose values theirs are worked out; where there are many people that saves time.
+        Policy of another person, whose values are the start of value iteration; this saves time for many people.
     solved : dict
-        What has been estimated so far, by what it depends on: the prices of attention, if there are any.
+        Cached estimates, by the parameters of the subproblem with a price of attention; the key is () without one.
     bounds : dict
-        The problems of which bounds have been asked for, by what coming costs and whether what is around is known.
+        Cached problems for bounds, by the cost of coming and by whether the outer relaxation is included.
     """
 
     ground: SharedTask
@@ -95,48 +98,48 @@ class TruncatedPolicy:
 
     @cached_property
     def pomdp(self) -> AssistPOMDP:
-        """The problem around the initial state: that is its state 0."""
+        """The local problem of the initial state, which is its state 0."""
         return self.around(np.array([self.ground.known.initial])).pomdp
 
     @cached_property
     def region(self) -> TruncatedTask:
-        """The states that the person most likely meets from the initial one on."""
+        """The truncated task of the states that the person is most likely to visit."""
         ground = self.ground
         return TruncatedTask.of(ground.known, states=ground.size, population=ground.prior, human=self.human)
 
     def problem(self, region: TruncatedTask) -> AssistPOMDP:
-        """Set up the problem on a part of the task, with bounds that hold for the whole where it breaks off."""
+        """Return the problem on a truncated task, with frontier bounds that hold for the whole task."""
         beyond = region.bounds_of_anybody(self.setting.gamma, len(self.grid.theta))
         return self.setting.problem(region.choices, self.human, self.ground.prior, frontier=beyond)
 
     def bounded(
-        self, entry: float, *, around: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
+        self, entry: float, *, with_outer: bool = False, until: float = math.inf, memory_limit_mb: float = math.inf,
         kept_mb: float = math.inf,
     ) -> TruncatedProblem:  # fmt: skip
-        """Give the problem of which a bound is wanted, worked out once; arguments as in `bounded`."""
-        if (entry, True) in self.bounds:  # which has all there is
+        """Return the problem for an upper bound, computed once; arguments as in `truncated_bound.bounded`."""
+        if (entry, True) in self.bounds:  # the problem with the outer relaxation includes everything
             return self.bounds[entry, True]
-        if (entry, around) not in self.bounds:
+        if (entry, with_outer) not in self.bounds:
             ground = self.ground
-            self.bounds[entry, around] = bounded(
-                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size, around=around,
-                until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb,
+            self.bounds[entry, with_outer] = bounded(
+                ground.known, self.setting, self.human, ground.prior, entry=entry, size=ground.size,
+                with_outer=with_outer, until=until, memory_limit_mb=memory_limit_mb, kept_mb=kept_mb,
             )  # fmt: skip
-        return self.bounds[entry, around]
+        return self.bounds[entry, with_outer]
 
     @cached_property
     def grid(self) -> Grid:
-        """The values of beta and theta that the robot distinguishes."""
+        """The grid of beta and theta of the robot's belief."""
         return Grid.regular(self.ground.prior)
 
     def around(self, states: NDArray[np.int64], *, then: NDArray[np.int64] = NONE, deep: bool = False) -> LocalProblem:
-        """Give the problem of the next step of people in some states; arguments as in `StateCache.around`."""
+        """Return the problem of the next step of people in some states; arguments as in `StateCache.around`."""
         optimal = self.setting.suggestions == "optimal"
         region = self.ground.visited.around(states, then=then, ahead=deep, advice_is_optimal=optimal)
         return LocalProblem(self, self.problem(region), region, len(states), deep)
 
     def prepare(self) -> LeafEstimates:
-        """Give what the person's problem is worth with a robot that is always there; worked out once."""
+        """Return value estimates for a robot that is always present, computed once."""
         if () not in self.solved:
             with told(None) as tell:
                 tell(SOLVING, 0, None)
@@ -145,14 +148,14 @@ class TruncatedPolicy:
         return self.solved[()]
 
     def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float) -> LeafEstimates:
-        """Give what it is worth with a robot that comes and goes, for each position; worked out once.
+        """Return value estimates for a robot that comes and goes, for each position, computed once.
 
         Parameters
         ----------
         entry, entry_steps, longest
             As in `AttentionSubproblem.of`.
         price : float
-            What each step of attention costs.
+            Price of each step of attention, in cost units.
         """
         key = (entry, entry_steps, longest, price)
         if key not in self.solved:
@@ -164,35 +167,35 @@ class TruncatedPolicy:
         return self.solved[key]
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each robot action, shape (N, R); minus infinity in padding."""
+        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         return self.around(x, deep=True).q_values(np.arange(len(x)), belief)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each person's problem, shape (N,)."""
+        """Return the value of each person's problem, shape (N,)."""
         return np.asarray(self.q_values(x, belief).max(axis=1))
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the best robot action for each person, shape (N,)."""
+        """Return the best robot action for each person, shape (N,)."""
         return np.asarray(self.q_values(x, belief).argmax(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalProblem:
-    """The problem of the next step of people in some states, and the policy there; itself a `Policy`.
+    """The problem of the next step of people in some states, with its policy; it is a `Policy` itself.
 
     Attributes
     ----------
     source : TruncatedPolicy
-        The policy that this problem is a part of.
+        The policy of the whole task.
     pomdp : AssistPOMDP
-        Its first `count` states are those in which people are, and what it says of others is for their sake.
+        Its first `count` states are the states of people. The other rows exist only as successors.
     region : TruncatedTask
-        The task's states.
+        The states and choices of the problem.
     count : int
     deep : bool
-        Whether it is known what every suggestion in them would do to trust.
+        Whether the effect on trust is known for every suggestion in these states.
     solved : dict
-        The problems with a robot that comes and goes that have been asked for, by the arguments of `visits`.
+        Cached problems with a robot that comes and goes, by the arguments of `visits`.
     """
 
     source: TruncatedPolicy
@@ -207,7 +210,7 @@ class LocalProblem:
     def _policy(self) -> QMDP:
         estimates = self.source.prepare()
         value = estimates.at(self.region.states, self.region.choices.h)[:, 0]
-        return self._ahead(self.pomdp, value, np.arange(self.count))
+        return self._look_ahead(self.pomdp, value, np.arange(self.count))
 
     def visits(self, entry: float, entry_steps: int, longest: int, price: float) -> tuple[AttentionSubproblem, QMDP]:
         """Return the problem with a robot that comes and goes, and its policy; arguments as in `TruncatedPolicy`."""
@@ -218,21 +221,21 @@ class LocalProblem:
             layout = visits.layout
             value = estimates.at(self.region.states, self.region.choices.h)[layout.x, layout.position]
             here = np.flatnonzero(layout.x < self.count)
-            self.solved[key] = visits, self._ahead(visits.at_price(price), value, here)
+            self.solved[key] = visits, self._look_ahead(visits.at_price(price), value, here)
         return self.solved[key]
 
-    def _ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
+    def _look_ahead(self, pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64]) -> QMDP:
         value[pomdp.model.choices.goal] = 0.0
-        return ahead(pomdp, value, states)
+        return look_ahead(pomdp, value, states)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each robot action, shape (N, R), for people in rows `x`."""
+        """Return the Q-values of all robot actions, shape (N, R), for people in rows `x`."""
         return self._policy.q_values(x, belief)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each person's problem, shape (N,)."""
+        """Return the value of each person's problem, shape (N,)."""
         return np.asarray(self.q_values(x, belief).max(axis=1))
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the best robot action for each person, shape (N,)."""
+        """Return the best robot action for each person, shape (N,)."""
         return self._policy.choose(x, belief)

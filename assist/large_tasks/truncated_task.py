@@ -1,16 +1,16 @@
-"""The part of a large task that matters to one person's problem.
+"""A truncated task: the part of a large task that is relevant to one person's problem.
 
-A task of millions of states, or one that can only be asked on demand, has no room for what a solver keeps of each
-state. But from the initial state hardly any of them are met: a `TruncatedTask` holds the states that people and
-advice most likely lead to, and breaks off at the others, the frontier. There the problem has bounds that follow
-from the cost-to-go alone (`TruncatedTask.problem`), so that what a solver proves of the region holds of the whole task:
+A solver cannot keep vectors for the states of a task with millions of states, or of a task whose states are solved on
+demand. But few of them are likely to be visited. A `TruncatedTask` holds the most likely states and ends at the others,
+the frontier. There its problem has bounds that follow from the cost-to-go alone (`TruncatedTask.problem`). So the
+bounds of a solver on the truncated task hold for the whole task:
 
-- above: every action lowers h* by at most its cost, so that from h* on no less is paid than if each step cost as
-  little, and each unit of h* was put off as long, as any action allows;
-- below: someone who is given an optimal suggestion in every step follows it with at least a chance that grows with
-  theta, and theta grows with every suggestion; otherwise the worst happens.
+- Upper bound: every action lowers h* by at most its cost. So the discounted cost from h* on is at least that of the
+  cheapest steps, delayed as long as the most expensive action allows (`never_erring`).
+- Lower bound: a person who receives an optimal suggestion in every step follows it with a probability that grows with
+  theta, and theta grows with every such suggestion. Otherwise the worst case is assumed (`_advised`).
 
-The robot is taken to know h*, not people's misconceptions of it (`knowledge="exact"`).
+The robot knows h* and not people's misconceptions (`knowledge="exact"`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from __future__ import annotations
 import heapq
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,30 +30,27 @@ from ..people.belief import Grid
 from ..people.choices import Choices, keys_of
 from ..people.decision import Floats, choice
 from ..people.human import Human, HumanModel, Mixture, Population
+from ..people.trust_rules import EquationSeven, TrustRule, constant
 from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions, check_costs
 
-BATCH = {"sweep": 500, "on-demand": 20}  # states that are looked at together, between two looks at the clock
-ADVISED = 0.9  # the weight of an action that an adviser would have people take
-LEVELS = 10_000  # largest h* for which the bound below is worked out level by level
-SWEEPS = 200
-BLOCK = 1_000_000
-SURVEYED = 10_000_000  # states of a table of which all choices are looked at for that bound
+BATCH = {"sweep": 500, "on-demand": 20}  # states that are expanded together, between two looks at the clock
+SURVEYED = 10_000_000  # states of a table up to which `_Survey` scans all transitions, to limit its time
 
 
 @dataclass(frozen=True)
 class TruncatedTask:
-    """Some states of a task with their choices, and the states around them.
+    """Some states of a task with their choices, and the frontier around them.
 
     Attributes
     ----------
     known : CostToGo
-        The task's cost-to-go, which names states by numbers of its own.
+        Cost-to-go of the task.
     choices : Choices
-        Of the region's states; those on the frontier have none.
+        Choices in the states of the truncated task; frontier states have none.
     states : int array, shape (n,)
-        The number of each state in `known`.
+        Number of each state in `known`.
     frontier : int array, shape (m,)
-        Which of the region's states are on the frontier.
+        Indices, in the truncated task, of the frontier states.
     """
 
     known: CostToGo
@@ -75,23 +72,26 @@ class TruncatedTask:
         time_limit: float | None = None,
         progress: Callable[[int], None] | None = None,
     ) -> TruncatedTask:
-        """Collect the states that are met most likely.
+        """Collect the states that are most likely to be visited.
+
+        The expansion is best-first by the probability of the best path, with choices averaged over beta. An optimal
+        choice counts with a weight of 0.9, since the robot may suggest it.
 
         Parameters
         ----------
         known : CostToGo
         start : int, optional
-            From which state on, as `known` numbers it; from the initial one unless given.
+            First state, by its number in `known`; by default the initial state.
         states : int
-            How many to look beyond at the most; the frontier comes on top.
+            Largest number of expanded states; the frontier is additional.
         population : Population or Mixture, optional
-            Of whom the person is one.
+            Population of the person.
         human : Human, optional
-            The person, where it is known what they are mistaken about: the region is where that leads them.
+            The person, if their misconceptions are known. The probabilities then follow these.
         time_limit : float, optional
-            Stop collecting after so many seconds.
+            Seconds after which the expansion stops.
         progress : callable, optional
-            Called with how many states have been looked at since the last call.
+            Called with the number of states that were expanded since the last call.
         """
         start = known.initial if start is None else start
         growth = _Growth(known, Grid.regular(population or Population()).beta, start, human)
@@ -105,7 +105,7 @@ class TruncatedTask:
         return growth.region()
 
     def local(self, states: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Give the region's numbers, shape (N,), of states as `known` numbers them; -1 outside."""
+        """Return the indices, shape (N,), of states that are numbered as in `known`; -1 outside the truncated task."""
         order = np.argsort(self.states)
         at = np.minimum(np.searchsorted(self.states, states, sorter=order), len(order) - 1)
         return np.where(self.states[order[at]] == states, order[at], -1)
@@ -121,83 +121,99 @@ class TruncatedTask:
         gamma: float = 0.99,
         c_suggest: float = 1.0,
         suggestions: Suggestions = "optimal",
+        trust: TrustRule | None = None,
     ) -> AssistPOMDP:
-        """Set up the problem of assisting one person within the region; arguments as in `AssistPOMDP.of`."""
+        """Return the problem of assisting one person within the truncated task; arguments as in `AssistPOMDP.of`."""
         check_costs(gamma, c_suggest=c_suggest)
         grid = grid or Grid.regular(population or Population())
         model = HumanModel.exact(self.choices, eta=eta, lapse=lapse, utility_scale=utility_scale)
         return AssistPOMDP.of(
             model, grid=grid, population=population, gamma=gamma, c_suggest=c_suggest, suggestions=suggestions,
-            frontier=self.bounds(grid, model, gamma, c_suggest),
+            frontier=self.bounds(grid, model, gamma, c_suggest, trust), trust=trust,
         )  # fmt: skip
 
     def bounds_of_anybody(self, gamma: float, thetas: int) -> LeafBounds:
-        """Bound the value on the frontier, for so many values of theta, whatever the person is mistaken about.
+        """Return bounds at the frontier that hold for every person, for `thetas` values of theta.
 
-        Above: `never_erring`. Below: the robot says nothing, and no step costs more than the dearest.
+        The upper bound is `never_erring`. The lower bound is for a robot that does nothing, with the largest cost in
+        every step.
         """
-        costs = np.append(self.known.task.costs, 1)  # standing still costs 1
+        costs = np.append(self.known.task.costs, 1)  # a wait costs 1
         upper = never_erring(self.choices.h[self.frontier], costs, gamma)
         floor = -float(costs.max()) / (1 - gamma)
         return LeafBounds(self.frontier, np.full((len(upper), thetas), floor), upper, floor)
 
-    def bounds(self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float) -> LeafBounds:
-        """Bound the value on the frontier of somebody who is not mistaken, or of whom that is not known.
+    def bounds(
+        self, grid: Grid, model: HumanModel, gamma: float, c_suggest: float, trust: TrustRule | None = None
+    ) -> LeafBounds:
+        """Return bounds at the frontier for a person without misconceptions, or whose misconceptions are unknown.
 
-        Above: `never_erring`. Below: `_advised` for states that have a way to the goal. In dead ends the robot can be
-        silent for ever, and no step costs more than `dear`.
+        The upper bound is `never_erring`. The lower bound is `_advised` for states from which a goal is reachable. In a
+        dead end the robot may never act again, and no step costs more than the most expensive choice. With an h* above
+        10,000 the lower bound is that of the worst case, because computing every level would take too long. The worst
+        case is also assumed for a trust rule that is neither equation 7 nor constant.
         """
-        costs = np.unique(np.append(self.known.task.costs, 1))  # standing still costs 1
+        costs = np.unique(np.append(self.known.task.costs, 1))  # a wait costs 1
         dear = float(costs[-1])
         h = self.choices.h[self.frontier]
         anybody = self.bounds_of_anybody(gamma, len(grid.theta))
         floor = -(dear + c_suggest) / (1 - gamma)
         lower = np.full((len(h), len(grid.theta)), floor)
         survey = _Survey.of(self.known, self.choices)
-        if survey.highest <= LEVELS:
+        by_equation = trust is None or isinstance(trust, EquationSeven)
+        if trust == constant():
+            model, by_equation = replace(model, eta=0.0), True
+        if survey.highest <= 10_000 and by_equation:
             levels = _advised(survey, costs, floor, grid, model, gamma, c_suggest)
             reached = np.isfinite(h)
             lower[reached] = levels[h[reached].astype(np.int64)]
-        lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot is silent
+        lower[np.isinf(h)] = -dear / (1 - gamma)  # in a dead end the robot does nothing
         return LeafBounds(self.frontier, lower, anybody.upper, anybody.floor)
 
 
 def never_erring(h: Floats, costs: ArrayLike, gamma: float) -> Floats:
-    """Bound from above what anybody gets from states on, whatever person and robot do, shape (N,).
+    """Return an upper bound on the value of states for any person and any robot, shape (N,).
 
-    Let every choice cost between `cheap` and `dear`, standing still among them, and
-    F(h) = K (1 - gamma^(h / dear)) with K = cheap / (1 - gamma). A choice of cost c leads to h' >= h - c, and
+    Assumptions: every choice, including a wait, costs between `cheap` and `dear`; the robot executes no action of the
+    task. Let K = cheap / (1 - gamma) and F(h) = K (1 - gamma^(h / dear)).
 
-        c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0
+    Claim: from a state with cost-to-go h, every sequence of choices has a discounted cost of at least F(h). So -F(h) is
+    an upper bound on the value, for every person.
 
-    so that, F being 0 at goals, no less than F(h) is paid; in dead ends no less than K. Nothing is said of the person:
-    it holds for anybody, known or not. Where actions are free, cheap is 0 and so is the bound: nothing keeps people
-    from going round for nothing.
+    Proof: A choice of cost c leads to h' >= h - c, and F increases. As K - gamma K = cheap,
+
+        c + gamma F(h') - F(h) >= c - cheap + K gamma^(h / dear) (1 - gamma^(1 - c / dear)) >= 0,
+
+    because cheap <= c <= dear. By induction over n, the discounted cost of the first n steps is at least F(h) - gamma^n
+    F(h_n), where h_n is the cost-to-go after them. F is bounded and 0 at goals, so that the claim follows as n grows.
+    In a dead end h is infinite, and F = K.
+
+    If some action is free, then cheap = 0 and the bound is 0, since people may repeat free actions without end.
 
     Parameters
     ----------
     h : float array, shape (N,)
         Exact cost-to-go.
     costs : array
-        Of the task's actions.
+        Costs of the task's actions.
     gamma : float
     """
-    prices = np.append(np.asarray(costs, dtype=np.float64), 1.0)  # standing still costs 1
+    prices = np.append(np.asarray(costs, dtype=np.float64), 1.0)  # a wait costs 1
     return np.asarray(prices.min() * np.expm1(h / prices.max() * np.log(gamma)) / (1 - gamma))
 
 
 @dataclass(frozen=True)
 class _Survey:
-    """What holds everywhere in a task.
+    """Quantities of a task that hold in all of its states.
 
     Attributes
     ----------
     highest : int
-        Largest finite h*; of those that are known, if not all are.
+        Largest finite h*, among the known states if not all are known.
     actions : int
         Largest number of choices in a state.
     rise : float
-        How much one action can raise h*; infinite where it may lead to a dead end or that is not known.
+        Largest increase of h* by one action; infinite if an action may lead to a dead end, or if it is unknown.
     """
 
     highest: int
@@ -205,8 +221,8 @@ class _Survey:
     rise: float
 
     @classmethod
-    def of(cls, known: CostToGo, choices: Choices) -> _Survey:
-        """Look at all choices of a table, and be careful where that is too much."""
+    def of(cls, known: CostToGo, choices: Choices, *, rows_at_a_time: int = 1_000_000) -> _Survey:
+        """Scan all transitions of a table, in blocks to save memory; use safe values where that is too expensive."""
         if not isinstance(known, Table):
             return cls(int(choices.h[np.isfinite(choices.h)].max(initial=0)), len(known.task.actions), np.inf)
         h = known.lookup(slice(None))
@@ -217,10 +233,10 @@ class _Survey:
         rows = known.space.transitions
         counts = np.diff(rows.offsets)
         rise = 0.0
-        for begin in range(0, len(known), BLOCK):
-            block = slice(begin, begin + BLOCK)
-            targets = rows.targets[rows.offsets[begin] : rows.offsets[min(begin + BLOCK, len(known))]]
-            with np.errstate(invalid="ignore"):  # from one dead end to another nothing rises
+        for begin in range(0, len(known), rows_at_a_time):
+            block = slice(begin, begin + rows_at_a_time)
+            targets = rows.targets[rows.offsets[begin] : rows.offsets[min(begin + rows_at_a_time, len(known))]]
+            with np.errstate(invalid="ignore"):  # a difference between two dead ends is no increase
                 change = h[targets] - np.repeat(h[block], counts[block])
             rise = max(rise, float(np.nan_to_num(change, nan=0.0, posinf=np.inf).max(initial=0.0)))
         return cls(highest, max(1, int(counts.max(initial=1))), rise)
@@ -230,18 +246,31 @@ def _advised(
     survey: _Survey, costs: NDArray[np.int64], floor: float, grid: Grid, model: HumanModel, gamma: float,
     c_suggest: float,
 ) -> Floats:  # fmt: skip
-    """Bound from below, for each h* and theta, what someone gets who is always given an optimal suggestion.
+    """Return a lower bound on the value for each h* and theta, shape (highest + 1, T).
 
-    Shape (highest + 1, T). The bound holds for each beta, whichever optimal choices are suggested:
+    Assumptions: the person chooses by equation 5 with the exact cost-to-go; theta lies on the grid and follows equation
+    7. The robot suggests an optimal choice in every step.
 
-    - An optimal choice has the least perceived cost, so that alone it is made with a chance p of 1 / A or more among A
-      choices; what `follows` gives for 1 / A rises with p. Lapses are counted as not following.
-    - An optimal choice of cost c leads from h to h - c and raises V by c: theta moves as `low` and `weight` say.
-    - Whoever does not follow pays `dear` at most, and goes to the worst level that one action can reach: up to
-      h + rise, or, where that is not known, to where the worst happens in every step. This is never better than
-      following, so that a chance of following that is too small makes the bound lower.
-    - All levels start from the worst there is, `floor`, and one sweep turns bounds into bounds: they hold after any
-      number of sweeps. Level 0 is 0 if actions cost something; else there may be states from which the rest is free.
+    Claim: for each beta, whichever optimal choices are suggested, the value of this policy is at least the returned
+    number. So the optimal value is.
+
+    Proof: Let L(h, theta) be a lower bound for all states with cost-to-go h, and A the largest number of choices in a
+    state.
+
+    1. An optimal choice has the least perceived cost. So its probability without a suggestion is p >= 1 / A. The
+       probability of following, `follows`, increases with p; its value at p = 1 / A is a lower bound. Lapses count as
+       not following.
+    2. An optimal choice of cost c leads from h to h - c and raises V by c. Hence `low` and `weight` describe the trust
+       update.
+    3. A person who does not follow pays at most `dear` and reaches at worst the lowest L up to level h + rise, or
+       `floor` if the rise is unknown. This is at most the value of following. So replacing the probability of following
+       by a lower bound lowers the mean.
+    4. By 1 to 3, the minimum over c of the mean of both outcomes, minus c_suggest, is again a lower bound. So every
+       sweep maps lower bounds to lower bounds. They start at `floor`, the value of the largest cost in every step.
+       Hence the bounds hold after any number of sweeps. Level 0 is 0 if all actions have a cost; otherwise a state with
+       h* = 0 need not be a goal.
+
+    At most 200 sweeps are done; they end earlier if no bound rises by 1e-6 cost units.
     """
     highest = survey.highest
     value = np.full((highest + 1, len(grid.theta)), floor)
@@ -251,7 +280,7 @@ def _advised(
     total = grid.theta * p + (1 - grid.theta) * (1 - p)
     follows = (1 - model.lapse) * np.divide(grid.theta * p, total, out=np.full_like(total, p), where=total > 0)
     low, weight = grid.shares(np.minimum(grid.theta + model.eta * costs[:, None] / model.utility_scale, 1.0))
-    for _ in range(SWEEPS):
+    for _ in range(200):
         before = value.copy()
         for h in range(1 if costs[0] > 0 else 0, highest + 1):
             worst = np.full(len(grid.theta), floor)
@@ -270,21 +299,21 @@ def _advised(
     return value
 
 
-def expected(human: Human, known: CostToGo, states: NDArray[np.int64], h: Floats) -> Floats:
-    """Give what a person takes for the cost-to-go of states, shape (N,), of which h is the exact one.
+def perceived_of_states(human: Human, known: CostToGo, states: NDArray[np.int64], h: Floats) -> Floats:
+    """Return what a person takes for the cost-to-go of states, shape (N,), where `h` is the exact cost-to-go.
 
-    Where they are mistaken about single actions, that is the exact one, too: not in the same way about a state's.
+    It is the exact one for misconceptions about actions, which do not define a perceived cost-to-go of a state.
     """
     ends = np.zeros((len(states), 1), dtype=np.int64)
-    nowhere = Choices(
+    without_choices = Choices(
         h, known.is_goal(states), ends > 0, ends, ends, np.zeros(ends.shape), ends > 0, (), key=keys_of(known, states)
     )
-    mine = human.expects(nowhere)
-    return mine if mine.ndim == 1 else h
+    perceived = human.expects(without_choices)
+    return perceived if perceived.ndim == 1 else h
 
 
 class _Growth:
-    """A region while it grows: the state that is met most likely comes next."""
+    """The best-first expansion of a truncated task."""
 
     def __init__(self, known: CostToGo, betas: Floats, start: int, human: Human | None) -> None:
         self.known, self.betas, self.human = known, betas, human
@@ -296,10 +325,10 @@ class _Growth:
         self.rows: list[tuple[NDArray[np.int64], NDArray[np.int64]] | None] = []
         self.queue: list[tuple[float, int]] = []
         self.expanded = 0
-        self._meet(np.array([start]), np.array([1.0]))
+        self._add(np.array([start]), np.array([1.0]))
 
-    def _meet(self, states: NDArray[np.int64], weights: Floats) -> NDArray[np.int64]:
-        """Give the region's numbers of states, and queue them."""
+    def _add(self, states: NDArray[np.int64], weights: Floats) -> NDArray[np.int64]:
+        """Add states to the truncated task and to the queue; return their indices."""
         new = np.array(list(dict.fromkeys(int(s) for s in states if int(s) not in self.number)), dtype=np.int64)
         if len(new):
             for state, h, goal in zip(new.tolist(), self.known.lookup(new), self.known.is_goal(new), strict=True):
@@ -315,7 +344,7 @@ class _Growth:
         return local
 
     def step(self, most: int) -> int:
-        """Look at the choices of up to so many states; return how many there were."""
+        """Expand the most likely states, at most `most` of them; return their number."""
         batch: dict[int, float] = {}
         while self.queue and len(batch) < most:
             weight, at = heapq.heappop(self.queue)
@@ -337,19 +366,20 @@ class _Growth:
         applicable[source, slot] = True
         best = q == q.min(axis=1, keepdims=True)
         if self.human is not None:
-            q[source, slot] = self.cost[actions] + expected(self.human, self.known, targets, after)
+            q[source, slot] = self.cost[actions] + perceived_of_states(self.human, self.known, targets, after)
         alone = np.mean([choice(q, applicable, beta) for beta in self.betas], axis=0)
-        weight = np.array(list(batch.values()))[source] * np.where(best, ADVISED, alone)[source, slot]
-        local = self._meet(targets, weight)
+        # An optimal choice is likely, since the robot may suggest it.
+        weight = np.array(list(batch.values()))[source] * np.where(best, 0.9, alone)[source, slot]
+        local = self._add(targets, weight)
         for at, begin, end in zip(batch, offsets[:-1], offsets[1:], strict=True):
             self.rows[at] = actions[begin:end], local[begin:end]
         self.expanded += len(batch)
         return len(batch)
 
     def region(self) -> TruncatedTask:
-        """Arrange what has been collected."""
+        """Return the truncated task of the expanded states."""
         none = np.empty(0, dtype=np.int64)
-        looked = np.array([row is not None for row in self.rows])
+        expanded = np.array([row is not None for row in self.rows])
         counts = np.array([0 if row is None else len(row[0]) for row in self.rows])
         offsets = np.concatenate([[0], np.cumsum(counts)])
         actions, targets = (
@@ -360,7 +390,7 @@ class _Growth:
         optimal = optimal_choices(self.known, states, Transitions(offsets, actions, states[targets]))
         task = self.known.task
         choices = Choices.arranged(
-            h, goal, rows, optimal, names=task.actions, prices=task.costs, known=looked,
+            h, goal, rows, optimal, names=task.actions, prices=task.costs, known=expanded,
             key=keys_of(self.known, states),
         )  # fmt: skip
-        return TruncatedTask(self.known, choices, states, np.flatnonzero(~looked & ~goal))
+        return TruncatedTask(self.known, choices, states, np.flatnonzero(~expanded & ~goal))

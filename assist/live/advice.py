@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
+from ..explain.explanation import Explanation
 from ..people.belief import Grid, Spread
 from ..people.decision import Floats
 
@@ -29,6 +31,13 @@ class Reason:
         What is believed of their expertise, and of the robot's influence on them: means.
     beta_interval, theta_interval : pair of float
         Between these lie nine tenths of the belief, and its mean.
+    suggestions, followed : int
+        How many suggestions the person has answered in this task, and how many of them they followed.
+    follow : float
+        Probability that they follow this one, under the belief.
+    follow_interval : pair of float
+        Between these lie nine tenths of the probabilities that pairs of beta and theta give, weighted by the belief,
+        and their mean.
     """
 
     saving: float
@@ -38,6 +47,10 @@ class Reason:
     beta_interval: tuple[float, float]
     theta: float
     theta_interval: tuple[float, float]
+    suggestions: int = 0
+    followed: int = 0
+    follow: float = 0.0
+    follow_interval: tuple[float, float] = (0.0, 1.0)
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Reason:
@@ -57,7 +70,7 @@ class Reason:
         return cls(**values)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Advice:
     """What the robot is to do next.
 
@@ -77,6 +90,28 @@ class Advice:
     suggestion: str | None
     reason: Reason | None
     arrived: bool
+
+    def explained_by(self, source: Callable[[], Explanation]) -> Advice:
+        """Let `explanation` be the result of a function, which is called on first use; return the advice."""
+        vars(self)["_source"] = source
+        return self
+
+    @cached_property
+    def explanation(self) -> Explanation:
+        """Why this step, why this person now, or why nothing, as at the decision; computed on first use.
+
+        Raises
+        ------
+        ValueError
+            The advice is from a record. `Assistant.explain` explains what is suggested now.
+        """
+        source = vars(self).pop("_source", None)
+        if source is None:
+            raise ValueError("this advice is from a record, and has no explanation; `Assistant.explain` gives one")
+        return source()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Advice:

@@ -1,25 +1,27 @@
-"""A team of real people and its robot, action by action: whom to help now, and with what.
+"""Decisions for a team of real people and its robot, action by action: whom to help now, and with which suggestion.
 
-`Assistant` keeps what there is to know while people work: the state of each person's task, the belief in them, where
-the robot is, what has been suggested. People's actions come in by name (`observe`), advice goes out (`recommend`).
+`Assistant` stores the state of each person's task, the belief in them, the robot's place and open suggestions. It
+receives people's actions by name (`observe`), and returns advice (`recommend`).
 
-Timing. The model has steps: the robot does one thing, then everybody acts once. Asked once before everybody has acted
-once, the assistant is that model, choice by choice. Real people are not in step, and nothing here waits for them:
+Timing. In the model's steps, the robot does one thing, then everybody acts once. An assistant that is asked once before
+each round of actions makes exactly the model's decisions. Real people do not act in rounds, and nobody waits for the
+others:
 
-- Asking decides. What has been advised is said and done; asking again before anything else has happened gives the
-  same advice.
-- A suggestion stands until the person to whom it was made acts, and that action is taken for their answer to it.
-  Until then they are asked nothing more, and the robot is free for others. So a decision may follow every observation.
-- Where the way takes time the robot is under way until its arrival is reported (`arrived`), says nothing meanwhile, and
-  is not called back, unless the person whom it was sent to leaves: then it counts as being at that place, and the next
-  decision may send it on. Elsewhere it counts as being where it was sent.
+- A request for advice is a decision. Its advice counts as carried out. A second request before anything has happened
+  returns the same advice.
+- A suggestion is open until the person acts, and that action is taken as the answer. Until then the person gets no
+  other suggestion, and the robot is free for others. So a decision may follow every observation.
+- If travel takes time, the robot is under way until its arrival is reported (`arrived`). Meanwhile it makes no
+  suggestion and is not redirected. If the person to whom it was sent leaves, it counts as being at that place, and the
+  next decision may send it on. Otherwise it counts as being where it was sent.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,58 +29,62 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner import CostToGo
 
-from ..people.decision import Floats
-from ..people.human import Mixture, Population
+from ..explain.explanation import Explanation
+from ..people.belief import Spread
+from ..people.decision import NOTHING, Floats
+from ..people.human import Mixture, Population, advice_takers
 from ..person.belief_filter import update
 from ..person.pomdp import Policy
 from ..team.policies import POLICIES, named, prepare
 from ..team.settings import Setting
 from ..team.state import BASE, NOBODY, Ask, TeamPolicy, TeamState
 from .advice import Advice, PersonState, Reason
+from .decision_point import DecisionPoint
 from .live_task import InapplicableError, LiveTask, digest, population_of
 from .roster import Roster, RosterEntry, Step
 
 FORMAT = "kitassist team 1"
-"""Of saved teams."""
+"""Format identifier of saved teams."""
 
 
 @dataclass(frozen=True)
 class _LiveTeam(TeamState):
-    """A team of whom one at a time acts: what is asked about the others is known already."""
+    """A team state that caches the answers about people who have not acted since."""
 
     roster: Roster
 
     def of_each(self, ask: Ask) -> Floats:
-        """As `TeamState.of_each`."""
+        """Return the answers about each person, as `TeamState.of_each` does."""
         return np.where(self.active[:, :, None], self.roster.of_each(ask, self.active[0])[None], -np.inf)
 
 
 class Assistant:
-    """A live team: one or many people at work, and a robot that can be with one of them at a time.
+    """A live team of one or more people, and a robot that attends to one of them at a time.
 
     Parameters
     ----------
     task : CostToGo or Policy
-        What `planner.cost_to_go` gives, a table or on demand; or a policy for one person that has been worked out
-        already, for a human model of one's own say.
+        The cost-to-go of `planner.cost_to_go`, as a table or on demand; or a solved policy for one person, for instance
+        with a human model of one's own.
     people : iterable of str, or mapping of str to task
-        Who is there, and each one's task where they have different ones. More may `join`.
+        Names of the people, or a task for each name. More people may `join`.
     policy : str or callable
         A team policy: "none", "reactive", "attention", "attention-never", "priority", or a function as in
         `assist.team`.
     setting : Setting, optional
-        Costs, discount, trust. Not looked at are `knowledge`, since all that is known of real people is their task,
-        and `max_steps`.
+        Costs, discount, trust. Without a trust rule, theta is constant: data of real people do not support equation
+        (7). `knowledge` and `max_steps` are not used, because only the task of real people is known.
     population : Population or Mixture, optional
-        Of whom people are taken to be: the paper's, unless given. `fit(...).population()` is one.
+        Prior of the people; by default `advice_takers()`, in which theta varies as much as among real people.
+        `fit(...).population()` is another.
     distance : array, shape (P + 1, P + 1), optional
-        Between the places of P people, in the order in which they come, and the base, which is last; 1 between any
-        two unless given.
+        Distances between the places of P people, in the order in which they join, and the base, which is last; by
+        default 1 between any two.
 
     Raises
     ------
     ValueError
-        What cannot be, such as a goal that cannot be reached.
+        A parameter is out of its range, or a goal cannot be reached.
     """
 
     def __init__(
@@ -93,7 +99,7 @@ class Assistant:
     ) -> None:
         if isinstance(people, str):
             raise TypeError(f"people {people!r}: expected a list of names")
-        self.setting, self.population = setting or Setting(), population or Population()
+        self.setting, self.population = (setting or Setting()).for_real_people(), population or advice_takers()
         if self.setting.execute:
             raise ValueError("execute: expected a robot that suggests; one that acts itself can only be simulated")
         self.policy = policy
@@ -102,7 +108,7 @@ class Assistant:
         self._problems: dict[tuple[int, Population | Mixture], LiveTask] = {}
         self._made: TeamPolicy | None = None if isinstance(policy, str) else policy
         if isinstance(policy, str) and policy not in POLICIES:
-            named(policy, (), self.setting.travel(1))  # says what there is
+            named(policy, (), self.setting.travel(1))  # raises an error that lists the names
         self._advice: Advice | None = None
         self._step = 0
         self._location, self._under_way = BASE, False
@@ -115,30 +121,30 @@ class Assistant:
         if names:
             self._policy()
 
-    # People come and go.
+    # Joining and leaving.
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Who is there."""
+        """The names of the people who are present."""
         return self._team.names
 
     @property
     def finished(self) -> bool:
-        """Whether everybody who is there has reached their goal."""
+        """Whether everybody who is present has reached their goal."""
         return not (self._team.present & ~self._team.ended).any()
 
     def join(
         self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
     ) -> None:
-        """Let somebody come: at the beginning of a task, or back to what they left.
+        """Add a person, at the beginning of a task, or let one return to the task that they left.
 
         Parameters
         ----------
         person : str
         task : CostToGo or Policy, optional
-            The team's unless given.
+            By default the team's.
         population : Population or Mixture, optional
-            Of whom they are taken to be; that of the team unless given.
+            Prior of this person; by default that of the team.
         """
         if not isinstance(person, str) or not person.strip():
             raise ValueError(f"person {person!r}: expected a name")
@@ -164,22 +170,22 @@ class Assistant:
         self._advice = None
 
     def leave(self, person: str) -> None:
-        """Let somebody go, finished or not."""
+        """Remove a person from the team, finished or not."""
         self._team.present[self._team.known(person).place] = False
         self._advice = None
 
     def begin(
         self, person: str, task: CostToGo | Policy | None = None, *, population: Population | Mixture | None = None
     ) -> None:
-        """Let somebody begin the next task, finished or not; what is believed of them remains.
+        """Let a person begin the next task, finished or not; the belief in them remains.
 
         Parameters
         ----------
         person : str
         task : CostToGo or Policy, optional
-            The same again unless given.
+            By default the same task again.
         population : Population or Mixture, optional
-            Of whom those are taken to be whose policy it will be; as before unless given.
+            Prior for the policy of this task; by default as before.
         """
         record = self._team.known(person)
         problem = record.problem
@@ -201,31 +207,31 @@ class Assistant:
         key = (id(task), population)
         if key not in self._problems:
             self._problems[key] = LiveTask(task, self.setting, population)
-            if isinstance(self.policy, str):  # it is made anew
+            if isinstance(self.policy, str):  # the team policy is then built again
                 self._made = None
         return self._problems[key]
 
-    # Observations come in.
+    # Observations.
 
     def observe(self, person: str, action: str, *, heard: bool = True) -> None:
-        """Take note of what somebody did.
+        """Record a person's action.
 
         Parameters
         ----------
         person : str
         action : str
-            In PDDL, `(name argument ...)`; without regard to case.
+            In PDDL notation, `(name argument ...)`, in any case.
         heard : bool
-            Whether they knew what had been suggested to them, if anything was.
+            Whether they had seen the open suggestion, if there is one.
 
         Raises
         ------
         UnknownError
             There is no such person, or no such action in their task.
         InapplicableError
-            It cannot be done now; says what can.
+            It is not applicable now; the message says which actions are.
         LimitError
-            The state that it leads to could not be evaluated. Nothing has changed, in this case as in the others.
+            The successor could not be evaluated. Nothing has changed after any of these errors.
         """
         record = self._team.known(person)
         k, problem = record.place, record.problem
@@ -243,9 +249,9 @@ class Assistant:
         self._advice = None
 
     def undo(self, person: str) -> str:
-        """Take somebody's last action back, as if it had not been observed.
+        """Take back a person's last action, as if it had not been observed, and return it.
 
-        What had been suggested to them before it, and been heard, stands again. The robot stays where it is.
+        The suggestion before it, if they had seen it, is open again. The robot stays where it is.
 
         Returns
         -------
@@ -255,7 +261,7 @@ class Assistant:
         Raises
         ------
         InapplicableError
-            They have done nothing yet in this task.
+            The person has not acted yet in this task.
         """
         record = self._team.known(person)
         if not record.steps:
@@ -280,12 +286,12 @@ class Assistant:
         update(belief, np.empty_like(belief), row, step.robot, step.slot, part.arrays)
         return not choices.optimal[row, step.slot]
 
-    # Advice goes out.
+    # Advice.
 
     def recommend(self) -> Advice:
-        """Decide what the robot does next: to whom it goes, and what it suggests.
+        """Return what the robot does next: to whom it goes, and what it suggests.
 
-        The same as before if nothing has happened since.
+        The advice is the same as before if nothing has happened since.
         """
         if self._advice is None:
             self._advice = self._decide()
@@ -293,7 +299,7 @@ class Assistant:
         return self._advice
 
     def follow(self, advice: Advice, step: int) -> None:
-        """Take note of advice that has been given already, in place of asking for it; with it the team's `step`."""
+        """Apply advice from a record, in place of `recommend`; `step` is the team's step after it."""
         self._advice, self._step = advice, step
         if advice.person is not None:
             record = self._team.by_name[advice.person]  # who may have left while the robot was under way
@@ -302,11 +308,11 @@ class Assistant:
                 self._suggest(record, advice.suggestion)
 
     def elapse(self) -> None:
-        """Take note that time has passed in which nobody acted, so that `recommend` decides once more."""
+        """Record that time has passed without an action, so that `recommend` decides again."""
         self._advice = None
 
     def arrived(self, person: str | None = None) -> None:
-        """Take note of where the robot is: with a person, at the place of a person who has left, or at its base."""
+        """Record where the robot is: at a person, at the place of a person who has left, or at its base (None)."""
         if person is None:
             self._location = BASE
         else:
@@ -314,26 +320,68 @@ class Assistant:
         self._under_way = False
         self._advice = None
 
+    def explain(self, person: str | None = None, *, against: str | None = None) -> Explanation:
+        """Return why a person has their suggestion, or none, as things are now.
+
+        `Advice.explanation` explains a decision as things were then.
+
+        Parameters
+        ----------
+        person : str, optional
+            By default, why nobody has a suggestion; the advice explains any other decision.
+        against : str, optional
+            An action of the person with which the suggested step is compared.
+
+        Raises
+        ------
+        UnknownError
+            There is no such person, or no such action in their task.
+        InapplicableError
+            The action is not applicable now, or nothing is suggested to the person.
+        """
+        return self.explain_later(person, against=against)()
+
+    def explain_later(self, person: str | None = None, *, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains what `explain` would, whatever happens in the meantime.
+
+        This takes little time. The function may be called from another thread.
+        """
+        place = None if person is None else self._team.known(person).place
+        attended = None if self._location == BASE else self._location
+        return partial(
+            self._decision_point().explanation, place, attended, arrived=not self._under_way, against=against
+        )
+
+    def _decision_point(self) -> DecisionPoint:
+        policy: Any = self.policy
+        rule = policy if isinstance(policy, str) else getattr(policy, "name", getattr(policy, "__name__", "your own"))
+        moving = self._travel.c_move * self._travel.distance[self._location]
+        return DecisionPoint.of(self._team, self._location, moving, str(rule))
+
     def _decide(self) -> Advice:
         if self._under_way and not self._team.present[self._location]:
-            self._under_way = False  # it counts as being at that place: where it is on the way there, is not known
+            self._under_way = False  # it counts as being at that place, because its position on the way is unknown
+        point = self._decision_point()
         if self._under_way:
             going_to = self._team.records[self._location]
-            return Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
+            advice = Advice(going_to.name, None, self._reason(going_to.place, 0, 0.0), arrived=False)
+            return advice.explained_by(partial(point.suggested, going_to.place, 0, arrived=False))
+        nothing = Advice(None, None, None, arrived=True).explained_by(point.nothing_at_all)
         active = self._team.present & ~self._team.ended & (self._team.robot == 0)
         if not active.any():
-            return Advice(None, None, None, arrived=True)
+            return nothing
         team = self._as_policies_see_it(active)
         action = self._policy()(team)
         team.check(action)
         k, robot = int(action.person[0]), int(action.robot[0])
         if k == NOBODY:
-            return Advice(None, None, None, arrived=True)
+            return nothing
         moving = self._travel.c_move * float(self._travel.distance[self._location, k])
         self._under_way = bool(self._travel.steps[self._location, k] > 0)
         self._location, self._team.robot[k] = k, robot
         reason, record = self._reason(k, robot, moving), self._team.records[k]
-        return Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way)
+        advice = Advice(record.name, self._suggestion(record), reason, arrived=not self._under_way)
+        return advice.explained_by(partial(point.suggested, k, robot, arrived=advice.arrived))
 
     def _as_policies_see_it(self, active: NDArray[np.bool_]) -> TeamState:
         t = self._team
@@ -345,7 +393,7 @@ class Assistant:
     def _policy(self) -> TeamPolicy:
         if self._made is None:
             assert isinstance(self.policy, str)
-            # As all places are equally far unless distances are given, two stand for any number.
+            # Without given distances all places are equally far, so that two represent any number.
             travel = self._travel if self._distance is not None else self.setting.travel(2)
             policies = [problem.policy for problem in self._problems.values()]
             prepare(made := named(self.policy, policies, travel), policies)
@@ -361,14 +409,30 @@ class Assistant:
         q = policy.q_values(self._team.x[k : k + 1], belief[None])[0]
         saving = float((q[robot] if robot else q[1:].max(initial=q[0])) - q[0])
         beta, theta = policy.pomdp.grid.spreads(belief)
+        follow = self._follow(k, robot or 1 + int(q[1:].argmax()))
+        answered = [step for step in self._team.records[k].steps if step.suggestion is not None]
         return Reason(
-            saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high)
-        )
+            saving, moving, saving - moving, beta.mean, (beta.low, beta.high), theta.mean, (theta.low, theta.high),
+            len(answered), sum(step.suggestion == step.action for step in answered), follow.mean,
+            (follow.low, follow.high),
+        )  # fmt: skip
 
-    # What is known.
+    def _follow(self, k: int, robot: int) -> Spread:
+        """Return where the probability lies that a person follows a suggestion, over the belief in (beta, theta)."""
+        pomdp, x = self._team.parts[self._team.model[k]].policy.pomdp, self._team.x[k : k + 1]
+        action = pomdp.suggested[x, robot]
+        if action[0] == NOTHING:
+            return Spread(0.0, 0.0, 0.0)
+        chance = pomdp.likelihood(x, np.array([robot]), action)[0].reshape(-1)
+        order = np.argsort(chance)
+        values, place = np.unique(chance[order], return_inverse=True)
+        weights = np.bincount(place, self._team.belief[k].reshape(-1)[order]).astype(float)
+        return Spread.of(values, weights, limits=(0.0, 1.0))
+
+    # Views.
 
     def person(self, person: str) -> PersonState:
-        """Give what is known of somebody, there or not."""
+        """Return what is known of a person, present or not."""
         record = self._team.by_name.get(person) or self._team.known(person)
         k, (part, row) = record.place, self._team.part(record)
         choices = part.choices
@@ -382,22 +446,22 @@ class Assistant:
         )  # fmt: skip
 
     def cost_to_go(self, person: str) -> float:
-        """Give what somebody's task costs from where they are, in cost units: there or not."""
+        """Return the cost-to-go of a person's present state, in cost units; the person may be absent."""
         part, row = self._team.part(self._team.by_name.get(person) or self._team.known(person))
         return float(part.choices.h[row])
 
     @property
     def step(self) -> int:
-        """How many decisions there have been."""
+        """The number of decisions."""
         return self._step
 
     @property
     def robot(self) -> str | None:
-        """With whom the robot is, or to whom it is under way; None at its base."""
+        """The person at whom the robot is, or to whom it is under way; None at its base."""
         return None if self._location == BASE else self._team.records[self._location].name
 
     def log(self) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them: one dictionary each, a person's in their order."""
+        """Return all actions as `fit` reads them: one dictionary each, for each person in order."""
         rows = []
         for record in self._team.records:
             for number, (_, steps) in enumerate(record.episodes(), start=1):
@@ -405,12 +469,12 @@ class Assistant:
                     rows.append({"person": record.name, "episode": str(number), "step": count, **step})
         return rows
 
-    # Saved and restored.
+    # Saving and restoring.
 
     def to_json(self) -> str:
-        """Save the team: one JSON document, in PDDL's names, without the tasks themselves.
+        """Return the team as a JSON document, with actions in PDDL notation and without the tasks.
 
-        What is believed follows from what has been observed, and is worked out again by `from_json`.
+        `from_json` computes the beliefs again from the observations.
         """
         people = [
             {
@@ -428,7 +492,7 @@ class Assistant:
             {
                 "format": FORMAT,
                 "policy": self.policy if isinstance(self.policy, str) else None,
-                "setting": asdict(self.setting),
+                "setting": self.setting.as_dict(),
                 "population": self.population.as_dict(),
                 "distance": None if self._distance is None else self._distance.tolist(),
                 "step": self._step,
@@ -441,21 +505,21 @@ class Assistant:
 
     @classmethod
     def from_json(cls, document: str, *tasks: CostToGo | Policy, policy: TeamPolicy | None = None) -> Assistant:
-        """Restore a team that was saved, to the same beliefs, bit for bit.
+        """Return a saved team, with the same beliefs, bit for bit.
 
         Parameters
         ----------
         document : str
-            What `to_json` gave.
+            The result of `to_json`.
         *tasks : CostToGo or Policy
-            The tasks of the team, in any order; who joins without a task gets the first.
+            The tasks of the team, in any order; the first is the default for people who join.
         policy : callable, optional
-            The team's policy, if that was a function.
+            The team's policy, if it was a function.
 
         Raises
         ------
         ValueError
-            No such document, or a task is missing.
+            It is no saved team, or a task is missing.
         """
         try:
             saved = json.loads(document)
@@ -464,7 +528,8 @@ class Assistant:
             if policy is None and saved["policy"] is None:
                 raise ValueError("the policy was a function; expected it as `policy`")
             team = cls(
-                tasks[0] if tasks else None, policy=policy or saved["policy"], setting=Setting(**saved["setting"]),
+                tasks[0] if tasks else None, policy=policy or saved["policy"],
+                setting=Setting(**{"trust": "paper"} | saved["setting"]),
                 population=population_of(saved["population"]), distance=saved["distance"],
             )  # fmt: skip
             team._restore(saved, {digest(task): task for task in tasks})

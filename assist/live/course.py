@@ -1,13 +1,12 @@
-"""The course of a live session: what has happened so far, what the robot was advised after it, and who sees what of it.
+"""The events of a live session, the robot's decision after each, and the views of people and of the operator.
 
-Timing. A decision follows every event: an action, an undo, somebody who comes, goes or begins, the robot's arrival.
-People who are idle make no events, and the robot can do only one thing at a decision; so somebody who waits for help
-while nobody acts would wait for ever. Therefore time that passes without an event is one as well (`elapsed`), if the
-robot then does something that it has not done yet. An action is the answer to a suggestion only if whoever acted can
-have known of it.
+Timing. A decision follows every event: an action, an undo, a person who joins, leaves or begins a task, the robot's
+arrival. Idle people cause no events, and the robot does one thing per decision. So a person who needs help while nobody
+acts would wait for ever. Therefore elapsed time is an event, too (`elapsed`), if the robot then does something new. An
+action counts as the answer to a suggestion only if the person can have seen it.
 
-An event that has happened is a record from which the same can happen again (`Course.again`), advice included: to the
-same beliefs, bit for bit, without a decision being worked out anew.
+Each event has a record, which includes the advice. `Course.again` applies a record, and leads to the same beliefs, bit
+for bit, without computing a decision again.
 """
 
 from __future__ import annotations
@@ -16,15 +15,16 @@ import math
 import re
 from array import array
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from sys import intern
-from typing import Any
+from typing import Any, Protocol
 
 from numpy.typing import ArrayLike
 
 from planner import CostToGo
 
+from ..explain.explanation import Explanation, WhyNothing
 from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
@@ -32,50 +32,42 @@ from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .live_task import InapplicableError, UnknownError
 
-OF_SOMEBODY = ("joined", "left", "began", "acted", "undone")
-KINDS = (*OF_SOMEBODY, "arrived", "elapsed", "paused", "resumed")
-
-NEEDED = ("n", "time", "event", "step")
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
     "followed": bool, "unheard": bool, "advice": dict, "answer": dict,
 }  # fmt: skip
-"""What a record of an event may hold, of which kind."""
+"""Fields of an event's record, and their types."""
 
 NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
-"""What people can be called: it stands in addresses of pages."""
-
-MOST_PEOPLE = 10_000
-RECENT = 50
-"""Events that the log of a running session shows."""
+"""Valid names of people; they are part of addresses of pages."""
 
 NOTHING = Advice(None, None, None, arrived=True)
 
 
 class AbsentError(UnknownError):
-    """Nobody of that name is there."""
+    """The person is not present."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that is reported.
+    """An event, as it is reported.
 
     Attributes
     ----------
     kind : str
         "joined", "left", "began", "acted", "undone", "arrived", "elapsed", "paused" or "resumed".
     person : str or None
-        Who acted, came or went, or with whom the robot has arrived; None where it is nobody.
+        The person who acted, joined or left, or at whom the robot has arrived; None for other events.
     action : str or None
-        What was done, in PDDL.
+        The action, in PDDL notation.
     followed : bool or None
-        Whether the suggestion was followed; None where whoever reports does not say.
+        Whether the suggestion was followed; None if it is not reported.
     seen : int or None
-        The `seq` of what the person saw when they acted: a suggestion that came later was not heard.
+        The `seq` of the view on which the person acted; they have not seen a later suggestion.
     task : str or None
-        The task of somebody who comes or begins.
+        The task of a person who joins or begins.
     id : str or None
-        Made by whoever reports: the same again is answered as the first, and has happened once.
+        The client's id: a repeated event with this id has no effect, and gets the first answer.
     """
 
     kind: str
@@ -87,33 +79,43 @@ class Event:
     id: str | None = None
 
 
+class Explains(Protocol):
+    """State of a session that explains its suggestions."""
+
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a person's suggestion, or why there is none."""
+        ...
+
+
 def require_record(record: Mapping[str, Any]) -> None:
-    """Refuse what is no record of an event.
+    """Check a record of an event.
 
     Raises
     ------
     ValueError
+        A field is missing, unknown, or of the wrong type.
     """
     for name, value in record.items():
         expected = FIELDS.get(name, ())
         if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
             raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
-    if missing := [name for name in NEEDED if name not in record]:
+    if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
-    kind = record["event"]
-    if kind not in KINDS or not math.isfinite(record["time"]):
-        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(KINDS)}")
-    needed = {"person": kind in OF_SOMEBODY, "action": kind == "acted", "answer": "id" in record}
+    kind, by_people = record["event"], ("joined", "left", "began", "acted", "undone")
+    kinds = (*by_people, "arrived", "elapsed", "paused", "resumed")
+    if kind not in kinds or not math.isfinite(record["time"]):
+        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(kinds)}")
+    needed = {"person": kind in by_people, "action": kind == "acted", "answer": "id" in record}
     if missing := [name for name, so in needed.items() if so and name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
 
 
 @dataclass
 class _Note:
-    """What a session keeps of somebody beside the team's own record.
+    """What a session stores about a person in addition to the team's record.
 
-    Of all their tasks the names and the time of each action; of the present one also the reason of the suggestion
-    that stood at each, and the cost-to-go after each event.
+    For all their tasks: the names, and the time of each action. For the current task also the reason of the suggestion
+    that was open at each action, and the cost-to-go after each event.
     """
 
     task: str
@@ -127,19 +129,19 @@ class _Note:
 
 
 class Course:
-    """What has happened in a session.
+    """The state of a session after its events.
 
     Parameters
     ----------
     tasks : mapping of str to CostToGo
-        By name; the first is that of everybody for whom no other is named.
+        Tasks by name; the first is the default.
     policy, setting, population, distance
         As in `Assistant`.
 
     Attributes
     ----------
     fault : str or None
-        Why the policy could not decide after the last event; the robot then does nothing, and people go on.
+        Error of the policy after the last event; the robot then does nothing, and people go on.
     """
 
     def __init__(
@@ -158,14 +160,14 @@ class Course:
         self.count, self.paused, self.advice = 0, False, NOTHING
         self.fault: str | None = None
         self.present: set[str] = set()
-        self.recent: deque[dict[str, Any]] = deque(maxlen=RECENT)
+        self.recent: deque[dict[str, Any]] = deque(maxlen=50)  # shown on the operator's page
         self._notes: dict[str, _Note] = {}
         self._known: dict[str, PersonState] = {}
 
-    # What happens.
+    # Events.
 
     def happen(self, event: Event, time: float) -> dict[str, Any] | None:
-        """Let something happen, and decide what the robot does then.
+        """Apply an event, decide what the robot does then, and return the record.
 
         Parameters
         ----------
@@ -176,12 +178,12 @@ class Course:
         Returns
         -------
         dict or None
-            The record; None for time that has elapsed without anything coming of it.
+            The record; None for elapsed time after which the robot does nothing new.
 
         Raises
         ------
         UnknownError, InapplicableError, ValueError
-            It cannot be. Nothing has changed.
+            The event is not possible. Nothing has changed.
         """
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
@@ -202,17 +204,17 @@ class Course:
             return NOTHING
         try:
             return self.desk.recommend()
-        except Exception as error:  # noqa: BLE001 what somebody did has been done, whatever is wrong with a policy
+        except Exception as error:  # noqa: BLE001 an action is a fact, even if the policy fails
             self.fault = " ".join(str(error).split()) or type(error).__name__
             return NOTHING
 
     def again(self, record: Mapping[str, Any]) -> None:
-        """Let happen again what has been recorded, the robot's decision included.
+        """Apply a recorded event, including the robot's decision.
 
         Raises
         ------
         ValueError
-            It cannot have happened.
+            The record is not possible here.
         """
         require_record(record)
         self._take(record)
@@ -223,7 +225,7 @@ class Course:
         self._note(record, advice)
 
     def _facts(self, event: Event) -> dict[str, Any]:
-        """Give what a record says of an event, as far as it is said."""
+        """Return the fields of a record that an event determines, without those that are None."""
         facts: dict[str, Any] = {"person": event.person, "task": event.task, "id": event.id}
         if event.kind == "joined":
             facts["task"] = self._joins(event)
@@ -249,8 +251,9 @@ class Course:
             if event.task is not None:
                 raise InapplicableError(f"{name} comes back to the task that they left")
             return None
-        if len(self._notes) >= MOST_PEOPLE:
-            raise InapplicableError(f"{MOST_PEOPLE} people have been here; there is no place for {name}")
+        most = 10_000  # people over a whole session, which bounds its memory
+        if len(self._notes) >= most:
+            raise InapplicableError(f"{most} people have been here; there is no place for {name}")
         task = event.task or next(iter(self.tasks))
         self._task(task)
         return task
@@ -261,7 +264,7 @@ class Course:
         return self.tasks[name]
 
     def _unheard(self, event: Event) -> bool:
-        """Whether a suggestion stands that whoever acted cannot have known."""
+        """Return whether there is an open suggestion that the person cannot have seen."""
         note, stands = self._notes[event.person or ""], self._state(event.person or "").suggestion
         if event.followed and (stands is None or stands.lower() != (event.action or "").strip().lower()):
             said = "nothing is suggested" if stands is None else f"{stands} is suggested"
@@ -311,7 +314,7 @@ class Course:
         note.history.clear()
 
     def _note(self, record: Mapping[str, Any], advice: Advice) -> None:
-        """Keep what follows from an event for those who watch."""
+        """Update the data of the views after an event."""
         self.count, self.advice = record["n"], advice
         for name in self.touched(record):
             self._notes[name].seq = self.count
@@ -331,40 +334,41 @@ class Course:
                 | {"suggestion": advice.suggestion}
             )  # fmt: skip
 
-    # What is seen.
+    # Views.
 
     def touched(self, record: Mapping[str, Any]) -> set[str]:
-        """Name those for whom something has changed with an event."""
+        """Return the people whose view an event has changed."""
         if record["event"] in ("paused", "resumed"):
             return set(self.present)
         advised = (record.get("advice") or {}).get("person")
         return {name for name in (record.get("person"), advised) if name is not None}
 
     def require(self, person: str) -> None:
-        """Refuse whoever is not there.
+        """Check that a person is present.
 
         Raises
         ------
         AbsentError
+            The person is not present.
         """
         if person not in self.present:
             raise AbsentError(f"{person[:80]!r} is not in the team")
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Who is there, in the order in which they first came."""
+        """The people who are present, in the order of their first arrival."""
         return self.desk.people
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Give somebody's task, and the state in which it is."""
+        """Return a person's task, and its state."""
         return self.tasks[self._notes[person].task], self._state(person).state
 
     def person(self, person: str) -> dict[str, Any]:
-        """Give what somebody sees, as JSON has it."""
+        """Return a person's view, as JSON."""
         return self._seen(self._state(person))
 
     def _state(self, person: str) -> PersonState:
-        """Give what is known of somebody since the last event; it is asked for by several who show it."""
+        """Return what is known of a person since the last event; it is cached, as several views show it."""
         if person not in self._known:
             self._known[person] = self.desk.person(person)
         return self._known[person]
@@ -382,11 +386,23 @@ class Course:
             "cost_to_go": _finite(known.cost_to_go),
             "steps": known.steps,
             "finished": known.finished,
+            "explained": True,
             "seq": note.seq,
         }
 
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a person's suggestion, or why there is none, as things are now.
+
+        The function may be called from another thread, and then raises the errors of `Assistant.explain`.
+        """
+        known = self._state(person)
+        if self.paused and known.suggestion is None and against is None:
+            paused = WhyNothing("paused", "", about=person)
+            return lambda: Explanation(nothing=paused)
+        return self.desk.explain_later(person, against=against)
+
     def entry(self, person: str) -> dict[str, Any]:
-        """Give what the operator sees of somebody, as JSON has it."""
+        """Return the operator's view of a person, as JSON."""
         known = self._state(person)
         return self._seen(known) | {
             "history": [list(point) for point in self._notes[person].history],
@@ -397,13 +413,13 @@ class Course:
         }
 
     def beliefs(self) -> dict[str, bytes]:
-        """Give what is believed of everybody who is there, to the bit."""
+        """Return the belief in each present person, as bytes."""
         return {person: self.desk.person(person).belief.tobytes() for person in self.desk.people}
 
     def robot(self) -> dict[str, Any]:
-        """Give where the robot is to be and what it says there, as JSON has it.
+        """Return where the robot is to be and what it suggests there, as JSON.
 
-        What it has said stays its errand until it is answered or there is another one.
+        A suggestion stays its errand until it is answered or there is another one.
         """
         here, advice = self.desk.robot, self.advice
         errand: dict[str, Any] = {"person": None, "suggestion": None, "reason": None, "arrived": True}
@@ -416,12 +432,12 @@ class Course:
         return {**errand, "location": here, "seq": self.count}
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them, with their times in seconds since the session began.
+        """Return all actions as `fit` reads them, with their times in seconds since the session began.
 
         Parameters
         ----------
         task : str, optional
-            Only those in this task.
+            Return the actions in this task only.
 
         Raises
         ------
@@ -441,7 +457,7 @@ class Course:
 
 
 def _plain(reason: Reason | None) -> dict[str, Any] | None:
-    """Give a reason as it comes out of JSON again."""
+    """Return a reason in the types that JSON has."""
     if reason is None:
         return None
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(reason).items()}

@@ -1,7 +1,7 @@
-"""Which events have been answered under which id, so that the same again is answered as the first, however long ago.
+"""Index of answered events by their id, so that a repeated event gets the first answer again.
 
-What was answered stands in the journal. Here is only where: the latest by their ids, all before them by a hash, with
-the place of the line in 16 bytes. Equal hashes do no harm, since the line itself says whose it is.
+The answers are in the journal. The index holds their positions: the latest by id, and all earlier ones by a hash, in 16
+bytes each. Equal hashes do no harm, because the line itself contains the id.
 """
 
 from __future__ import annotations
@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 from .journal import Journal
 
 Key = tuple[str, str]
-"""Whom an event is about, "" for nobody, and its id."""
+"""The person of an event ("" for none) and its id."""
 
 LATEST = 1024
-"""Answers that are known by their names; when there are so many they go to the others."""
+"""Number of latest answers that are indexed by id; then they are merged into the hashed ones."""
 
 
 class AnsweredIds:
-    """Finds the line of a journal in which an event of some id was answered.
+    """Finds the line of a journal that contains the answer to an event.
 
     Parameters
     ----------
     journal : Journal
     hashed : callable
-        Gives a number of 64 bits, the same for the same key as long as the process runs.
+        Returns a number of 64 bits, the same for equal keys while the process runs.
     """
 
     def __init__(self, journal: Journal, hashed: Callable[[Key], int] = hash) -> None:
@@ -40,13 +40,13 @@ class AnsweredIds:
         return len(self._latest) + len(self._hashes)
 
     def add(self, key: Key, begin: int) -> None:
-        """Take note of the place of the line that answers."""
+        """Record the position of the line that contains an answer."""
         self._latest[key] = begin
         if len(self._latest) >= LATEST:
             self._pack()
 
     def find(self, key: Key) -> dict[str, Any] | None:
-        """Give the record that answers; None if nothing has happened under this id."""
+        """Return the record with the answer; None if there is no event of this id."""
         if key in self._latest:
             return self._journal.at(self._latest[key])
         for begin in self._candidates(np.int64(self._hashed(key))):
@@ -63,7 +63,7 @@ class AnsweredIds:
         return self._begins[first:last]
 
     def _pack(self) -> None:
-        """Leave of the latest what finds them: they are merged into the others, which stay in order."""
+        """Merge the latest entries into the sorted hashes."""
         hashes = np.array([self._hashed(key) for key in self._latest], dtype=np.int64)
         begins = np.array(list(self._latest.values()), dtype=np.int64)
         order = np.argsort(hashes, kind="stable")
@@ -74,5 +74,5 @@ class AnsweredIds:
 
 
 def key_of(record: dict[str, Any]) -> Key:
-    """Give the key of a record that has an id."""
+    """Return the key of a record that has an id."""
     return record.get("person") or "", record.get("id") or ""

@@ -1,8 +1,8 @@
-"""What has happened in a live session, line by line in a file that only grows.
+"""The journal of a live session: one line per event, in a file that only grows.
 
-A line is on the disk before anybody is told that it has happened; several may share one wait for the disk (group
-commit). Lines that could not be written whole are cut off again at once, and what a killed process has left of its last
-line is when the file is opened: nobody was told of it. One process at a time has the file.
+A line is on the disk before the event is acknowledged. Several lines may share one write (group commit). Lines that
+could not be written completely are cut off at once. An incomplete last line that a killed process left is cut off when
+the file is opened, as its event was never acknowledged. One process at a time can open the file.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import Any
 from planner.system.errors import DamagedFileError, ResultsExistError
 
 PROBE = 1 << 16
-"""Bytes that have to find room after a disk was full, before anything is written again."""
+"""Number of bytes that must fit on the disk, after it was full, before events are accepted again."""
 
 
 class JournalError(OSError):
-    """The disk does not take what has happened; so it has not happened."""
+    """The event cannot be written to the disk, and has no effect."""
 
 
 class Journal:
@@ -32,12 +32,12 @@ class Journal:
     Parameters
     ----------
     file : Path
-        Made, with its folder, if there is none.
+        Created, with its folder, if it does not exist.
 
     Raises
     ------
     ResultsExistError
-        Another process has it.
+        Another process uses it.
     OSError
         It cannot be written.
     """
@@ -63,7 +63,7 @@ class Journal:
             ) from None
 
     def _whole(self) -> int:
-        """Cut off what is left of a last line that was not finished; give where the lines end."""
+        """Cut off an incomplete last line, and return the end of the lines."""
         size = os.fstat(self._descriptor).st_size
         end = size
         while end > 0:
@@ -79,12 +79,12 @@ class Journal:
         return end
 
     def __iter__(self) -> Iterator[tuple[int, dict[str, Any]]]:
-        """Give each line, with where it begins.
+        """Yield the position and the record of each line.
 
         Raises
         ------
         DamagedFileError
-            A line that is no record.
+            A line is no record.
         """
         with self.file.open("rb") as stream:
             at = 0
@@ -99,23 +99,23 @@ class Journal:
                 at += len(line)
 
     def __len__(self) -> int:
-        """Count the bytes of all lines."""
+        """Return the number of bytes of all lines."""
         return self._end
 
     def at(self, begin: int) -> dict[str, Any]:
-        """Read the line that begins there."""
+        """Return the record of the line at a position."""
         with self.file.open("rb") as stream:
             stream.seek(begin)
             record: dict[str, Any] = json.loads(stream.readline())
         return record
 
     def append(self, lines: Sequence[bytes]) -> list[int]:
-        """Add lines, all or none, and wait until they are on the disk; give where each begins.
+        """Append all lines or none, wait until they are on the disk, and return their positions.
 
         Raises
         ------
         JournalError
-            They are not on the disk. The file is as it was before.
+            The lines cannot be written. The file is as it was before.
         """
         begins, end = [], self._end
         for line in lines:
@@ -125,19 +125,19 @@ class Journal:
             self._write(b"".join(lines))
         except OSError as error:
             self._full = True
-            with suppress(OSError):  # it is overwritten by what comes next
+            with suppress(OSError):  # the next write overwrites it
                 self._cut()
             raise _said(error, self.file) from error
         self._end = end
         return begins
 
     def check(self) -> None:
-        """Try, after a disk was full, whether there is room again.
+        """Check, after the disk was full, whether there is room again.
 
         Raises
         ------
         JournalError
-            There is not.
+            The disk is still full.
         """
         if self._full:
             try:
@@ -150,7 +150,7 @@ class Journal:
             self._full = False
 
     def close(self) -> None:
-        """Let go of the file; more than once does no harm."""
+        """Close the file; repeated calls have no effect."""
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
@@ -165,7 +165,7 @@ class Journal:
         os.fdatasync(self._descriptor)
 
     def _cut(self) -> None:
-        """Leave nothing half: also before the next start, which would do the same for the last line only."""
+        """Cut off incomplete lines now; opening the file would cut off the last one only."""
         os.ftruncate(self._descriptor, self._end)
         os.fdatasync(self._descriptor)
 

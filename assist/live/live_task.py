@@ -1,15 +1,17 @@
-"""A task as people live through it, and what the robot has worked out about it.
+"""A task of people in a live session, with the robot's policy for one person.
 
-Of a task with few states everything is worked out at once. Of a larger one, or one that is only asked on demand
-(`assist.large_tasks.person_problem` decides which), there is what the next step needs of the states in which people are
-(`assist.large_tasks.truncated_policy`), and it is forgotten when they have left. What is believed of a person does not
-depend on that.
+A small task is enumerated, and its policy is solved once. For a larger one, or one that is solved on demand
+(`assist.large_tasks.person_problem` decides), a local problem is built for each state in which somebody is
+(`assist.large_tasks.truncated_policy`). It is released when they have left. The belief in a person is the same either
+way.
 """
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeGuard, cast
 from weakref import WeakValueDictionary
 
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from planner import CostToGo
 
+from ..drawing.picture import Artist
 from ..large_tasks.person_problem import WHOLE, is_whole
 from ..large_tasks.truncated_policy import SharedTask, TruncatedPolicy
 from ..people.action_names import Matcher, UnmatchedError, words_of
@@ -31,24 +34,24 @@ from ..team.settings import Setting
 
 
 class UnknownError(ValueError):
-    """A person, or an action, that there is not."""
+    """There is no such person, task or action."""
 
 
 class InapplicableError(ValueError):
-    """Something that cannot be done now; the message says what can."""
+    """An action is not possible now; the message says which are."""
 
 
 @dataclass(frozen=True, eq=False)
 class TaskPart:
-    """States of a task, with the policy for one person there.
+    """Some or all states of a task, with the policy for one person there.
 
     Attributes
     ----------
     policy : Policy
     arrays : ProblemArrays
-        Its problem, as compiled code reads it.
+        The problem, in the form that compiled code reads.
     states : int array, shape (n,), or None
-        The number of each state in the task; None if the same.
+        Task state of each row; None if rows and states are the same.
     """
 
     policy: Policy
@@ -57,15 +60,15 @@ class TaskPart:
 
     @property
     def choices(self) -> Choices:
-        """What can be done in each state."""
+        """The choices in each state."""
         return self.policy.pomdp.model.choices
 
     def state(self, row: int) -> int:
-        """Give the task's state of a row."""
+        """Return the task state of a row."""
         return self.choices.task_state(row) if self.states is None else int(self.states[row])
 
     def options(self, row: int) -> NDArray[np.int32]:
-        """Give the ground actions that can be taken, in the order of their slots; none where one can only wait."""
+        """Return the applicable ground actions in the order of their slots; none where a person can only wait."""
         actions = self.choices.actions[row][self.choices.applicable[row]]
         return actions[actions >= 0].astype(np.int32)
 
@@ -73,8 +76,8 @@ class TaskPart:
 class LiveTask:
     """One task with one prior, for any number of people.
 
-    A place is where somebody is in it, by which it is found again: a row of a task that is looked at whole, which may
-    say what they did before, or else a state of the task.
+    A place identifies where a person is. For an enumerated task it is a row, which may include the memory of previous
+    actions. For other tasks it is a task state.
 
     Parameters
     ----------
@@ -82,14 +85,14 @@ class LiveTask:
         A task, or a policy for one person in it.
     setting : Setting
     prior : Population or Mixture
-        Of whom people are taken to be.
+        The robot's prior of people.
 
     Attributes
     ----------
     policy : Policy
-        For one person.
+        The policy for one person.
     initial : int
-        The place in which people begin.
+        The place at which people begin.
     """
 
     def __init__(self, task: CostToGo | Policy, setting: Setting, prior: Population | Mixture) -> None:
@@ -100,14 +103,14 @@ class LiveTask:
         else:
             self.initial = self.policy.pomdp.model.choices.initial
             self._whole = TaskPart(self.policy, ProblemArrays.of(self.policy.pomdp))
-        # Of what is not looked at whole, only where somebody is.
+        # Local problems exist only while somebody is in their state.
         self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()
         part, row = self.at(self.initial)
         require_goal(part.choices.h[row])
         self.matcher = Matcher(part.choices.names)
 
     def at(self, place: int) -> tuple[TaskPart, int]:
-        """Give the part in which a place is, and its row there."""
+        """Return the part of the task that contains a place, and the row of the place there."""
         if self._whole is not None:
             return self._whole, place
         part = self._around.get(place)
@@ -118,22 +121,22 @@ class LiveTask:
         return part, 0
 
     def place(self, part: TaskPart, row: int) -> int:
-        """Give the place of a row."""
+        """Return the place of a row."""
         return row if part.states is None else part.state(row)
 
     def after(self, part: TaskPart, row: int, slot: int) -> tuple[TaskPart, int]:
-        """Find where a choice leads: the part, and the row there."""
+        """Return the successor of a choice: the part of the task, and the row there."""
         return self.at(self.place(part, int(part.choices.targets[row, slot])))
 
     def slot(self, part: TaskPart, row: int, action: str) -> int:
-        """Find the slot of an action.
+        """Return the slot of an action.
 
         Raises
         ------
         UnknownError
             The task has no such action.
         InapplicableError
-            It cannot be taken there; says what can be.
+            It is not applicable there; the message says which actions are.
         """
         try:
             words = words_of(action)
@@ -146,18 +149,38 @@ class LiveTask:
             raise kind(str(error)) from None
 
     def robot(self, part: TaskPart, row: int, suggestion: str | None) -> int:
-        """Find the robot action that suggests an action; 0 for None."""
+        """Return the robot action that suggests an action; 0 for None."""
         if suggestion is None:
             return 0
         slot = self.slot(part, row, suggestion)
         found = np.flatnonzero(part.policy.pomdp.suggested[row] == slot)
         if not len(found):
-            raise InapplicableError(f"{suggestion}: not one of the suggestions that there are")
+            raise InapplicableError(f"{suggestion}: the robot cannot suggest this action here")
         return int(found[0])
+
+    def say(self, action: str) -> str:
+        """Return an action in the domain's words, or in PDDL if it has none."""
+        return self.words([action]).get(action, action)
+
+    def words(self, actions: Iterable[str]) -> dict[str, str]:
+        """Return actions in the words of the domain's `drawing.toml`, as far as it has them.
+
+        Raises
+        ------
+        ProfileError
+            The file cannot be used.
+        """
+        artist = self._artist
+        return {} if artist is None else {action: artist.say(action) for action in actions if artist.has_words(action)}
+
+    @cached_property
+    def _artist(self) -> Artist | None:
+        task = self.policy.known if isinstance(self.policy, TruncatedPolicy) else self.task
+        return None if is_policy(task) else Artist(cast(CostToGo, task).task)
 
 
 def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) -> Policy:
-    """Work out a policy for one person of whom only the task is known, at once where the task is looked at whole."""
+    """Return a policy for a person of whom only the task is known; it is solved now if the task is enumerated."""
     if is_whole(known):
         return qmdp(setting.problem(choices_of(known, tuple(prior.weights)), None, prior))
     if prior.weights:
@@ -166,12 +189,12 @@ def _policy_for(known: CostToGo, setting: Setting, prior: Population | Mixture) 
 
 
 def is_policy(task: CostToGo | Policy) -> TypeGuard[Policy]:
-    """Tell a policy for one person from a task's cost-to-go."""
+    """Return whether this is a policy for one person, not a task's cost-to-go."""
     return isinstance(task, TruncatedPolicy) or hasattr(task, "pomdp")
 
 
 def digest(task: CostToGo | Policy) -> str:
-    """Give what tells a task from others, wherever it was loaded; a policy also by all that beliefs depend on."""
+    """Return a hash of a task, independent of where it was loaded; for a policy, of all that beliefs depend on."""
     content = hashlib.sha256()
     if isinstance(task, TruncatedPolicy):
         task = task.ground.known
@@ -189,12 +212,12 @@ def digest(task: CostToGo | Policy) -> str:
 
 
 def population_of(plain: dict[str, Any]) -> Population | Mixture:
-    """Read a population that `Population.as_dict` or `Mixture.as_dict` gave, and JSON may have kept.
+    """Return the population that `Population.as_dict` or `Mixture.as_dict` described, directly or through JSON.
 
     Raises
     ------
     ValueError
-        Its people choose by a function, of which there is only the name.
+        Its people choose by a function, whose name alone was saved.
     """
     if "parts" in plain:
         return Mixture(tuple(_ranges(part) for part in plain["parts"]), tuple(plain["shares"]))

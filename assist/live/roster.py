@@ -1,4 +1,4 @@
-"""Who is in a live team, and where everybody is: a record for each person, and arrays as a team policy reads them."""
+"""The people of a live team: a record for each person, and the arrays that a team policy reads."""
 
 from __future__ import annotations
 
@@ -14,18 +14,12 @@ from ..people.decision import Floats
 from ..team.state import Ask, by_model
 from .live_task import LiveTask, TaskPart, UnknownError
 
-NAMED = 10  # people, in a message
-
-ANSWERS = 8
-"""Questions of which the answers are kept; policies ask one or two."""
-
-
 Named = dict[str, str | None]
-"""An action and a suggestion, in PDDL."""
+"""An action and a suggestion, in PDDL notation."""
 
 
 class Step(NamedTuple):
-    """An action of a person: at which place of their task, after what of the robot's, and which; both also in PDDL."""
+    """An action of a person: its place in the task, the robot action before it, its slot, and both in PDDL notation."""
 
     place: int
     robot: int
@@ -34,30 +28,30 @@ class Step(NamedTuple):
     suggestion: str | None
 
     def named(self) -> Named:
-        """Give it in PDDL."""
+        """Return the action and the suggestion in PDDL notation."""
         return {"action": self.action, "suggestion": self.suggestion}
 
 
 Numbers = dict[str | None, int]
-"""Of all actions that were done or suggested, in the order in which they came first; None stands for nothing."""
+"""Number of each action that was done or suggested, in the order of first occurrence; None stands for no action."""
 
 
 class FinishedTasks:
-    """The tasks that somebody has left behind, with what was done and suggested in each: eight bytes an action.
+    """A person's finished tasks, with the actions and suggestions in each; an action takes eight bytes.
 
     Parameters
     ----------
     numbers : dict
-        Of actions, shared by a team.
+        Numbers of actions, shared by the team.
     """
 
     def __init__(self, numbers: Numbers) -> None:
         self._numbers = numbers
         self._problems: list[LiveTask] = []
-        self._ends, self._done = array("q"), array("i")  # of each step its action and its suggestion, in turn
+        self._ends, self._done = array("q"), array("i")  # action and suggestion of each step alternate
 
     def add(self, problem: LiveTask, steps: list[Step]) -> None:
-        """Keep a task."""
+        """Append a task with its steps."""
         for step in steps:
             for name in step.action, step.suggestion:
                 self._done.append(self._numbers.setdefault(name, len(self._numbers)))
@@ -65,7 +59,7 @@ class FinishedTasks:
         self._ends.append(len(self._done))
 
     def __iter__(self) -> Iterator[tuple[LiveTask, list[Named]]]:
-        """Give each task with its steps."""
+        """Yield each task with its steps."""
         names, begin = list(self._numbers), 0
         for problem, end in zip(self._problems, self._ends, strict=True):
             yield (
@@ -80,7 +74,7 @@ class FinishedTasks:
 
 @dataclass
 class RosterEntry:
-    """The task that somebody is at, their steps in it, and what was believed of them when they began it."""
+    """A person's current task, their steps in it, and the belief in them at its beginning."""
 
     name: str
     place: int
@@ -90,39 +84,39 @@ class RosterEntry:
     steps: list[Step] = field(default_factory=list)
 
     def episodes(self) -> list[tuple[LiveTask, list[Named]]]:
-        """Give all tasks that they have been at, with their steps."""
+        """Return all tasks of the person, with their steps."""
         return [*self.past, (self.problem, [step.named() for step in self.steps])]
 
 
 @dataclass
 class _Answers:
-    """What somebody asked about everybody, shape (P, W), and to what change of each person it belongs."""
+    """Answers to a question about all people, shape (P, W), and the version of each person for which they hold."""
 
     values: Floats
     change: NDArray[np.int64]
 
 
 class Roster:
-    """The people of a team, at places 0 to P - 1; whoever leaves keeps theirs.
+    """The people of a team, at places 0 to P - 1; a person who leaves keeps their place.
 
     Attributes
     ----------
     parts : list of TaskPart
-        Of everybody's tasks, numbered; a number is used again when nobody is there any more.
+        Parts of the people's tasks, numbered; a number is reused when nobody is in that part any more.
     records : list of RosterEntry
-        By place.
+        Records by place.
     x, model : int arrays, shape (P,)
-        The row of everybody's state, and the number of its part.
+        Row of each person's state, and the number of its part.
     robot : int array, shape (P,)
-        What was suggested to them since their last action; 0 for nothing.
+        Robot action towards each person since their last action; 0 for none.
     erred, present, ended : bool arrays, shape (P,)
-        Whose last action was not an optimal choice; who is there; who has reached their goal.
+        Whether the last action was not an optimal choice; whether the person is present, and has reached the goal.
     belief : float array, shape (P, B, T)
     """
 
     def __init__(self, places: int) -> None:
         self.parts: list[TaskPart] = []
-        self._people: list[int] = []  # in each part
+        self._people: list[int] = []  # number of people in each part
         self._number: dict[TaskPart, int] = {}
         self._actions: Numbers = {}
         self.records: list[RosterEntry] = []
@@ -138,26 +132,26 @@ class Roster:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Who is there."""
+        """The names of all people who are present."""
         return tuple(record.name for record in self.records if self.present[record.place])
 
     def known(self, name: str) -> RosterEntry:
-        """Give the record of somebody who is there.
+        """Return the record of a person who is present.
 
         Raises
         ------
         UnknownError
-            Who is not; says who is.
+            The person is not present; the message lists who is.
         """
         record = self.by_name.get(name)
         if record is None or not self.present[record.place]:
-            names = self.names
-            there = ", ".join(names[:NAMED]) + f" and {len(names) - NAMED} more" * (len(names) > NAMED)
-            raise UnknownError(f"{name!r} is not in the team; who is there: {there or 'nobody'}")
+            names, more = self.names[:10], len(self.names) - 10
+            there = ", ".join(names) + f" and {more} more" * (more > 0)
+            raise UnknownError(f"{name!r} is not in the team; present: {there or 'nobody'}")
         return record
 
     def add(self, name: str, problem: LiveTask) -> None:
-        """Take somebody new in, at the next place, which there has to be."""
+        """Add a new person at the next place, which must exist."""
         part, row = problem.at(problem.initial)
         prior = part.policy.pomdp.prior
         if not self.records:
@@ -172,11 +166,11 @@ class Roster:
         self.put(record, part, row)
 
     def part(self, record: RosterEntry) -> tuple[TaskPart, int]:
-        """Give the part in which somebody is, and their row there."""
+        """Return the part of the task in which a person is, and their row there."""
         return self.parts[self.model[record.place]], int(self.x[record.place])
 
     def grow(self, places: int) -> None:
-        """Make room for so many people."""
+        """Extend all arrays to a larger number of places."""
 
         def longer(array: NDArray[Any], fill: Any = 0) -> NDArray[Any]:
             more = np.full((places - len(array), *array.shape[1:]), fill, dtype=array.dtype)
@@ -187,7 +181,7 @@ class Roster:
         self._change, self._answers = longer(self._change), {}
 
     def put(self, record: RosterEntry, part: TaskPart, row: int, *, erred: bool = False, robot: int = 0) -> None:
-        """Put somebody into a state."""
+        """Move a person to a state."""
         k = record.place
         if self._change[k]:
             self._people[self.model[k]] -= 1
@@ -197,7 +191,7 @@ class Roster:
         self._change[k] += 1
 
     def _numbered(self, part: TaskPart) -> int:
-        """Give the number of a part, which may be that of one in which nobody is any more."""
+        """Return the number of a part, which may reuse the number of an abandoned one."""
         if part not in self._number:
             free = self._people.index(0) if 0 in self._people else len(self.parts)
             if free < len(self.parts):
@@ -210,11 +204,11 @@ class Roster:
         return self._number[part]
 
     def of_each(self, ask: Ask, active: NDArray[np.bool_]) -> Floats:
-        """Give the answers about everybody, shape (P, W), up to date for those who are active.
+        """Return the answers about all people, shape (P, W); those of active people are up to date.
 
-        Only about those of whom something has changed it is asked anew.
+        The question is asked again only about people who have changed since the last time.
         """
-        if ask not in self._answers and len(self._answers) >= ANSWERS:
+        if ask not in self._answers and len(self._answers) >= 8:  # policies ask one or two questions
             self._answers.clear()
         kept = self._answers.setdefault(ask, _Answers(np.full((len(self), 1), -np.inf), np.full(len(self), -1)))
         rows = np.flatnonzero((kept.change != self._change) & active)

@@ -1,20 +1,24 @@
-"""A live session: people act, the robot is advised, and nothing that was acknowledged is ever lost.
+"""A live session that is saved: events are applied, written to a journal, and acknowledged.
 
-`Session` is a `Course` with a `Journal` and a lock: any thread may report what has happened. An event is on the disk
-before it is acknowledged, and seen by others only then; events that come together share one wait for the disk. What
-could not be recorded has not happened. Opened again on the same journal, a session is where it was: the same states,
-beliefs, bit for bit, suggestions and answers.
+A `Session` is a `Course` with a `Journal` and a lock, so that any thread may report events. An event is on the disk
+before it is acknowledged and before others see it. Events that arrive together share one write. An event that cannot be
+saved has no effect. A session that is opened again on its journal has the same states, beliefs (bit for bit),
+suggestions and answers.
+
+Any exception while events are applied undoes the whole batch: the session is restored from the journal, and the other
+events of the batch are applied again. So the state in memory is always that of the journal.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol
@@ -40,17 +44,17 @@ from .journal import Journal, JournalError
 from .live_task import InapplicableError, digest
 
 FORMAT = "kitassist session 1"
-"""Of journals."""
+"""Format identifier of journals."""
 
 Refused = (ValueError, LimitError, PolicyError)
-"""What is wrong with an event, as against with the program."""
+"""Errors of an event that is not possible, which leave the session as it was; all others are faults of the program."""
 
 Outcome = dict[str, Any] | Exception
-"""What has come of an event: what whoever reported it sees now, or why it has not happened."""
+"""Outcome of an event: the view of the client who reported it, or the exception because of which it has no effect."""
 
 
 class EventSourced(Protocol):
-    """What a session keeps: what happens, and what is seen of it, as described at `Course`, that of one team."""
+    """State that follows from a sequence of events, and its views; `Course` implements it for one team."""
 
     count: int
     paused: bool
@@ -58,72 +62,72 @@ class EventSourced(Protocol):
     recent: deque[dict[str, Any]]
 
     def happen(self, event: Event, time: float) -> dict[str, Any] | None:
-        """Let something happen; give the record of it."""
+        """Apply an event, and return its record."""
         ...
 
     def again(self, record: Mapping[str, Any]) -> None:
-        """Let happen again what has been recorded."""
+        """Apply a recorded event."""
         ...
 
     def touched(self, record: Mapping[str, Any]) -> set[str]:
-        """Name those for whom something has changed with an event."""
+        """Return the people whose view an event has changed."""
         ...
 
     def require(self, person: str) -> None:
-        """Refuse whoever is not there."""
+        """Check that a person is present."""
         ...
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Who is there."""
+        """The people who are present."""
         ...
 
     @property
     def advice(self) -> Advice:
-        """What was decided after the last event."""
+        """The decision after the last event."""
         ...
 
     def person(self, person: str) -> dict[str, Any]:
-        """Give what somebody sees."""
+        """Return a person's view."""
         ...
 
     def entry(self, person: str) -> dict[str, Any]:
-        """Give what the operator sees of somebody."""
+        """Return the operator's view of a person."""
         ...
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Give somebody's task, and the state in which it is."""
+        """Return a person's task, and its state."""
         ...
 
     def robot(self) -> dict[str, Any]:
-        """Give where the robot is to be."""
+        """Return where the robot is to be."""
         ...
 
     def beliefs(self) -> dict[str, bytes]:
-        """Give what is believed of everybody, to the bit."""
+        """Return the belief in each person, as bytes."""
         ...
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them."""
+        """Return all actions as `fit` reads them."""
         ...
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What there is to see of a session beside its people.
+    """The view of a session without its people.
 
     Attributes
     ----------
     events : int
-        How many there have been.
+        Number of events.
     paused : bool
-        Whether the robot says nothing.
+        Whether the robot makes no suggestions.
     robot : dict
-        Where it is to be, and what it says there.
+        Where the robot is to be, and its suggestion there.
     recent : list of dict
-        The last events, the oldest first.
+        The latest events, the oldest first.
     fault : str or None
-        Why the policy could not decide, if it could not: the robot then does nothing.
+        Error of the policy after the last event, if there was one; the robot then does nothing.
     """
 
     events: int
@@ -134,34 +138,34 @@ class Outlook:
 
 
 class Session:
-    """People at work, live, and the robot that assists them.
+    """A saved live session of people at work, and of the robot that assists them.
 
     Parameters
     ----------
     tasks : CostToGo, or mapping of str to CostToGo
-        By name; the first is that of everybody for whom no other is named.
+        Tasks by name; the first is the default.
     journal : Path
-        The file in which the session is kept, and from which it goes on.
+        The file in which the session is saved. If it exists, the session continues from it.
     policy : str or callable
         A team policy, as in `Assistant`.
     setting, population, distance
         As in `Assistant`.
     clock : callable
-        Seconds from any beginning, never less than before. No result depends on it.
+        Returns ascending seconds from any origin. No result depends on it.
 
     Attributes
     ----------
     changed : callable or None
-        Called with those for whom something has changed, after it is on the disk, while the session is locked.
+        Called with the people whose view has changed, after the events are on the disk, while the session is locked.
 
     Raises
     ------
     ResultsExistError
-        The journal is of a session that runs, or of one with other tasks or settings.
+        The journal belongs to a running session, or to one with other tasks or settings.
     DamagedFileError
-        It was changed by somebody else.
+        Something else has changed the journal.
     OSError
-        It cannot be written.
+        The journal cannot be written.
     """
 
     def __init__(
@@ -197,7 +201,7 @@ class Session:
         return {
             "format": FORMAT,
             "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-            "setting": asdict(desk.setting),
+            "setting": desk.setting.as_dict(),
             "population": desk.population.as_dict(),
             "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
@@ -213,13 +217,12 @@ class Session:
         return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
 
     def _course_anew(self) -> EventSourced:
-        """Give one in which nothing has happened yet."""
+        """Return the state before the first event."""
         return Course(self._tasks, **self._options)
 
     def _resume(self) -> None:
-        """Let all happen again that is in the journal."""
+        """Restore the state by applying all events of the journal."""
         course, answered, last = self._course_anew(), AnsweredIds(self._journal), 0.0
-        self._course = course
         for number, (begin, record) in enumerate(self._journal, start=1):
             if begin == 0:
                 self._check(record)
@@ -233,7 +236,7 @@ class Session:
                 raise DamagedFileError(self._journal.file, number, f"cannot have happened: {error}") from error
             if "id" in record:
                 answered.add(key_of(record), begin)
-        self._answered, self._last = answered, last
+        self._course, self._answered, self._last, self._unsaved = course, answered, last, False
 
     def _check(self, header: dict[str, Any]) -> None:
         expected = json.loads(_line(self._header()))
@@ -248,45 +251,67 @@ class Session:
                 )
 
     def close(self) -> None:
-        """Let go of the journal."""
+        """Close the journal."""
         with self.lock:
             self._journal.close()
 
-    # What happens.
+    # Events.
 
     def report(self, events: Sequence[Event]) -> list[Outcome]:
-        """Let events happen, one after the other, and wait until those that can be are on the disk.
+        """Apply events one after the other, wait until they are on the disk, and return their outcomes.
 
         Returns
         -------
         list
-            For each what whoever it is about sees after it (`person`, or `robot` where it is about nobody), or the
-            exception that says why it has not happened: an `UnknownError`, `AbsentError`, `InapplicableError`, another
-            ValueError, a `LimitError`, or a `JournalError`, where the disk is full.
+            For each event the view of its person after it (`person`; `robot` for an event without a person), or the
+            exception because of which it has no effect: an `UnknownError`, `AbsentError`, `InapplicableError`, another
+            ValueError, a `LimitError`, a `JournalError` if the disk is full, or any other exception of the program.
         """
+        failed: dict[int, Exception] = {}
         with self.lock:
+            while True:
+                outcomes = self._attempt(events, failed)
+                if outcomes is not None:
+                    return outcomes
+
+    def _attempt(self, events: Sequence[Event], failed: dict[int, Exception]) -> list[Outcome] | None:
+        """Apply and save all events but those that failed before; return None if another one fails.
+
+        An unexpected exception may leave an event applied in part. Then the state is restored from the journal.
+        """
+        if self._unsaved:  # an earlier batch was interrupted
+            self._resume()
+        try:
+            self._journal.check()
+        except JournalError as error:
+            return [self._known(event) or error for event in events]
+        outcomes: list[Outcome] = []
+        lines: list[bytes] = []
+        records: dict[Key, dict[str, Any]] = {}
+        answered: list[tuple[Key, int]] = []
+        touched: set[str] = set()
+        self._unsaved = True
+        for number, event in enumerate(events):
+            key = (event.person or "", event.id or "")
+            if number in failed:
+                outcomes.append(failed[number])
+                continue
+            if event.id and key in records:
+                outcomes.append(_same(event, records[key]))
+                continue
             try:
-                self._journal.check()
-            except JournalError as error:
-                return [self._known(event) or error for event in events]
-            outcomes: list[Outcome | tuple[str, str]] = []
-            lines: list[bytes] = []
-            records: dict[Key, dict[str, Any]] = {}
-            answered: list[tuple[Key, int]] = []
-            touched: set[str] = set()
-            for event in events:
-                key = (event.person or "", event.id or "")
-                if event.id and key in records:
-                    outcomes.append(_same(event, records[key]))
-                    continue
-                try:
-                    outcome = self._known(event) or self._happen(event, records, lines, touched)
-                except Refused as error:
-                    outcome = error
-                outcomes.append(outcome)
-                if event.id and key in records:
-                    answered.append((key, len(lines) - 1))
-            return self._commit(outcomes, lines, answered, touched)
+                outcome = self._known(event) or self._happen(event, records, lines, touched)
+            except Refused as error:
+                outcome = error
+            except Exception as error:
+                logging.getLogger(__name__).exception("an event of kind %s failed and has no effect", event.kind)
+                failed[number] = error
+                self._resume()
+                return None
+            outcomes.append(outcome)
+            if event.id and key in records:
+                answered.append((key, len(lines) - 1))
+        return self._commit(outcomes, lines, answered, touched)
 
     def _happen(
         self,
@@ -309,7 +334,7 @@ class Session:
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
-        """Give the answer of an event that has happened already."""
+        """Return the stored answer if an event with this person and id was applied before, else None."""
         record = self._answered.find((event.person or "", event.id)) if event.id else None
         return None if record is None else _same(event, record)
 
@@ -320,12 +345,13 @@ class Session:
             try:
                 begins = self._journal.append(lines)
             except JournalError as error:
-                self._resume()  # what is not on the disk has not happened
+                self._resume()  # events that are not on the disk have no effect
                 return [outcome if isinstance(outcome, Exception) else error for outcome in outcomes]
             for key, number in answered:
                 self._answered.add(key, begins[number])
             if self.changed is not None:
                 self.changed(touched)
+        self._unsaved = False
         return outcomes
 
     def _one(self, event: Event) -> dict[str, Any]:
@@ -335,15 +361,15 @@ class Session:
         return outcome
 
     def join(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Let somebody come, or come back to what they left; give what they see, as all that follow do."""
+        """Add a person, or let one return to their task; return their view, as all following methods do."""
         return self._one(Event("joined", person, task=task, id=id))
 
     def leave(self, person: str, *, id: str | None = None) -> dict[str, Any]:
-        """Let somebody go."""
+        """Remove a person from the team."""
         return self._one(Event("left", person, id=id))
 
     def begin(self, person: str, task: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Let somebody begin the next task, the same again unless named."""
+        """Let a person begin the next task; by default the same again."""
         return self._one(Event("began", person, task=task, id=id))
 
     def observe(
@@ -355,77 +381,79 @@ class Session:
         followed: bool | None = None,
         seen: int | None = None,
     ) -> dict[str, Any]:
-        """Take note of what somebody did; what is not listed is as in `Event`."""
+        """Record a person's action; arguments as in `Event`."""
         return self._one(Event("acted", person, action, followed, seen, id=id))
 
     def undo(self, person: str, *, id: str | None = None) -> dict[str, Any]:
-        """Take somebody's last action back, as if it had not been observed."""
+        """Take back a person's last action, as if it had not been observed."""
         return self._one(Event("undone", person, id=id))
 
     def arrived(self, person: str | None = None, *, id: str | None = None) -> dict[str, Any]:
-        """Take note of where the robot is: with somebody, or at its base; give where it is to go next."""
+        """Record where the robot is, at a person or at its base; return where it is to go next."""
         return self._one(Event("arrived", person, id=id))
 
     def elapse(self) -> dict[str, Any]:
-        """Take note that time has passed in which nobody acted; give where the robot is to go."""
+        """Record that time has passed without an action; return where the robot is to go."""
         return self._one(Event("elapsed"))
 
     def pause(self, paused: bool = True) -> dict[str, Any]:
-        """Let the robot say nothing, or speak again; people can go on acting."""
+        """Stop the robot's suggestions, or resume them; people can go on acting."""
         return self._one(Event("paused" if paused else "resumed"))
 
     def now(self) -> float:
-        """Give the seconds since the session began, without those in which it did not run."""
+        """Return the seconds since the session began, without those in which it did not run."""
         return self._clock() - self._began
 
-    # What is seen. All of it is on the disk.
+    # Views. They show saved events only.
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Who is there, in the order in which they first came."""
+        """The people who are present, in the order of their first arrival."""
         with self.lock:
             return self._course.people
 
     def recommend(self) -> Advice:
-        """Give what was decided after the last event: to whom the robot goes, what it suggests, and why."""
+        """Return the decision after the last event: to whom the robot goes, what it suggests, and why."""
         with self.lock:
             return self._course.advice
 
     def person(self, person: str) -> dict[str, Any]:
-        """Give what somebody sees, as the service sends it.
+        """Return a person's view, as the service sends it.
 
         Raises
         ------
         AbsentError
+            The person is not present.
         """
         with self.lock:
             self._course.require(person)
             return self._course.person(person)
 
     def entry(self, person: str) -> dict[str, Any]:
-        """Give what the operator sees of somebody, beliefs included.
+        """Return the operator's view of a person, including beliefs.
 
         Raises
         ------
         AbsentError
+            The person is not present.
         """
         with self.lock:
             self._course.require(person)
             return self._course.entry(person)
 
     def outlook(self) -> Outlook:
-        """Give what there is to see beside the people."""
+        """Return the view of the session without its people."""
         with self.lock:
             course = self._course
             return Outlook(course.count, course.paused, course.robot(), list(course.recent), course.fault)
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """The names of the tasks; the first is that of everybody for whom no other is named."""
+        """The names of the tasks; the first is the default."""
         return tuple(self._tasks)
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Give everybody's actions as `fit` reads them; only those in a task, if one is named.
+        """Return all actions as `fit` reads them, or those in one task.
 
         Raises
         ------
@@ -436,19 +464,19 @@ class Session:
             return self._course.log(task)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Give somebody's task, and the state in which it is."""
+        """Return a person's task, and its state."""
         with self.lock:
             self._course.require(person)
             return self._course.place(person)
 
     def beliefs(self) -> dict[str, bytes]:
-        """Give what is believed of everybody who is there, to the bit."""
+        """Return the belief in each present person, as bytes."""
         with self.lock:
             return self._course.beliefs()
 
 
 def _chances(task: CostToGo, population: Population | Mixture) -> str:
-    """Tell how people choose by a function from what another one of that name says."""
+    """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
     if not is_whole(task):
         raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
     choices = Choices.of(task)
@@ -462,15 +490,15 @@ def _line(record: Mapping[str, Any]) -> bytes:
 
 
 def _same(event: Event, record: Mapping[str, Any]) -> Outcome:
-    """Answer what was reported before under the same id."""
+    """Return the answer to an event that is reported again under the same id."""
     if record["event"] != event.kind:
-        return InapplicableError(f"the id {event.id!r} stands for something else that has happened; expected a new one")
+        return InapplicableError(f"the id {event.id!r} belongs to another event; expected a new id")
     answer: dict[str, Any] = record["answer"]
     return answer
 
 
 def _others(header: dict[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:
-    """Say of which tasks a session is, and of which others it was to be."""
+    """Return a message that names the session's tasks and the expected ones."""
     before, kept = header["tasks"], header.get("files") or {}
     wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
     same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
@@ -487,7 +515,7 @@ def _others(header: dict[str, Any], tasks: dict[str, str], files: dict[str, str 
 
 
 def _shown(name: str, found: Any, expected: Any) -> str:
-    """Say which part differs, in few words."""
+    """Return a short description of the difference."""
     with suppress(AttributeError):
         for part, value in expected.items():
             if found.get(part) != value:

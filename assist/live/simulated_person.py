@@ -1,4 +1,4 @@
-"""A simulated person who takes a seat in a live session: sees what a person there sees, and acts as the model says."""
+"""A simulated person in a live session, who sees what a real person sees and acts by the model."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from planner import CostToGo, Table
+from planner import CostToGo, Table, optimal_choices
 
 from ..people.choices import Choices
-from ..people.decision import NOTHING, Floats, choice, influence, perceived_cost_to_go, trust
+from ..people.decision import NOTHING, Floats, choice, influence, perceived_cost_to_go
 from ..people.human import Human, Mixture, Population
 from ..people.terms import NOTHING_YET, TERMS, Situation, Vocabulary, features, goals_met
+from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
 
 
 class _Step(NamedTuple):
-    """What somebody did last: in which state of which task, and where it led."""
+    """A person's last action: task, state, action and successor."""
 
     task: CostToGo
     state: int
@@ -25,26 +26,24 @@ class _Step(NamedTuple):
 
 
 class SimulatedPerson:
-    """Somebody with an expertise, a trust in the robot and misconceptions of their own, in a task of any size.
+    """A person with their own expertise, trust and misconceptions, in a task of any size.
 
-    What they take for the cost-to-go of a state, h(x) = h*(x) + sigma eps(x), is drawn for each state when they first
-    think of it, and always the same. Terms speak for their choices as the population's weights say. A choice model of
-    one's own needs a task of which all states are known.
+    The perceived cost-to-go of a state, h(x) = h*(x) + sigma eps(x), is drawn from a random generator seeded by the
+    state, so that it is always the same. Terms of the choice have the population's weights. A user's own choice model
+    needs an enumerated task.
 
     Parameters
     ----------
     population : Population or Mixture
-        Of whom they are drawn.
-    eta, utility_scale : float
-        Of the trust update (eq. 7).
+        Population from which the person is drawn.
+    trust : TrustRule, optional
+        Rule by which theta changes; by default equation (7) with eta = 0.2.
     seed : int
-        From which they and all that they do are drawn.
+        Random seed of the person and of all their choices.
     """
 
-    def __init__(
-        self, population: Population | Mixture, *, eta: float = 0.2, utility_scale: float = 1.0, seed: int = 0
-    ) -> None:
-        self._seed, self._eta, self._scale = seed, eta, utility_scale
+    def __init__(self, population: Population | Mixture, *, trust: TrustRule | None = None, seed: int = 0) -> None:
+        self._seed, self._trust = seed, EquationSeven() if trust is None else trust
         self.rng = np.random.default_rng(seed)
         if isinstance(population, Mixture):
             population = population.parts[int(self.rng.choice(len(population.parts), p=population.shares))]
@@ -57,17 +56,17 @@ class SimulatedPerson:
         self._own: dict[int, tuple[CostToGo, Choices, Floats, Floats]] = {}
 
     def act(self, task: CostToGo, state: int, applicable: Sequence[str], suggestion: str | None) -> str:
-        """Choose what to do (eqs. 5 and 6), and come to trust the robot more or less by what it suggested (eq. 7).
+        """Return the chosen action (equations 5 and 6), and update theta after a suggestion (equation 7, or the rule).
 
         Parameters
         ----------
         task : CostToGo
         state : int
-            Its state.
+            State of the task.
         applicable : sequence of str
-            What can be done there; one can only stand still where that is all.
+            Applicable actions; in a dead end it holds waiting only.
         suggestion : str or None
-            One of them.
+            The suggested action, one of these.
         """
         rows = task.choices([state])
         if not len(rows.actions):
@@ -75,17 +74,23 @@ class SimulatedPerson:
         names = [task.task.actions[action] for action in rows.actions]
         slot = names.index(suggestion) if suggestion in names else NOTHING
         p = influence(self.chances(task, state), slot, self.theta)
-        if slot != NOTHING:
-            here, there = self._value(task, state), self._value(task, int(rows.targets[slot]))
-            self.theta = float(trust(self.theta, here, there, self._eta, self._scale))
         done = int(self.rng.choice(len(names), p=p / p.sum()))
+        if slot != NOTHING:
+            cost = self._perceived(task, state, rows)
+            perceived = PerceivedSuggestions.of(
+                cost[slot], cost.min(), np.array(self._value(task, state)),
+                np.array(self._value(task, int(rows.targets[slot]))),
+                optimal_choices(task, [state], rows)[slot],
+            )  # fmt: skip
+            event = perceived.event(done == slot, self._trust.feedback)
+            self.theta = float(self._trust.update(np.array(self.theta), event))
         self._last = _Step(task, state, int(rows.actions[done]), int(rows.targets[done]))
         return names[done]
 
     def chances(self, task: CostToGo, state: int) -> Floats:
-        """Give the chance of each action that the task has there, where nothing is suggested.
+        """Return the probability of each of the task's actions in a state, without a suggestion.
 
-        What they did last counts if it led here: nothing has been taken back, and no other task begun.
+        Terms depend on the last action if it led to this state, that is, after no undo and no change of the task.
         """
         rows = task.choices([state])
         if self._chooses is not None:
@@ -113,7 +118,7 @@ class SimulatedPerson:
         return bias
 
     def _known(self, task: CostToGo) -> tuple[CostToGo, Choices, Floats, Floats]:
-        """Give all choices of a task, with the chances and values that a model of the user's own gives."""
+        """Return a task's choices, with the probabilities and values of the user's own choice model."""
         if id(task) not in self._own:
             choices = Choices.of(cast(Table, task))
             h = perceived_cost_to_go(choices, self.sigma, np.random.default_rng(self._seed), self._noise)
@@ -123,7 +128,7 @@ class SimulatedPerson:
         return self._own[id(task)]
 
     def _value(self, task: CostToGo, state: int) -> float:
-        """What they take a state to be worth: minus what the best they could do there costs."""
+        """Return the perceived value of a state: minus the smallest perceived cost of its actions."""
         if self._chooses is not None:
             return float(self._known(task)[3][state])
         if task.is_goal([state])[0]:
@@ -131,7 +136,7 @@ class SimulatedPerson:
         return -float(self._perceived(task, state, task.choices([state])).min(initial=np.inf))
 
     def _perceived(self, task: CostToGo, state: int, rows: Any) -> Floats:
-        """What they take each action to cost, with all that comes after it."""
+        """Return the perceived cost of each action: its own cost plus the perceived cost-to-go of its successor."""
         seeds = [[self._seed, int(to)] for to in rows.targets]
         if self._noise == "action":
             seeds = [[self._seed, state, int(action)] for action in rows.actions]

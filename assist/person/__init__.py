@@ -1,4 +1,4 @@
-"""One person's assistance problem, and its solutions between proven bounds."""
+"""One person's assistance problem as a POMDP, and its solutions with certified bounds."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,9 +1,9 @@
-"""Policies made of alpha vectors: what point-based solvers return.
+"""Policies represented by alpha vectors, as point-based solvers return them.
 
-An alpha vector gives, for each hidden pair (beta, theta), the return of a plan that begins in one state x with one
-robot action. In state x with belief b a person's problem is worth at least the largest alpha . b over the vectors
-of x (Smallwood and Sondik, "The optimal control of partially observable Markov processes over a finite horizon",
-1973; one set of vectors per observed state: Ong, Png, Hsu and Lee, "POMDPs for robotic tasks with mixed
+An alpha vector belongs to a state x and to a plan that begins with one robot action. It holds the plan's return for
+each hidden pair (beta, theta). The value of state x at belief b is at least the largest alpha . b over the vectors of x
+(Smallwood and Sondik, "The optimal control of partially observable Markov processes over a finite horizon", 1973).
+Every observed state has its own set of vectors (Ong, Png, Hsu and Lee, "POMDPs for robotic tasks with mixed
 observability", 2009).
 """
 
@@ -19,6 +19,7 @@ from planner.system.arrays import outline
 from planner.system.jit import njit
 
 from ..people.decision import Floats
+from .belief_filter import child, split
 from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
@@ -31,11 +32,16 @@ class VectorPolicy:
     ----------
     pomdp : AssistPOMDP
     vectors : float array, shape (m, B, T)
-        Alpha vectors, sorted by state, in cost units (values, that is, minus costs).
+        Alpha vectors, sorted by state. They hold values in cost units, that is, minus costs.
     robot : int array, shape (m,)
-        The robot action with which each vector's plan begins.
+        First robot action of each vector's plan.
     first : int array, shape (n + 1,)
-        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A goal needs none: its value is 0.
+        The vectors of state x are `vectors[first[x] : first[x + 1]]`. A goal state needs none: its value is 0.
+
+    Raises
+    ------
+    ValueError
+        The shapes do not match, or a state that is no goal has no vector.
     """
 
     pomdp: AssistPOMDP
@@ -64,7 +70,7 @@ class VectorPolicy:
             array.flags.writeable = False
 
     def __getstate__(self) -> dict[str, object]:
-        """Give what another process is sent: not what it can work out again."""
+        """Return the state for pickling: the fields without cached properties."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
@@ -72,13 +78,13 @@ class VectorPolicy:
         return ProblemArrays.of(self.pomdp)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each robot action, shape (N, R): one exact step, then the vectors.
+        """Return the Q-values of all robot actions, shape (N, R): one exact Bellman backup of the vectors' values.
 
         Parameters
         ----------
         x : int array, shape (N,)
         belief : float array, shape (N, B, T)
-            Need not be normalised; values scale with it.
+            The beliefs need not be normalised; the values scale with their mass.
         """
         q = np.full((len(x), self.pomdp.suggested.shape[1]), -np.inf)
         of_state = read_only(self.vectors), read_only(self.first)
@@ -89,11 +95,11 @@ class VectorPolicy:
         return q
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the largest alpha . b of each person, shape (N,); arguments as in `q_values`."""
+        """Return the largest alpha . b for each person, shape (N,); arguments as in `q_values`."""
         return self._best(x, belief)[0]
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the robot action of each person's best vector, shape (N,); nothing where the task has ended."""
+        """Return the robot action of each person's best vector, shape (N,); 0 where the task has ended."""
         best = self._best(x, belief)[1]
         return np.where(best >= 0, self.robot[best], 0) if len(self.robot) else np.zeros(len(x), dtype=np.int64)
 
@@ -104,7 +110,7 @@ class VectorPolicy:
         return value, best
 
 
-# Sums may be taken in another order, so that a processor's vector units do them; nothing here is a proof.
+# Reassociation lets the compiler vectorise the sums. These values are not part of a certified bound.
 @njit(fastmath={"reassoc", "contract"})
 def _dot(alpha: Floats, belief: Floats) -> float:
     total = 0.0
@@ -114,8 +120,8 @@ def _dot(alpha: Floats, belief: Floats) -> float:
 
 
 @njit()
-def _most(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> tuple[float, int]:
-    """Give the largest alpha . b in state y, and which vector has it; `belief` and `vectors` are flat, (..., B * T)."""
+def _best_vector(y: int, belief: Floats, vectors: Floats, first: NDArray[np.int64]) -> tuple[float, int]:
+    """Return the largest alpha . b in state y, and its vector; `belief` and `vectors` are flat, (..., B * T)."""
     if first[y] == first[y + 1]:
         return 0.0, -1
     value, best = -np.inf, -1
@@ -135,64 +141,34 @@ def _maximise(
     vectors: Floats,
     first: NDArray[np.int64],
 ) -> None:
-    """Fill in each person's value and vector, both of shape (N,)."""
+    """Fill in each person's value and best vector, both of shape (N,)."""
     cells = belief.shape[1] * belief.shape[2]
     beliefs, alphas = belief.reshape((len(x), cells)), vectors.reshape((len(vectors), cells))
     for i in range(len(x)):
-        value[i], best[i] = _most(x[i], beliefs[i], alphas, first)
+        value[i], best[i] = _best_vector(x[i], beliefs[i], alphas, first)
 
 
 @njit()
 def _look_ahead(
     q: Floats, x: NDArray[np.int64], belief: Floats, vectors: Floats, first: NDArray[np.int64], m: ProblemArrays
 ) -> None:
-    """Fill `q`, shape (N, R), with the value of every robot action; padding keeps what it holds.
-
-    What a suggestion does is alike for all slots but the suggested one: their chances share the factor
-    (1 - theta) / total, and theta moves in the same way. So the belief is weighed and moved three times per robot
-    action, whatever the number of slots: by that factor (`other`), by theta / total (`same`), and by 1 (`lapsed`).
-    """
-    betas, thetas = belief.shape[1], belief.shape[2]
-    cells = betas * thetas
-    alphas = vectors.reshape((len(vectors), cells))
-    other, same, lapsed = np.empty((betas, thetas)), np.empty((betas, thetas)), np.empty((betas, thetas))
-    after = np.empty((betas, thetas))
+    """Fill `q`, shape (N, R), with the Q-values of all robot actions; padding is left unchanged."""
+    cells = belief.shape[1] * belief.shape[2]
+    beliefs, alphas = belief.reshape((len(x), cells)), vectors.reshape((len(vectors), cells))
+    followed, declined, lapsed, after = np.empty(cells), np.empty(cells), np.empty(cells), np.empty(cells)
+    complied = np.empty(cells) if m.uses_answer else lapsed
     for i in range(len(x)):
         s = x[i]
         if m.final[s]:
             q[i, 0] = 0.0
             continue
-        mass = belief[i].sum()
+        mass = beliefs[i].sum()
         for r in range(m.robot_actions[s]):
             q[i, r] = -m.robot_costs[s, r] * mass
-            place, slot = m.afterstate[s, r], m.suggested[s, r]
-            if m.goal[place]:
+            acting, slot = split(beliefs[i], followed, declined, complied, lapsed, s, r, m)
+            if m.goal[acting]:
                 continue
-            other[:], same[:], lapsed[:] = 0.0, 0.0, 0.0
-            for b in range(betas):
-                p = m.chosen[place, max(slot, 0), b]
-                for t in range(thetas):
-                    theta, weight = m.theta[t], belief[i, b, t]
-                    others, suggested = weight, weight
-                    if slot >= 0:
-                        total = theta * p + (1.0 - theta) * m.unsuggested[s, r, b]
-                        if total > 0.0:
-                            others, suggested = weight * (1.0 - theta) / total, weight * theta / total
-                    at, up = m.low[s, r, t], m.weight[s, r, t]
-                    other[b, at] += others * (1.0 - up)
-                    other[b, at + 1] += others * up
-                    same[b, at] += suggested * (1.0 - up)
-                    same[b, at + 1] += suggested * up
-                    lapsed[b, at] += weight * (1.0 - up)
-                    lapsed[b, at + 1] += weight * up
-            uniform = m.lapse / m.counts[place]
-            for a in range(m.counts[place]):
-                chance = 0.0
-                for b in range(betas):
-                    p = (1.0 - m.lapse) * m.chosen[place, a, b]
-                    for t in range(thetas):
-                        heard = same[b, t] if a == slot else other[b, t]
-                        after[b, t] = p * heard + uniform * lapsed[b, t]
-                        chance += after[b, t]
-                q[i, r] += m.gamma * _most(m.targets[place, a], after.reshape(cells), alphas, first)[0]
-                q[i, r] -= m.costs[place, a] * chance
+            for a in range(m.counts[acting]):
+                chance = child(after, acting, a, slot, followed, declined, complied, lapsed, m)
+                q[i, r] += m.gamma * _best_vector(m.targets[acting, a], after, alphas, first)[0]
+                q[i, r] -= m.costs[acting, a] * chance

@@ -1,7 +1,7 @@
-"""Frozen dataclasses of arrays as files.
+"""Frozen dataclasses of arrays saved as files.
 
-A file is numpy's `.npz` with one array per field. Fields of a dataclass within another are named by both, with
-a dot between; a field that is None is left out.
+A file is a numpy `.npz` archive with one array per field. A field of a nested dataclass is named by its path, with dots
+between the names. A field that is None is omitted.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ T = TypeVar("T")
 
 
 class ArchiveError(ValueError):
-    """A file that does not hold what is wanted."""
+    """A file that does not hold the expected dataclass."""
 
 
 def save(file: Path, value: Any, **more: Any) -> None:
-    """Save a dataclass, and further arrays, at once or not at all."""
-    with files.atomic(file) as path, path.open("wb") as stream:  # given a name, numpy would add an ending to it
+    """Save a dataclass, and further named arrays, to a file; the file is written completely or not at all."""
+    with files.atomic(file) as path, path.open("wb") as stream:  # numpy would append a suffix to a file name
         np.savez_compressed(stream, **_pack(value, ""), **more)
 
 
 def load(file: Path, cls: type[T]) -> T:
-    """Load a dataclass; further arrays are left aside.
+    """Load a dataclass; further arrays in the file are ignored.
 
     Raises
     ------
     ArchiveError
-        Another kind of file, or one that lacks a field.
+        The file is of another kind, or it lacks a field.
     """
     try:
         with np.load(file, allow_pickle=False) as arrays:

@@ -1,22 +1,27 @@
-"""The search for bounds on one person's problem: compiled code and the arrays that it works on.
+"""The compiled search for bounds on one person's problem, and the arrays that it works on.
 
-**Above**, each state has a `UpperHull`. The value is a convex and homogeneous function of the (unnormalised) belief, so
-that weights w >= 0 with  sum_i w_i b_i <= b  give
+**Upper bound.** Each state has a `UpperHull`. Let V be the value function of a state on unnormalised beliefs, `corner`
+an upper bound on V at the unit vectors, and b_i beliefs with known bounds V(b_i) <= v_i.
 
-    V(b) <= corner . b + sum_i w_i d_i,     d_i = v_i - corner . b_i <= 0,
+Claim: for all weights w >= 0 with  sum_i w_i b_i <= b,
 
-where V(b_i) <= v_i is known and `corner` bounds the value at the corners of the simplex. The best weights solve a
-linear program. The sawtooth of Hauskrecht ("Value-function approximations for partially observable Markov
-decision processes", 2000) lets one belief at a time carry weight: that is the simplex method's first pivot. Here
-some more pivots follow, which is cheap, since a basis has few beliefs and the costs of all slacks are zero, and
-makes the bound much tighter between beliefs. Whatever pivots and rounding do, the weights are checked in
-the end: any that keep the two conditions give a bound. So the bound that the search works with is not exactly convex;
-`upper_hull` answers with one that is.
+    V(b) <= corner . b + sum_i w_i d_i,     where d_i = v_i - corner . b_i.
 
-**Below**, each state has `AlphaVectors`, alpha vectors: what some plan gets for each (beta, theta).
+Proof: V is convex and positively homogeneous, hence subadditive. With r = b - sum_i w_i b_i >= 0 follows V(b) <= sum_i
+w_i V(b_i) + V(r). The first term is at most sum_i w_i v_i. By the same argument V(r) <= corner . r. The sum of both
+bounds is the right-hand side.
 
-`trials` adds to both, and `renew` works out anew what has been there for long. `solver` says in what order, and hands
-the result on.
+Only points with d_i < 0 improve the bound. The best weights solve a linear program. The sawtooth bound of Hauskrecht
+("Value-function approximations for partially observable Markov decision processes", 2000) gives weight to one belief
+only, which is the first pivot of the simplex method. A few more pivots are cheap here: a basis contains few beliefs,
+and the slack variables cost nothing. They make the bound much tighter between the stored beliefs. The final weights are
+checked against both conditions of the claim. So every number of pivots, and any rounding in them, gives a valid bound.
+As the pivots stop early, this bound is not exactly convex; `upper_hull` computes one that is.
+
+**Lower bound.** Each state has `AlphaVectors`: the returns of plans, for each (beta, theta).
+
+`trials` improves both bounds along sampled paths, and `renew` repeats old backups. `solver` calls them in turn and
+returns the result.
 """
 
 from __future__ import annotations
@@ -29,39 +34,35 @@ from numpy.typing import NDArray
 from planner.system.jit import njit
 
 from ..people.decision import Floats
-from ..people.influence_kernels import answer
+from ..people.influence_kernels import influence_factors
+from .belief_filter import child, split
 from .qmdp import ROUNDING
 
-DEPTH = 500  # of a trial
-TARGET = 0.2  # a trial ends where the gap, discounted, is below this share of the gap at the root
-FINER = (0.98, 0.1)  # what a trial that improves nothing makes of `trials`' two measures of fineness
-FEW = 32  # vectors of a state that are all looked at, whether or not they are of use
-PIVOTS = 5
-CANDIDATES = 256  # the latest beliefs of a state that a bound may rest on
-RELEVANT = 0.5  # beliefs that could lower the bound by less than this share of what one can are left aside
+FEW_VECTORS = 32  # length up to which the vector list of a state is not pruned; pruning takes time, long lists too
 NONE = -1
-ZERO, ONE, NEITHER = map(np.int64, (0, 1, NONE))  # numba compiles what is called with a literal once more for it
-TINY, HUGE = 1e-290, 1e300  # TINY * HUGE is large, so that an empty entry of both beliefs never binds
+ZERO, ONE, NEITHER = map(np.int64, (0, 1, NONE))  # numba would compile a function again for a literal argument
+# TINY * HUGE is large, so that an entry that is 0 in both beliefs never limits a weight.
+TINY, HUGE = 1e-290, 1e300
 FAST = {"reassoc", "contract", "nsz", "nnan"}
 
 
 class UpperHull(NamedTuple):
-    """Beliefs with values, as linked lists, one for each state.
+    """Beliefs with upper bounds, as one linked list per state.
 
     Attributes
     ----------
     corner : float array, shape (n, H)
-        Upper bounds where the hidden state is known, H = B * T.
+        Upper bounds for a known hidden state, H = B * T.
     belief, inverse : float arrays, shape (capacity, H)
-        Beliefs of mass 1, and one over each entry.
+        Beliefs of mass 1, and the reciprocal of each entry.
     drop : float array, shape (capacity,)
-        The bound at each belief less what the corners give; below 0.
+        d_i of the module's claim, below 0: the bound at each belief minus corner . belief.
     state, after : int arrays, shape (capacity,)
-        Whose belief it is (-1: free), and the next one of the same state (or the next free one).
+        State of each belief (-1: unused entry), and the next belief of the same state (or the next unused entry).
     head : int array, shape (n,)
-        The first belief of each state.
+        First belief of each state.
     space : int array, shape (2,)
-        Places that have been used, and the first free one among them.
+        Number of entries that have ever been used, and the first unused one among them.
     """
 
     corner: Floats
@@ -75,7 +76,7 @@ class UpperHull(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Room for a linear program: candidates, their possible worth, and a basis."""
+    """Work arrays of the linear program: candidate beliefs, their possible contributions, and a basis."""
 
     candidate: NDArray[np.int32]
     worth: Floats
@@ -90,40 +91,40 @@ class Room(NamedTuple):
 
 
 class AlphaVectors(NamedTuple):
-    """Alpha vectors as linked lists, one for each state.
+    """Alpha vectors, as one linked list per state.
 
-    Vectors that are nowhere best any more leave the list, so that the search need not look at them, but stay
-    stored (`state`): others rest on them.
+    A vector that no longer is best anywhere leaves its list, so that the search does not evaluate it. It stays stored
+    (`state`), because the plans of other vectors refer to it.
     """
 
     vector: Floats
-    witness: Floats  # the belief for which it was made
+    witness: Floats  # belief for which the vector was computed
     robot: NDArray[np.int32]
-    state: NDArray[np.int32]  # -1: free
+    state: NDArray[np.int32]  # -1: unused entry
     after: NDArray[np.int32]
     head: NDArray[np.int32]
     live: NDArray[np.int64]  # length of each state's list
-    limit: NDArray[np.int64]  # length at which it is looked through
-    space: NDArray[np.int64]  # places that have been used, and the first free one among them
+    limit: NDArray[np.int64]  # length at which the list is pruned
+    space: NDArray[np.int64]  # number of entries that have ever been used, and the first unused one among them
 
 
 class Trial(NamedTuple):
-    """What a trial knows at each depth."""
+    """The data of a trial at each depth."""
 
     state: NDArray[np.int64]
     belief: Floats
-    bound: Floats  # upper bound there
+    bound: Floats  # upper bound at the belief
     robot: NDArray[np.int64]
-    chance: Floats  # of the child that is gone on to
-    q: Floats  # upper bound on the return of each robot action
-    known: NDArray[np.bool_]  # whether that was worked out from the children
+    chance: Floats  # probability of the child that the trial enters
+    q: Floats  # upper bound on the Q-value of each robot action
+    known: NDArray[np.bool_]  # whether `q` was computed from the children
     child: Floats  # upper bound of each child, times its probability
     after: Floats  # unnormalised belief of each child
-    mass: Floats  # its probability
+    mass: Floats  # probability of each child
 
 
 def empty_hull(corner: Floats, capacity: int) -> UpperHull:
-    """Make a hull of the corners only."""
+    """Return a hull that contains the corners only."""
     states, size = corner.shape
     return UpperHull(
         corner=corner,
@@ -137,8 +138,8 @@ def empty_hull(corner: Floats, capacity: int) -> UpperHull:
     )
 
 
-def no_plans(states: int, size: int, capacity: int) -> AlphaVectors:
-    """Make room for vectors of so many numbers."""
+def empty_vectors(states: int, size: int, capacity: int) -> AlphaVectors:
+    """Return empty vector lists; each vector has `size` entries."""
     return AlphaVectors(
         vector=np.empty((capacity, size)),
         witness=np.empty((capacity, size)),
@@ -147,75 +148,85 @@ def no_plans(states: int, size: int, capacity: int) -> AlphaVectors:
         after=np.full(capacity, NONE, dtype=np.int32),
         head=np.full(states, NONE, dtype=np.int32),
         live=np.zeros(states, dtype=np.int64),
-        limit=np.full(states, FEW),
+        limit=np.full(states, FEW_VECTORS),
         space=np.array([0, NONE]),
     )
 
 
-def new_path(size: int, robots: int, slots: int) -> Trial:
-    """Make room for a trial, with beliefs of so many numbers, and so many choices of the robot and of the person."""
+def new_trial(depth: int, size: int, robots: int, slots: int) -> Trial:
+    """Return an empty trial of up to `depth` steps.
+
+    Beliefs have `size` entries, and there are `robots` robot actions and `slots` choices of the person.
+    """
     return Trial(
-        state=np.empty(DEPTH, dtype=np.int64),
-        belief=np.empty((DEPTH, size)),
-        bound=np.empty(DEPTH),
-        robot=np.empty(DEPTH, dtype=np.int64),
-        chance=np.empty(DEPTH),
-        q=np.empty((DEPTH, robots)),
-        known=np.empty((DEPTH, robots), dtype=bool),
-        child=np.empty((DEPTH, robots, slots)),
-        after=np.empty((DEPTH, robots, slots, size)),
-        mass=np.empty((DEPTH, robots, slots)),
+        state=np.empty(depth, dtype=np.int64),
+        belief=np.empty((depth, size)),
+        bound=np.empty(depth),
+        robot=np.empty(depth, dtype=np.int64),
+        chance=np.empty(depth),
+        q=np.empty((depth, robots)),
+        known=np.empty((depth, robots), dtype=bool),
+        child=np.empty((depth, robots, slots)),
+        after=np.empty((depth, robots, slots, size)),
+        mass=np.empty((depth, robots, slots)),
     )
 
 
 @njit()
 def new_room(size):
-    """Make room for `upper` at beliefs of so many numbers."""
-    k = PIVOTS + 1
+    """Return the work arrays of `upper` for beliefs with `size` entries.
+
+    A bound uses at most 5 pivots: more pivots tighten it, but the search does more backups with cheap bounds. It
+    considers at most 256 beliefs of a state, the most recent ones; `upper_hull` considers all in the end.
+    """
+    k = 5 + 1
     return Room(
-        np.empty(CANDIDATES, np.int32), np.empty(CANDIDATES), np.empty(k, np.int32), np.empty(k, np.int64),
+        np.empty(256, np.int32), np.empty(256), np.empty(k, np.int32), np.empty(k, np.int64),
         np.empty(k), np.empty(k), np.empty(k), np.empty((k, k)), np.empty(size), np.empty(size),
     )  # fmt: skip
 
 
-# Sums may be taken in any order: what that does to rounding is covered by the margin of each backup.
+# Reassociation lets the compiler vectorise the sums. The margin of each backup covers its effect on rounding.
 @njit(fastmath=FAST)
 def dot(a, b):
-    """Give a . b."""
+    """Return a . b."""
     total = 0.0
     for i in range(len(a)):
         total += a[i] * b[i]
     return total
 
 
-# The same for whole arrays (a[:] = b, (a <= b).all(), a / b) takes several times as long to compile, since it brings
-# broadcasting and the words of its errors along, once for each function from which it is called.
+# Whole-array forms (a[:] = b, (a <= b).all(), a / b) take several times as long to compile. Each calling function would
+# include numba's code for broadcasting and its error messages.
 @njit()
 def _fill(a, value):
-    """Set every entry of a."""
+    """Set all entries of a to one value."""
     for i in range(len(a)):
         a[i] = value
 
 
 @njit()
 def _copy(a, b):
-    """Set a to b."""
+    """Copy b into a."""
     for i in range(len(a)):
         a[i] = b[i]
 
 
 @njit()
-def _nowhere_above(a, b):
-    """Tell whether a <= b."""
-    for i in range(len(a)):  # noqa: SIM110  numba has no generators
+def _dominated(a, b):
+    """Return whether a <= b in all entries."""
+    for i in range(len(a)):  # noqa: SIM110  numba has no generator expressions
         if not a[i] <= b[i]:
             return False
     return True
 
 
 @njit(fastmath=FAST)
-def _share(belief, inverse, enough):
-    """Give the largest weight of a belief within another, or something below `enough` once it cannot reach that."""
+def _largest_weight(belief, inverse, enough):
+    """Return the largest w with w * stored <= belief, where `inverse` holds 1 / stored.
+
+    The result is some number below `enough` as soon as the weight is known to be smaller than that.
+    """
     size, at, share = len(belief), 0, HUGE
     while at < size:
         end = min(at + 12, size)
@@ -229,14 +240,18 @@ def _share(belief, inverse, enough):
 
 @njit()
 def upper(x, belief, hull, room):
-    """Give the upper bound of a state at an unnormalised belief."""
+    """Return the upper bound of a state at an unnormalised belief.
+
+    A belief is a candidate for further pivots if its own weight could lower the bound by at least half as much as the
+    best belief does. Smaller contributions cost more time than they improve the bound.
+    """
     drop, inverse, after, candidate, worths = hull.drop, hull.inverse, hull.after, room.candidate, room.worth
     base = dot(hull.corner[x], belief)
     best, first, count = 0.0, NONE, 0
     i = hull.head[x]
     while i >= 0:
-        worth = drop[i] * _share(belief, inverse[i], RELEVANT * best / drop[i])
-        if worth < RELEVANT * best and count < CANDIDATES:
+        worth = drop[i] * _largest_weight(belief, inverse[i], 0.5 * best / drop[i])
+        if worth < 0.5 * best and count < len(candidate):
             candidate[count], worths[count] = i, worth
             count += 1
         if worth < best:
@@ -249,9 +264,9 @@ def upper(x, belief, hull, room):
 
 @njit()
 def _pivot(belief, first, best, count, hull, room):
-    """Improve on the weight of one belief by the simplex method; return what the weights found are worth.
+    """Improve the weight of one belief by the simplex method; return sum_i w_i d_i of the weights found.
 
-    Basic columns are the beliefs `basis`, and all slacks but those of the entries `row`.
+    The basic columns are the beliefs `basis`, and all slack variables but those of the entries `row`.
     """
     basis, row, weight, dual, direction, matrix = (
         room.basis, room.row, room.weight, room.dual, room.direction, room.matrix,
@@ -264,7 +279,7 @@ def _pivot(belief, first, best, count, hull, room):
         share = (belief[h] + TINY) * hull.inverse[first, h]
         if share < smallest:
             smallest, row[0] = share, h
-    for _ in range(PIVOTS):
+    for _ in range(len(basis) - 1):
         for j in range(k):
             dual[j] = drop[basis[j]]
             for r in range(k):
@@ -295,7 +310,7 @@ def _pivot(belief, first, best, count, hull, room):
         for j in range(k):
             _subtract(left, weight[j], points[basis[j]])
             _subtract(change, direction[j], points[basis[j]])
-        for r in range(k):  # the slacks of these are not in the basis
+        for r in range(k):  # the slack variables of these entries are not in the basis
             change[row[r]] = 0.0
         for h in range(len(belief)):
             if change[h] > 1e-12 and left[h] < step * change[h]:
@@ -330,14 +345,17 @@ def _pivot(belief, first, best, count, hull, room):
 
 @njit(fastmath=FAST)
 def _subtract(a, factor, b):
-    """Take factor * b from a."""
+    """Subtract factor * b from a."""
     for i in range(len(a)):
         a[i] -= factor * b[i]
 
 
 @njit()
 def _price(belief, best, count, k, hull, room):
-    """Give the candidate, or else the position in `row` of the slack, that promises most; `NONE` for neither."""
+    """Return the entering variable with the best reduced cost: a candidate, or else the position of a slack in `row`.
+
+    `NONE` stands for no candidate and for no slack.
+    """
     drop, points, candidate, worth, dual, row = (
         hull.drop, hull.belief, room.candidate, room.worth, room.dual, room.row,
     )  # fmt: skip
@@ -386,7 +404,10 @@ def _eliminate(a, y, k):
 
 @njit()
 def add_point(x, belief, value, hull):
-    """Add the bound at a belief of mass 1, and remove beliefs that it makes superfluous."""
+    """Add a bound at a belief of mass 1 to the hull, and remove the beliefs that it makes redundant.
+
+    A stored belief is redundant if the new one alone gives at least as low a bound there.
+    """
     after, head, space, drops, inverse, state = hull.after, hull.head, hull.space, hull.drop, hull.inverse, hull.state
     drop = value + ROUNDING * abs(value) - dot(hull.corner[x], belief)
     if drop >= 0.0:
@@ -405,7 +426,7 @@ def add_point(x, belief, value, hull):
     while i >= 0:
         following = after[i]
         needed = drops[i] / drop
-        if _share(hull.belief[i], inverse[new], needed) >= needed:
+        if _largest_weight(hull.belief[i], inverse[new], needed) >= needed:
             if before >= 0:
                 after[before] = following
             else:
@@ -418,31 +439,31 @@ def add_point(x, belief, value, hull):
 
 
 @njit()
-def lower(x, belief, plans):
-    """Give the lower bound at an unnormalised belief, and the vector that it comes from."""
+def lower(x, belief, vectors):
+    """Return the lower bound at an unnormalised belief, and the vector that attains it."""
     best, at = -np.inf, NONE
-    i = plans.head[x]
+    i = vectors.head[x]
     while i >= 0:
-        value = dot(plans.vector[i], belief)
+        value = dot(vectors.vector[i], belief)
         if value > best:
             best, at = value, i
-        i = plans.after[i]
+        i = vectors.after[i]
     return best, at
 
 
 @njit()
-def add_plan(x, robot, vector, belief, plans):
-    """Add an alpha vector to a state, made for a belief, and remove those that are nowhere above it."""
-    after, head, space, live = plans.after, plans.head, plans.space, plans.live
+def add_vector(x, robot, vector, belief, vectors):
+    """Add an alpha vector, computed for a belief, to a state, and remove the vectors that it dominates pointwise."""
+    after, head, space, live = vectors.after, vectors.head, vectors.space, vectors.live
     before, i = NONE, head[x]
     while i >= 0:
         following = after[i]
-        if _nowhere_above(plans.vector[i], vector):
+        if _dominated(vectors.vector[i], vector):
             if before >= 0:
                 after[before] = following
             else:
                 head[x] = following
-            after[i], plans.state[i], space[1] = space[1], NONE, i
+            after[i], vectors.state[i], space[1] = space[1], NONE, i
             live[x] -= 1
         else:
             before = i
@@ -453,27 +474,27 @@ def add_plan(x, robot, vector, belief, plans):
     else:
         i = space[0]
         space[0] += 1
-    _copy(plans.vector[i], vector)
-    _copy(plans.witness[i], belief)
-    plans.robot[i], plans.state[i] = robot, x
+    _copy(vectors.vector[i], vector)
+    _copy(vectors.witness[i], belief)
+    vectors.robot[i], vectors.state[i] = robot, x
     after[i], head[x] = head[x], i
     live[x] += 1
-    if live[x] > plans.limit[x]:
-        _retire(x, plans)
-        plans.limit[x] = max(FEW, 2 * live[x])
+    if live[x] > vectors.limit[x]:
+        _prune(x, vectors)
+        vectors.limit[x] = max(FEW_VECTORS, 2 * live[x])
 
 
 @njit()
-def _retire(x, plans):
-    """Keep in a state's list only the vectors that are best at some belief for which one of them was made."""
-    after, head = plans.after, plans.head
-    useful = np.zeros(plans.live[x], dtype=np.bool_)
+def _prune(x, vectors):
+    """Keep only those vectors of a state's list that are best at a witness belief of one of them."""
+    after, head = vectors.after, vectors.head
+    useful = np.zeros(vectors.live[x], dtype=np.bool_)
     i = head[x]
     while i >= 0:
         best, at = -np.inf, 0
         k, j = 0, head[x]
         while j >= 0:
-            value = dot(plans.vector[j], plans.witness[i])
+            value = dot(vectors.vector[j], vectors.witness[i])
             if value > best:
                 best, at = value, k
             k, j = k + 1, after[j]
@@ -490,319 +511,307 @@ def _retire(x, plans):
         else:
             head[x] = following
         k, i = k + 1, following
-    plans.live[x] = kept
+    vectors.live[x] = kept
 
 
 @njit()
-def add_plans(value, robot, belief, plans):
-    """Add a vector to every state."""
+def add_vectors(value, robot, belief, vectors):
+    """Add one vector to each state."""
     for x in range(len(value)):
-        add_plan(x, robot[x], value[x], belief, plans)
+        add_vector(x, robot[x], value[x], belief, vectors)
 
 
 @njit()
-def _split(x, r, belief, told, other, lapsed, m):
-    """Split a belief by what the person will do.
-
-    After slot a, which is chosen with p(beta), the unnormalised belief is
-
-        p(beta) * (told where a is suggested, else other) + lapsed
-
-    Return the state in which the person acts, and the suggested slot.
-    """
-    thetas = len(m.theta)
-    place, slot = m.afterstate[x, r], m.suggested[x, r]
-    steady, uniform = 1.0 - m.lapse, m.lapse / max(m.counts[place], 1)
-    if slot < 0:
-        for h in range(len(belief)):
-            told[h] = other[h] = steady * belief[h]
-            lapsed[h] = uniform * belief[h]
-        return place, slot
-    _fill(told, 0.0)
-    _fill(other, 0.0)
-    _fill(lapsed, 0.0)
-    for h in range(len(belief)):
-        mass = belief[h]
-        if mass == 0.0:
-            continue
-        b, t = h // thetas, h % thetas
-        yes, no = answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
-        at, up = h - t + m.low[x, r, t], m.weight[x, r, t]
-        told[at] += steady * yes * (1.0 - up) * mass
-        told[at + 1] += steady * yes * up * mass
-        other[at] += steady * no * (1.0 - up) * mass
-        other[at + 1] += steady * no * up * mass
-        lapsed[at] += uniform * (1.0 - up) * mass
-        lapsed[at + 1] += uniform * up * mass
-    return place, slot
-
-
-@njit(fastmath=FAST)
-def _child(place, a, slot, told, other, lapsed, child, m):
-    """Fill in the unnormalised belief after slot `a`; return its mass."""
-    thetas = len(m.theta)
-    heard = told if a == slot else other
-    mass = 0.0
-    for b in range(len(child) // thetas):
-        p = m.chosen[place, a, b]
-        for h in range(b * thetas, (b + 1) * thetas):
-            child[h] = p * heard[h] + lapsed[h]
-            mass += child[h]
-    return mass
+def _expand_children(d, r, work, trial, m):
+    """Fill in the posteriors after a robot action and each slot; return the state in which the person acts."""
+    x = trial.state[d]
+    complied = work[3] if m.uses_answer else work[2]
+    acting, slot = split(trial.belief[d], work[0], work[1], complied, work[2], x, r, m)
+    if not m.goal[acting]:
+        for a in range(m.counts[acting]):
+            trial.mass[d, r, a] = child(trial.after[d, r, a], acting, a, slot, work[0], work[1], complied, work[2], m)
+    return acting
 
 
 @njit()
-def _follow(d, r, work, path, m):
-    """Fill in the beliefs after a robot action and each slot; return the state in which the person acts."""
-    x = path.state[d]
-    place, slot = _split(x, r, path.belief[d], work[0], work[1], work[2], m)
-    if not m.goal[place]:
-        for a in range(m.counts[place]):
-            path.mass[d, r, a] = _child(place, a, slot, work[0], work[1], work[2], path.after[d, r, a], m)
-    return place
-
-
-@njit()
-def _look_up(d, r, work, room, path, hull, m):
-    """Bound the return of a robot action from above by its children's bounds."""
-    x = path.state[d]
+def _bound_above(d, r, work, room, trial, hull, m):
+    """Compute an upper bound on the Q-value of a robot action from the bounds of its children."""
+    x = trial.state[d]
     value = -m.robot_costs[x, r]
-    place = _follow(d, r, work, path, m)
-    if not m.goal[place]:
-        for a in range(m.counts[place]):
-            path.child[d, r, a] = upper(m.targets[place, a], path.after[d, r, a], hull, room)
-            value += m.gamma * path.child[d, r, a] - m.costs[place, a] * path.mass[d, r, a]
-    path.q[d, r] = min(path.q[d, r], value)
-    path.known[d, r] = True
+    acting = _expand_children(d, r, work, trial, m)
+    if not m.goal[acting]:
+        for a in range(m.counts[acting]):
+            trial.child[d, r, a] = upper(m.targets[acting, a], trial.after[d, r, a], hull, room)
+            value += m.gamma * trial.child[d, r, a] - m.costs[acting, a] * trial.mass[d, r, a]
+    trial.q[d, r] = min(trial.q[d, r], value)
+    trial.known[d, r] = True
 
 
 @njit()
-def _promising(d, work, room, path, hull, m):
-    """Give the robot action with the largest upper bound, and look up no more of them than that needs."""
-    robots = m.robot_actions[path.state[d]]
+def _most_promising(d, work, room, trial, hull, m):
+    """Return the robot action with the largest upper bound, and evaluate the children of as few as possible."""
+    robots = m.robot_actions[trial.state[d]]
     while True:
         r = ZERO
         for k in range(1, robots):
-            if path.q[d, k] > path.q[d, r]:
+            if trial.q[d, k] > trial.q[d, r]:
                 r = k
-        if path.known[d, r]:
+        if trial.known[d, r]:
             return r
-        _look_up(d, r, work, room, path, hull, m)
+        _bound_above(d, r, work, room, trial, hull, m)
 
 
 @njit()
-def _look_down(d, r, work, path, picked, plans, m):
-    """Bound the return of a robot action from below, and fill in the vector picked after each slot."""
-    x = path.state[d]
+def _bound_below(d, r, work, trial, picked, vectors, m):
+    """Compute a lower bound on the Q-value of a robot action, and fill in the best vector after each slot."""
+    x = trial.state[d]
     value = -m.robot_costs[x, r]
-    place = m.afterstate[x, r] if path.known[d, r] else _follow(d, r, work, path, m)
-    if not m.goal[place]:
-        for a in range(m.counts[place]):
-            v, picked[a] = lower(m.targets[place, a], path.after[d, r, a], plans)
-            value += m.gamma * v - m.costs[place, a] * path.mass[d, r, a]
+    acting = m.afterstate[x, r] if trial.known[d, r] else _expand_children(d, r, work, trial, m)
+    if not m.goal[acting]:
+        for a in range(m.counts[acting]):
+            v, picked[a] = lower(m.targets[acting, a], trial.after[d, r, a], vectors)
+            value += m.gamma * v - m.costs[acting, a] * trial.mass[d, r, a]
     return value
 
 
 @njit()
-def _plan(x, r, picked, vector, plans, m):
-    """Fill in the alpha vector of a robot action that is followed by the picked vectors."""
+def _backup_vector(x, r, picked, vector, vectors, m):
+    """Fill in the alpha vector of a robot action that is followed by the picked vectors.
+
+    The margin `ROUNDING` moves each entry downwards, so that the vector is a lower bound in floating-point arithmetic
+    too.
+    """
     thetas = len(m.theta)
-    place, slot = m.afterstate[x, r], m.suggested[x, r]
-    if m.goal[place]:
+    acting, slot = m.afterstate[x, r], m.suggested[x, r]
+    if m.goal[acting]:
         _fill(vector, -m.robot_costs[x, r])
         return
-    count = m.counts[place]
-    other, mean, told = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    count = m.counts[acting]
+    declined, mean, followed, complied = np.empty(thetas), np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for b in range(len(vector) // thetas):
-        _fill(other, 0.0)
+        _fill(declined, 0.0)
         _fill(mean, 0.0)
-        _fill(told, 0.0)
+        _fill(followed, 0.0)
+        _fill(complied, 0.0)
         for a in range(count):
-            p, c, i = m.chosen[place, a, b], m.costs[place, a], picked[a]
+            p, c, i = m.chosen[acting, a, b], m.costs[acting, a], picked[a]
             for t in range(thetas):
-                u = m.gamma * plans.vector[i, b * thetas + t] - c
+                u = m.gamma * vectors.vector[i, b * thetas + t] - c
                 if a == slot:
-                    told[t] = p * u
+                    followed[t] = p * u
                 else:
-                    other[t] += p * u
-                mean[t] += u / count
+                    declined[t] += p * u
+                if a == slot and m.uses_answer:
+                    complied[t] = u / count
+                else:
+                    mean[t] += u / count
         for t in range(thetas):
             if slot < 0:
-                v = (1.0 - m.lapse) * other[t] + m.lapse * mean[t]
+                v = (1.0 - m.lapse) * declined[t] + m.lapse * mean[t]
             else:
                 at, up = m.low[x, r, t], m.weight[x, r, t]
-                yes, no = answer(m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b])
+                follow_factor, decline_factor = influence_factors(
+                    m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b]
+                )
                 v = (1.0 - m.lapse) * (
-                    (1.0 - up) * (yes * told[at] + no * other[at]) + up * (yes * told[at + 1] + no * other[at + 1])
+                    (1.0 - up) * (follow_factor * followed[at] + decline_factor * declined[at])
+                    + up * (follow_factor * followed[at + 1] + decline_factor * declined[at + 1])
                 ) + m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
+            if slot >= 0 and m.uses_answer:
+                at, up = m.low[x, r, t], m.weight[x, r, t]
+                follow_factor, decline_factor = influence_factors(
+                    m.theta[t], m.chosen[x, slot, b], m.unsuggested[x, r, b]
+                )
+                v = (1.0 - m.lapse) * decline_factor * ((1.0 - up) * declined[at] + up * declined[at + 1])
+                v += m.lapse * ((1.0 - up) * mean[at] + up * mean[at + 1])
+                at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+                v += (1.0 - m.lapse) * follow_factor * ((1.0 - up) * followed[at] + up * followed[at + 1])
+                v += m.lapse * ((1.0 - up) * complied[at] + up * complied[at + 1])
             v -= m.robot_costs[x, r]
             vector[b * thetas + t] = v - ROUNDING * abs(v)
 
 
 @njit()
-def new_plan(size, slots):
-    """Make room for a plan: the vectors picked after each slot, those of the best robot action, and its own vector."""
+def new_backup(size, slots):
+    """Return work arrays of a lower backup.
+
+    They hold the vectors picked after each slot, those picked for the best robot action, and the new vector.
+    """
     return np.empty(slots, np.int64), np.empty(slots, np.int64), np.empty(size)
 
 
 @njit()
-def _raise(d, step, work, path, plan, plans, m):
-    """Back the lower bound up at a depth of the path; return whether it gained more than `step`."""
-    x, belief = path.state[d], path.belief[d]
-    picked, kept, vector = plan
+def _backup_lower(d, step, work, trial, backup, vectors, m):
+    """Back up the lower bound at one depth of the trial; return whether it improved by more than `step`."""
+    x, belief = trial.state[d], trial.belief[d]
+    picked, kept, vector = backup
     best, robot = -np.inf, NEITHER
     for r in range(m.robot_actions[x]):
-        if path.q[d, r] > best:
-            value = _look_down(d, r, work, path, picked, plans, m)
+        if trial.q[d, r] > best:
+            value = _bound_below(d, r, work, trial, picked, vectors, m)
             if value > best:
                 best, robot = value, r
                 _copy(kept, picked)
-    if not best > lower(x, belief, plans)[0] + step + 4 * ROUNDING * abs(best):
+    if not best > lower(x, belief, vectors)[0] + step + 4 * ROUNDING * abs(best):
         return False
-    _plan(x, robot, kept, vector, plans, m)
-    add_plan(x, robot, vector, belief, plans)
+    _backup_vector(x, robot, kept, vector, vectors, m)
+    add_vector(x, robot, vector, belief, vectors)
     return True
 
 
 @njit()
-def _begin(d, belief, mass, q, path, m):
-    """Put belief / mass on the path, with what is known of each robot action before its children are looked at."""
-    x, own = path.state[d], path.belief[d]
+def _start_node(d, belief, mass, q, trial, m):
+    """Put belief / mass on the trial, with upper bounds on the Q-values that do not need the children."""
+    x, own = trial.state[d], trial.belief[d]
     for h in range(len(belief)):
         own[h] = belief[h] / mass
     for r in range(m.robot_actions[x]):
-        path.q[d, r], path.known[d, r] = dot(q[x, r], own), False
+        trial.q[d, r], trial.known[d, r] = dot(q[x, r], own), False
 
 
 @njit(nogil=True)
-def trials(x0, prior, enough, backups, fineness, rng, path, plans, hull, q, m):
-    """Run trials until the gap is closed, room is short, or so many backups have been done; return their number.
+def trials(x0, prior, enough, backups, fineness, rng, trial, vectors, hull, q, m):
+    """Run trials to tighten both bounds at the initial belief; return the number of backups.
 
-    A trial goes on to a child with a chance in proportion to what that adds to the gap beyond the target. Where it
-    always went to the one that adds most, it would meet people who err, and go back and forth, again and again.
+    The search stops when the gap is at most `enough`, when memory is short, or after `backups` backups.
 
-    `fineness` says what is too little to be of use: [0] of a bound's gain, as a share of the gap aimed at, and [1] of
-    what a child adds to the gap at the root, as a share of that. A trial that improves nothing makes one of them finer.
+    A trial starts at the initial state and the prior. In each step it takes the robot action with the largest upper
+    bound. It enters a child with a probability in proportion to the excess of the child's gap over the target. Always
+    entering the child with the largest excess would repeat the same sample paths of people who err and return. The
+    trial ends where no child exceeds the target, at a goal, or where its arrays are full. It then backs up both bounds
+    on the way back.
+
+    The target of a trial is 0.2 times the root gap, and grows by 1 / gamma per step. A smaller share gives longer
+    trials, which visit less probable beliefs.
+
+    `fineness`, shape (2,), says which gains are ignored. Entry 0 is the smallest improvement of a bound that is stored,
+    as a share of the target. Entry 1 is the smallest discounted contribution of a child to the root gap, as a share of
+    that gap. A trial without an improvement multiplies one of them by a factor: entry 1 by 0.1 if it has cut off
+    children, otherwise entry 0 by 0.98.
     """
-    work, room = np.empty((3, len(prior))), new_room(len(prior))
-    plan, done = new_plan(len(prior), m.targets.shape[1]), 0
+    work, room = np.empty((4, len(prior))), new_room(len(prior))
+    backup, done = new_backup(len(prior), m.targets.shape[1]), 0
     while done < backups:
-        path.bound[0] = upper(x0, prior, hull, room)
-        gap = path.bound[0] - lower(x0, prior, plans)[0]
-        short = min(len(plans.robot) - plans.space[0], len(hull.drop) - hull.space[0]) < len(path.state)
+        trial.bound[0] = upper(x0, prior, hull, room)
+        gap = trial.bound[0] - lower(x0, prior, vectors)[0]
+        short = min(len(vectors.robot) - vectors.space[0], len(hull.drop) - hull.space[0]) < len(trial.state)
         if gap <= enough or short:
             break
-        path.state[0] = x0
-        _begin(ZERO, prior, 1.0, q, path, m)
-        depth, target, reach, cut = ZERO, TARGET * gap, 1.0, False
+        trial.state[0] = x0
+        _start_node(ZERO, prior, 1.0, q, trial, m)
+        depth, target, reach, cut = ZERO, 0.2 * gap, 1.0, False
         while True:
-            x = path.state[depth]
-            r = _promising(depth, work, room, path, hull, m)
-            path.robot[depth] = r
-            place = m.afterstate[x, r]
-            if m.goal[place] or depth + 1 == len(path.state):
+            x = trial.state[depth]
+            r = _most_promising(depth, work, room, trial, hull, m)
+            trial.robot[depth] = r
+            acting = m.afterstate[x, r]
+            if m.goal[acting] or depth + 1 == len(trial.state):
                 break
             beyond, chosen = 0.0, NONE
             target /= m.gamma
             reach *= m.gamma
-            for a in range(m.counts[place]):
-                y = m.targets[place, a]
+            for a in range(m.counts[acting]):
+                y = m.targets[acting, a]
                 if m.final[y]:
                     continue
-                apart = path.child[depth, r, a] - lower(y, path.after[depth, r, a], plans)[0]
-                excess = apart - target * path.mass[depth, r, a]
+                apart = trial.child[depth, r, a] - lower(y, trial.after[depth, r, a], vectors)[0]
+                excess = apart - target * trial.mass[depth, r, a]
                 if excess > 0.0 and reach * apart < fineness[1] * gap:
                     cut = True
                 elif excess > 0.0:
                     beyond += excess
-                    if rng.random() * beyond < excess:  # so each is chosen with a chance of excess / beyond in the end
+                    # reservoir sampling: each child is selected with probability excess / (total excess)
+                    if rng.random() * beyond < excess:
                         chosen = a
             if chosen == NONE:
                 break
-            chance = path.mass[depth, r, chosen]
-            path.chance[depth] = chance
+            chance = trial.mass[depth, r, chosen]
+            trial.chance[depth] = chance
             reach *= chance
             depth += 1
-            path.state[depth] = m.targets[place, chosen]
-            path.bound[depth] = path.child[depth - 1, r, chosen] / chance
-            _begin(depth, path.after[depth - 1, r, chosen], chance, q, path, m)
+            trial.state[depth] = m.targets[acting, chosen]
+            trial.bound[depth] = trial.child[depth - 1, r, chosen] / chance
+            _start_node(depth, trial.after[depth - 1, r, chosen], chance, q, trial, m)
         improved, lowered = False, 0.0
         for d in range(depth, -1, -1):
-            x, belief = path.state[d], path.belief[d]
-            path.q[d, path.robot[d]] -= m.gamma * path.chance[d] * lowered if d < depth else 0.0
-            value = path.q[d, _promising(d, work, room, path, hull, m)]
+            x, belief = trial.state[d], trial.belief[d]
+            trial.q[d, trial.robot[d]] -= m.gamma * trial.chance[d] * lowered if d < depth else 0.0
+            value = trial.q[d, _most_promising(d, work, room, trial, hull, m)]
             value += ROUNDING * abs(value)
             step = fineness[0] * target
             target *= m.gamma
             lowered = 0.0
-            if value < path.bound[d] - step - 4 * ROUNDING * abs(value):
-                # Pivots that stop early may find a little less or more where a belief has another mass.
+            if value < trial.bound[d] - step - 4 * ROUNDING * abs(value):
+                # Pivots stop early, so that the bound of the belief with another mass may differ a little.
                 now = upper(x, belief, hull, room)
                 if value < now - step - 4 * ROUNDING * abs(value):
                     add_point(x, belief, value, hull)
                     improved = True
-                lowered = path.bound[d] - min(value, now)
-            improved |= _raise(d, step, work, path, plan, plans, m)
+                lowered = trial.bound[d] - min(value, now)
+            improved |= _backup_lower(d, step, work, trial, backup, vectors, m)
         if not improved:
-            finer = 1 if cut else 0
-            fineness[finer] *= FINER[finer]
+            if cut:
+                fineness[1] *= 0.1
+            else:
+                fineness[0] *= 0.98
         done += depth + 1
     return done
 
 
 @njit(nogil=True)
-def renew(start, order, step, backups, path, plans, hull, q, m):
-    """Back up every belief of the hull and every vector in use again, from `order[start]` on.
+def renew(start, order, step, backups, trial, vectors, hull, q, m):
+    """Repeat the backup of every belief of the hull and of every listed vector, from the state `order[start]` on.
 
-    What a trial found rests on what was known then, and most of it is not on the way of any later trial. Return where
-    to go on, after so many backups or when room is short, and how many there were.
+    The result of a trial depends on the bounds of that time, and later trials pass few of the same beliefs. The
+    function stops after `backups` backups, or if memory is short. Return where to continue, and the number of backups.
     """
     size = hull.corner.shape[1]
-    work, room = np.empty((3, size)), new_room(size)
-    plan, done = new_plan(size, m.targets.shape[1]), 0
+    work, room = np.empty((4, size)), new_room(size)
+    backup, done = new_backup(size, m.targets.shape[1]), 0
     for at in range(start, len(order)):
         x = order[at]
-        if hull.head[x] == NONE:  # no trial has been there
+        if hull.head[x] == NONE:  # no trial has visited the state
             continue
-        short = len(plans.robot) - plans.space[0] < plans.live[x]
+        short = len(vectors.robot) - vectors.space[0] < vectors.live[x]
         if done >= backups or short:
             return at, done
-        path.state[0] = x
+        trial.state[0] = x
         i = hull.head[x]
         while i >= 0:
             belief = hull.belief[i]
-            _begin(ZERO, belief, 1.0, q, path, m)
-            value = path.q[0, _promising(ZERO, work, room, path, hull, m)]
+            _start_node(ZERO, belief, 1.0, q, trial, m)
+            value = trial.q[0, _most_promising(ZERO, work, room, trial, hull, m)]
             value += 2 * ROUNDING * abs(value)
             hull.drop[i] = min(hull.drop[i], value - dot(hull.corner[x], belief))
             i = hull.after[i]
             done += 1
-        used, i = np.empty(plans.live[x], np.int64), plans.head[x]
+        used, i = np.empty(vectors.live[x], np.int64), vectors.head[x]
         for k in range(len(used)):
-            used[k], i = i, plans.after[i]
+            used[k], i = i, vectors.after[i]
         for i in used:
-            if plans.state[i] != x:  # one of those before has shown it to be superfluous
+            if vectors.state[i] != x:  # an earlier backup in this loop has removed the vector
                 continue
-            _begin(ZERO, plans.witness[i], 1.0, q, path, m)
-            _raise(ZERO, step, work, path, plan, plans, m)
+            _start_node(ZERO, vectors.witness[i], 1.0, q, trial, m)
+            _backup_lower(ZERO, step, work, trial, backup, vectors, m)
             done += 1
     return len(order), done
 
 
 @njit(nogil=True)
-def lower_at(start, states, beliefs, step, path, hull, q, m):
-    """Back the upper bound up at beliefs, shape (N, H), of some states, from one on; gains up to `step` are none.
+def lower_at(start, states, beliefs, step, trial, hull, q, m):
+    """Back up the upper bound at beliefs, shape (N, H), of the given states, from index `start` on.
 
-    Return where to go on when room is short, and how many of them are of use.
+    Improvements up to `step` are not stored. Return where to continue if memory is short, and the number of improved
+    bounds.
     """
-    work, room, gained = np.empty((3, beliefs.shape[1])), new_room(beliefs.shape[1]), 0
+    work, room, gained = np.empty((4, beliefs.shape[1])), new_room(beliefs.shape[1]), 0
     for i in range(start, len(states)):
         if len(hull.drop) == hull.space[0]:
             return i, gained
         x, belief = states[i], beliefs[i]
-        path.state[0] = x
-        _begin(ZERO, belief, 1.0, q, path, m)
-        value = path.q[0, _promising(ZERO, work, room, path, hull, m)]
+        trial.state[0] = x
+        _start_node(ZERO, belief, 1.0, q, trial, m)
+        value = trial.q[0, _most_promising(ZERO, work, room, trial, hull, m)]
         value += 2 * ROUNDING * abs(value)
         if value < upper(x, belief, hull, room) - step - 4 * ROUNDING * abs(value):
             add_point(x, belief, value, hull)

@@ -1,11 +1,11 @@
 """One person's assistance problem as a mixed-observability POMDP.
 
-The task's state x is observed; (beta, theta) is hidden on a `Grid`. In each step the robot says nothing,
-suggests an action, or executes one itself; then the person acts, and x moves. An `AssistPOMDP` holds the
-arrays from which a solver works and gives the two functions that a filter needs: the likelihood of what a
-person did, and the belief after it. A `Policy` is what solvers hand on.
+The task state x is observed; the pair (beta, theta) is hidden and lies on a `Grid`. In each step the robot does
+nothing, suggests an action, or executes an action of the task. Then the person acts, and x changes. An `AssistPOMDP`
+holds the arrays of the model. It also has the two functions of a belief filter: the likelihood of a person's action,
+and the posterior belief. Every solver returns a `Policy`.
 
-The robot's actions in a state are numbered from 0: nothing, then the suggestions, then the executions.
+The robot actions of a state are numbered from 0: nothing, then the suggestions, then the executions.
 """
 
 from __future__ import annotations
@@ -24,17 +24,15 @@ from planner.system.arrays import outline
 from ..people import belief as beliefs
 from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel, boltzmann, chances, value
-from ..people.decision import NOTHING, Floats, trust
+from ..people.decision import NOTHING, Floats
 from ..people.human import HumanModel, Mixture, Population
+from ..people.trust_rules import EquationSeven, PerceivedSuggestions, TrustRule
 
 Suggestions = Literal["optimal", "all"]
 
-NEVER = 1e-290
-"""Chances below this count as 0: those of a person who always or never follows are divided by them."""
-
 
 def check_costs(gamma: float, **costs: float) -> None:
-    """Raise a `ValueError` unless gamma and the costs can be."""
+    """Raise a `ValueError` unless 0 < gamma < 1 and every cost is finite and at least 0."""
     if not 0 < gamma < 1:
         raise ValueError(f"gamma {gamma:g}: expected 0 < gamma < 1")
     for name, cost in costs.items():
@@ -44,23 +42,29 @@ def check_costs(gamma: float, **costs: float) -> None:
 
 @dataclass(frozen=True)
 class LeafBounds:
-    """States at which a problem breaks off, with bounds on what any policy, and some policy, gets from there.
+    """Bounds on the value of the frontier states of a truncated problem.
+
+    A truncated problem ends when it reaches one of these states, the leaves. The bounds stand for the return from
+    there.
 
     Attributes
     ----------
     states : int array, shape (m,)
+        The frontier states.
     lower : float array, shape (m, T) or (m, B, T)
-        What some policy gets at least, for each theta and whatever beta is, or for each of both. Where only an upper
-        bound is wanted it is `upper` (`large_tasks.truncated_bound`): what a solver then gives below is of a problem
-        that ends so.
+        Lower bound on the optimal value, in cost units, for each theta and all beta, or for each (beta, theta). It
+        equals `upper` where only an upper bound is wanted (`large_tasks.truncated_bound`). A solver's lower bound then
+        holds only for the truncated problem.
     upper : float array, shape (m,) or (m, B, T)
-        What no policy exceeds; for each beta and theta, if that is known.
+        Upper bound on the value of every policy; for each (beta, theta) if that is known.
     floor : float, optional
-        What every policy gets at least that says nothing any more.
+        Lower bound on the value of every policy that makes no further suggestion.
     away : float array, shape (m, B, T), optional
-        What no policy exceeds whose robot has to come first. Where it is given, a team's problem is taken to end here.
+        Upper bound on the value of every policy whose robot must first travel to the person. If it is given, the
+        subproblem of a team ends at these states.
     value : float array, shape (m,), optional
-        V(x) of eq. 7, what the person expects there; minus the cost-to-go unless given, as of somebody who knows it.
+        V(x) of equation 7, the value that the person expects at these states. The default is minus the exact
+        cost-to-go.
     """
 
     states: NDArray[np.int64]
@@ -82,34 +86,40 @@ class LeafBounds:
 class AssistPOMDP:
     """The problem of assisting one person.
 
+    In the shapes, n is the number of states, R the largest number of robot actions in a state, A the largest number of
+    choices of the person, and (B, T) the shape of the grid.
+
     Attributes
     ----------
     model : HumanModel
     grid : Grid
-        The hidden values, B of beta and T of theta.
+        The hidden values: B of beta and T of theta.
     gamma : float
         Discount factor per step, in (0, 1).
     c_suggest, c_execute : float
-        Cost of a suggestion, and of executing an action, in the task's cost units.
+        Costs of a suggestion and of executing an action, in the task's cost units.
     prior : float array, shape (B, T)
     robot_actions : int array, shape (n,)
-        How many robot actions there are in each state.
+        Number of robot actions in each state.
     suggested : int array, shape (n, R)
-        Slot that each robot action suggests; `NOTHING` in column 0, for executions, and in padding.
+        Slot of the choice that each robot action suggests; `NOTHING` in column 0, for executions, and in padding.
     afterstate : int array, shape (n, R)
-        The state in which the person then acts: that after an execution, else the state itself.
+        State in which the person then acts: the successor after an execution, otherwise the state itself.
     robot_costs : float array, shape (n, R)
         Cost of each robot action.
     chosen : float array, shape (n, A, B)
-        The person's choice without a suggestion and without lapses.
+        Probability of each choice without a suggestion and without lapses (equation 5).
     unsuggested : float array, shape (n, R, B)
-        The chance of all slots but the suggested one, summed: 1 - p would lose its digits where p is almost 1.
+        Sum of `chosen` over all slots but the suggested one. It is stored because 1 - p loses precision for p close to
+        1.
     low, weight : int and float arrays, shape (n, R, T)
-        Where a robot action moves theta to, as `Grid.shares` gives it.
+        Interpolation of theta after each robot action, as returned by `Grid.shares`.
+    followed_low, followed_weight : int and float arrays, shape (n, R, T), or None
+        The same if the person does what was suggested; None if the trust rule does not use the answer.
     frontier : LeafBounds or None
-        Where the problem breaks off, if it covers a part of a task only.
+        Frontier states and their bounds, if the problem is truncated.
     order : int array, or None
-        The states that are not final, in the order in which values are best worked out; by cost-to-go unless given.
+        States that are not final, in the order of a value-iteration sweep; ascending cost-to-go by default.
     """
 
     model: HumanModel
@@ -128,13 +138,15 @@ class AssistPOMDP:
     weight: Floats
     frontier: LeafBounds | None = None
     order: NDArray[np.int64] | None = None
+    followed_low: NDArray[np.int64] | None = None
+    followed_weight: Floats | None = None
 
     __repr__ = outline
 
     def __post_init__(self) -> None:
         for array in (
             self.prior, self.robot_actions, self.suggested, self.afterstate, self.robot_costs, self.chosen,
-            self.unsuggested, self.low, self.weight, self.order,
+            self.unsuggested, self.low, self.weight, self.order, self.followed_low, self.followed_weight,
         ):  # fmt: skip
             if array is not None:
                 array.flags.writeable = False
@@ -153,25 +165,40 @@ class AssistPOMDP:
         execute: bool = False,
         c_execute: float = 1.0,
         frontier: LeafBounds | None = None,
+        trust: TrustRule | None = None,
     ) -> AssistPOMDP:
-        """Set up the problem for a person drawn from a population (the paper's, unless given).
+        """Build the problem for a person drawn from a population (by default, the paper's population).
 
         Parameters
         ----------
+        model : HumanModel
         chooses : ChoiceModel
-            How people choose, beta being their type; the paper's unless given.
+            Model of people's choices, with beta as the person's type; equation 5 by default.
+        grid : Grid, optional
+            Grid of hidden values; by default, a regular grid over the population's ranges.
+        population : Population or Mixture, optional
+            Prior distribution of (beta, theta).
+        gamma, c_suggest, c_execute : float
+            As in the attributes of the class.
         suggestions : "optimal" or "all"
-            Suggest only actions that begin a cheapest way to the goal, or any applicable action.
+            Whether only optimal actions are suggested, or every applicable action.
         execute : bool
-            Whether the robot can also do such an action itself, after which the person acts.
+            Whether the robot can also execute such an action itself, before the person acts.
         frontier : LeafBounds, optional
-            Where the choices break off. Nothing can be executed there.
+            Leaf bounds of a truncated problem. A truncated problem has no executions.
+        trust : TrustRule, optional
+            How theta moves; by default equation (7) with the model's rate and unit of utility.
+
+        Raises
+        ------
+        ValueError
+            A number is out of its range, or `execute` is used with a frontier or with people who have a memory.
         """
         check_costs(gamma, c_suggest=c_suggest, c_execute=c_execute)
         if suggestions not in ("optimal", "all"):
             raise ValueError(f"suggestions '{suggestions}': expected 'optimal' or 'all'")
         if execute and frontier is not None:
-            raise ValueError("execute: expected a problem of all states, and this one breaks off at a frontier")
+            raise ValueError("execute: expected a problem of all states, and this one is truncated")
         if execute and model.choices.state is not None:
             raise ValueError("execute: expected people without memory, and terms look at what they did last")
         population = population or Population()
@@ -195,35 +222,46 @@ class AssistPOMDP:
             robot_costs[state, column + count[state]] = c_execute
 
         chosen = np.stack(list(chances(chooses, choices, model.q, grid.beta)), axis=-1)
-        chosen[chosen < NEVER] = 0.0
+        # Such probabilities count as 0: the influence (equation 6) at theta = 0 or 1 divides by them.
+        chosen[chosen < 1e-290] = 0.0
         slots = np.arange(choices.applicable.shape[1])
         unsuggested = np.stack(
             [np.einsum("na,nab->nb", slots != column[:, None], chosen) for column in suggested.T], axis=1
         )
         v = value(chooses, choices, model.q)
-        if frontier is not None:  # there a person sees no choices
+        if frontier is not None:  # no choices are known at the leaves, hence no value of the next state
             v[frontier.states] = -choices.h[frontier.states] if frontier.value is None else frontier.value
-        # Without a suggestion the person expects to stay where they are, so that theta does not move.
-        after = np.where(
-            suggested == NOTHING, here[:, None], np.take_along_axis(choices.targets, np.maximum(suggested, 0), axis=1)
-        )
-        theta = trust(grid.theta, v[:, None, None], v[after][:, :, None], model.eta, model.utility_scale)
-        low, weight = grid.shares(theta)
+        rule = EquationSeven(model.eta, model.utility_scale) if trust is None else trust
+        slot = np.maximum(suggested, 0)
+        perceived = PerceivedSuggestions.of(
+            np.take_along_axis(model.q, slot, axis=1)[:, :, None], model.q.min(axis=1)[:, None, None],
+            v[:, None, None], v[np.take_along_axis(choices.targets, slot, axis=1)][:, :, None],
+            np.take_along_axis(choices.optimal, slot, axis=1)[:, :, None],
+        )  # fmt: skip
+
+        def shares(followed: bool) -> tuple[NDArray[np.int64], Floats]:
+            theta = rule.update(grid.theta, perceived.event(followed, rule.feedback))
+            # Without a suggestion theta does not move.
+            return grid.shares(np.where(suggested[:, :, None] == NOTHING, grid.theta, theta))
+
+        low, weight = shares(followed=False)
+        followed_low, followed_weight = shares(followed=True) if rule.uses_answer else (None, None)
         return cls(
             model=model, grid=grid, gamma=gamma, c_suggest=c_suggest, c_execute=c_execute, prior=grid.prior(population),
             robot_actions=robot_actions, suggested=suggested, afterstate=afterstate, robot_costs=robot_costs,
             chosen=chosen, unsuggested=unsuggested, low=low, weight=weight, frontier=frontier,
+            followed_low=followed_low, followed_weight=followed_weight,
         )  # fmt: skip
 
     def priced(self, c_suggest: float) -> AssistPOMDP:
-        """Return the same problem where a suggestion costs something else."""
+        """Return the same problem with another cost of a suggestion."""
         check_costs(self.gamma, c_suggest=c_suggest)
         costs = np.where(self.suggested == NOTHING, self.robot_costs, c_suggest)
         return replace(self, c_suggest=c_suggest, robot_costs=costs)
 
     @cached_property
     def final(self) -> NDArray[np.bool_]:
-        """Where the problem ends, shape (n,): at goals and on the frontier."""
+        """Whether the problem ends in each state, shape (n,): at goals and at frontier states."""
         final = self.model.choices.goal.copy()
         if self.frontier is not None:
             final[self.frontier.states] = True
@@ -231,12 +269,14 @@ class AssistPOMDP:
         return final
 
     def likelihood(self, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]) -> Floats:
-        """Give P(action | x, robot, beta, theta), shape (N, B, T).
+        """Return the likelihood P(action | x, robot, beta, theta), shape (N, B, T).
+
+        It combines choice and influence (equations 5 and 6) with the model's lapse rate.
 
         Parameters
         ----------
         x, robot, action : int arrays, shape (N,)
-            State, the robot's action (0: nothing), and the slot of what the person did then.
+            Task state, robot action (0: nothing), and slot of the person's choice.
         """
         suggestion, acting = self.suggested[x, robot], self.afterstate[x, robot]
         p = self.chosen[acting, action][:, :, None]
@@ -255,12 +295,17 @@ class AssistPOMDP:
     def update(
         self, belief: Floats, x: NDArray[np.int64], robot: NDArray[np.int64], action: NDArray[np.int64]
     ) -> Floats:
-        """Give the beliefs, shape (N, B, T), after people's actions; arguments as in `likelihood`."""
-        return beliefs.update(belief, self.likelihood(x, robot, action), self.low[x, robot], self.weight[x, robot])
+        """Return the posterior beliefs, shape (N, B, T), given the people's actions; arguments as in `likelihood`."""
+        low, weight = self.low[x, robot], self.weight[x, robot]
+        if self.followed_low is not None and self.followed_weight is not None:
+            follows = (action == self.suggested[x, robot])[:, None]
+            low = np.where(follows, self.followed_low[x, robot], low)
+            weight = np.where(follows, self.followed_weight[x, robot], weight)
+        return beliefs.update(belief, self.likelihood(x, robot, action), low, weight)
 
     @cached_property
     def suggests_optimal(self) -> NDArray[np.bool_]:
-        """Which robot actions suggest an optimal action, shape (n, R)."""
+        """Whether each robot action suggests an optimal action, shape (n, R)."""
         slot = np.maximum(self.suggested, 0)
         suggests = (self.suggested != NOTHING) & np.take_along_axis(self.model.choices.optimal, slot, axis=1)
         suggests.flags.writeable = False
@@ -268,26 +313,26 @@ class AssistPOMDP:
 
     @cached_property
     def first_optimal(self) -> NDArray[np.int64]:
-        """The first robot action of each state that suggests an optimal action, shape (n,); 0: there is none."""
+        """The first robot action of each state that suggests an optimal action, shape (n,); 0 if there is none."""
         first = self.suggests_optimal.argmax(axis=1)
         first.flags.writeable = False
         return first
 
     def suggestion(self, x: int, robot: int) -> str | None:
-        """Name in PDDL what a robot action suggests; None for nothing."""
+        """Return the suggested action of a robot action, in PDDL notation; None if it suggests nothing."""
         slot = int(self.suggested[x, robot])
         return None if slot == NOTHING else self.model.choices.name(x, slot)
 
     def executes(self, x: int, robot: int) -> str | None:
-        """Name in PDDL what a robot action executes; None for nothing."""
+        """Return the action that a robot action executes, in PDDL notation; None if it executes nothing."""
         if robot == 0 or self.suggested[x, robot] != NOTHING:
             return None
-        suggestions = (int(self.robot_actions[x]) - 1) // 2  # the executions come after them, in the same order
+        suggestions = (int(self.robot_actions[x]) - 1) // 2  # executions follow the suggestions in the same order
         return self.model.choices.name(x, int(self.suggested[x, robot - suggestions]))
 
 
 class Policy(Protocol):
-    """A policy for one person's problem; the methods work on N people at a time."""
+    """A policy for one person's problem. Its methods take N people at a time."""
 
     @property
     def pomdp(self) -> AssistPOMDP:
@@ -295,7 +340,7 @@ class Policy(Protocol):
         ...
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each robot action, shape (N, R); minus infinity in padding.
+        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding.
 
         Parameters
         ----------
@@ -305,24 +350,25 @@ class Policy(Protocol):
         ...
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each person's problem, shape (N,)."""
+        """Return the value of each person's problem, shape (N,), in cost units."""
         ...
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the best robot action for each person, shape (N,)."""
+        """Return the best robot action for each person, shape (N,)."""
         ...
 
 
 class Later:
-    """One person's policy, worked out when it is first asked for anything but the problem.
+    """A policy that is solved on first use.
 
-    Any thread may ask. What the policy has beyond a `Policy` is an attribute of this one, too.
+    The problem is available without solving. Any other attribute is that of the solved policy. All methods are
+    thread-safe.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     solver : callable
-        Gives the policy for the problem.
+        Returns the policy for a problem.
     """
 
     def __init__(self, pomdp: AssistPOMDP, solver: Callable[[AssistPOMDP], Policy]) -> None:
@@ -333,7 +379,7 @@ class Later:
         return f"Later({self._solved[0] if self._solved else self.pomdp!r})"
 
     def prepare(self) -> Policy:
-        """Give the policy; worked out once."""
+        """Return the solved policy; the solver is called once."""
         with self._lock:
             if not self._solved:
                 self._solved.append(self.solver(self.pomdp))
@@ -351,20 +397,20 @@ class Later:
         return getattr(self.prepare(), name)
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each robot action, shape (N, R); minus infinity in padding."""
+        """Return the Q-values of all robot actions, shape (N, R); minus infinity in padding."""
         return self.prepare().q_values(x, belief)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the value of each person's problem, shape (N,)."""
+        """Return the value of each person's problem, shape (N,)."""
         return self.prepare().value(x, belief)
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the best robot action for each person, shape (N,)."""
+        """Return the best robot action for each person, shape (N,)."""
         return self.prepare().choose(x, belief)
 
 
 def work_out(policy: Policy) -> None:
-    """Work a policy out now, if that is otherwise done when it is first asked."""
+    """Solve a policy now that would otherwise be solved on first use."""
     prepare = getattr(policy, "prepare", None)
     if prepare is not None:
         prepare()

@@ -1,4 +1,4 @@
-"""A person's problem as arrays, for compiled code."""
+"""A person's problem as a named tuple of arrays, for compiled code."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .pomdp import AssistPOMDP
 
 
 def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
-    """Give a contiguous view that is read-only, wherever the array is from: compiled code is given nothing else.
+    """Return a contiguous, read-only view of an array, the only kind that compiled code receives.
 
-    numba compiles once more for every mixture of arrays that may be written to and of others, and those that another
-    process sends may be, whatever they were there.
+    numba compiles a function separately for every combination of writable and read-only arguments. Arrays that were
+    sent by another process may be writable, even if they were read-only there.
     """
     view = np.ascontiguousarray(array, dtype=dtype).view()
     view.flags.writeable = False
@@ -25,7 +25,8 @@ def read_only(array: NDArray[Any], dtype: type | None = None) -> NDArray[Any]:
 class ProblemArrays(NamedTuple):
     """A problem in the form that compiled code reads; shapes as in `AssistPOMDP` and `Choices`.
 
-    A named tuple, however long: numba takes no dataclasses.
+    It is a named tuple because numba does not accept dataclasses. `counts` is the number of choices in each state, and
+    `final` is as in `AssistPOMDP`.
     """
 
     counts: NDArray[np.int64]
@@ -41,13 +42,16 @@ class ProblemArrays(NamedTuple):
     unsuggested: Floats
     low: NDArray[np.int64]
     weight: Floats
+    followed_low: NDArray[np.int64]
+    followed_weight: Floats
+    uses_answer: bool
     theta: Floats
     gamma: float
     lapse: float
 
     @classmethod
     def of(cls, pomdp: AssistPOMDP) -> ProblemArrays:
-        """Collect the arrays of a problem."""
+        """Return the arrays of a problem."""
         choices = pomdp.model.choices
         arrays = {
             "counts": choices.applicable.sum(axis=1), "targets": choices.targets, "costs": choices.costs,
@@ -55,9 +59,12 @@ class ProblemArrays(NamedTuple):
             "suggested": pomdp.suggested, "afterstate": pomdp.afterstate, "robot_costs": pomdp.robot_costs,
             "chosen": pomdp.chosen, "unsuggested": pomdp.unsuggested, "low": pomdp.low, "weight": pomdp.weight,
             "theta": pomdp.grid.theta,
+            "followed_low": pomdp.low if pomdp.followed_low is None else pomdp.followed_low,
+            "followed_weight": pomdp.weight if pomdp.followed_weight is None else pomdp.followed_weight,
         }  # fmt: skip
         return cls(
             **{name: read_only(array) for name, array in arrays.items()},
+            uses_answer=pomdp.followed_low is not None,
             gamma=float(pomdp.gamma),
             lapse=float(pomdp.model.lapse),
         )

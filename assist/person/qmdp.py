@@ -1,15 +1,15 @@
-"""Values of one person's problem where beta and theta are seen.
+"""Values of one person's problem with observed beta and theta.
 
-`qmdp` computes the best values by Gauss-Seidel value iteration in the order of h*, and returns the QMDP policy
-(Littman, Cassandra and Kaelbling, "Learning policies for partially observable environments", 1995): act as
-if the hidden pair were seen from the next step on. The person's own choices are a free stream of
-information, so little is lost by this. Its values are an upper bound on what any policy can reach.
+`qmdp` computes the optimal values by Gauss-Seidel value iteration in the order of h*. It returns the QMDP policy
+(Littman, Cassandra and Kaelbling, "Learning policies for partially observable environments", 1995), which acts as if
+the hidden pair were observed from the next step on. The person's choices are a free source of information, so that
+little is lost. The values are an upper bound on the value of any policy.
 
-`evaluate` computes the values of a policy that looks only at x. Averaged over a belief they are what that
-policy gets, hence a lower bound on the best.
+`evaluate` computes the values of a policy that depends on x only. Their mean under a belief is the return of that
+policy, hence a lower bound on the optimal value.
 
-Rounding: every sum here has fewer than a thousand terms of one sign, so that one step's relative error is
-below 1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13 / (1 - gamma).
+Rounding: every sum here has fewer than a thousand terms, all of one sign. So the relative error of one step is below
+1000 times the unit roundoff, about 1e-13, and that of a value below 1e-13 / (1 - gamma).
 """
 
 from __future__ import annotations
@@ -35,13 +35,11 @@ from .pomdp import AssistPOMDP
 from .problem_arrays import ProblemArrays, read_only
 
 ROUNDING = 1e-12
-"""Relative margin by which a bound is moved outwards in each step, ten times what rounding can do."""
+"""Relative margin by which a bound is moved outwards in each step: ten times the largest rounding error of a step."""
 
-EACH = np.int64(-1)  # a number, not a literal, for which numba would compile once more
-DIRECT = 5_000  # states up to which linear equations are solved directly; beyond, a factorisation may fill the memory
-MOST_SWEEPS = 100_000  # over all states, unless another number is given
+BEST = np.int64(-1)  # in the place of a robot action: the best one; numba would compile again for a literal
+MOST_SWEEPS = 100_000  # default limit of sweeps over all states; at gamma = 0.99 convergence takes a few thousand
 SOLVING = "solving a person's POMDP: sweeps"
-SECONDS_BETWEEN = 0.2  # two calls of `progress`, at least
 
 
 @dataclass(frozen=True)
@@ -52,9 +50,9 @@ class QMDP:
     ----------
     pomdp : AssistPOMDP
     value_mdp : float array, shape (n, B, T)
-        Expected discounted return where beta and theta are seen, exact or slightly above.
+        Optimal expected discounted return with observed beta and theta, exact or slightly too high, in cost units.
     q_mdp : float array, shape (n, R, B, T)
-        The same for each robot action in the first step; minus infinity in padding.
+        Q-values of the same problem; minus infinity in padding.
     """
 
     pomdp: AssistPOMDP
@@ -68,7 +66,7 @@ class QMDP:
         self.q_mdp.flags.writeable = False
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the expected return of each robot action, shape (N, R).
+        """Return the expected Q-value of each robot action, shape (N, R).
 
         Parameters
         ----------
@@ -85,11 +83,11 @@ class QMDP:
         return self.q_mdp.reshape(*self.q_mdp.shape[:2], self.q_mdp[0, 0].size)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the QMDP value, shape (N,): an upper bound on the return of any policy."""
+        """Return the QMDP value, shape (N,): an upper bound on the value of any policy."""
         return np.einsum("nbt,nbt->n", self.value_mdp[x], belief)
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the best robot action for each person, shape (N,); 0 is nothing, also on ties."""
+        """Return the best robot action for each person, shape (N,). Ties favour 0, doing nothing."""
         return self.q_values(x, belief).argmax(axis=1)
 
 
@@ -103,53 +101,56 @@ def qmdp(
     deadline: float = math.inf,
     progress: Wanted = None,
 ) -> QMDP:
-    """Compute the QMDP policy.
+    """Compute the QMDP policy by value iteration.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     above : float array, shape (n, B, T), optional
-        Upper bounds from which to start.
+        Upper bounds at which value iteration starts.
     tolerance : float
         Largest error of any value, in cost units.
     max_sweeps : int
-        Sweeps over all states at the most.
+        Largest number of sweeps over all states.
     deadline : float
-        A time on `time.perf_counter()`'s clock after which no sweep begins. Every sweep leaves upper bounds, so that
-        those that there are by then hold.
+        Time on the clock of `time.perf_counter()` after which no sweep begins. Every sweep maintains upper bounds, so
+        that the values at the deadline are valid bounds.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: how many sweeps have been done.
+        Receives progress reports, as `planner.system.progress` describes: the number of sweeps.
 
     Raises
     ------
     RuntimeError
-        The values had not converged after `max_sweeps`.
+        The values did not converge within `max_sweeps`.
     """
     assert callable(progress)
     progress(SOLVING, 0, None)
-    value = highest(pomdp)
+    value = initial_upper_bounds(pomdp)
     if above is not None:
         value = np.minimum(value, above)
-    converged = improve(pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress)
+    converged = value_iteration(
+        pomdp, value, tolerance=tolerance, max_sweeps=max_sweeps, deadline=deadline, progress=progress
+    )
     if not converged and time.perf_counter() < deadline:
         raise RuntimeError(f"value iteration has not converged after {max_sweeps} sweeps")
-    return ahead(pomdp, value)
+    return look_ahead(pomdp, value)
 
 
 def load_compiled(pomdp: AssistPOMDP) -> None:
-    """Have the code that `qmdp` needs loaded, or compiled, which takes seconds once after an installation."""
+    """Load, or compile, the code that `qmdp` needs. Compilation takes seconds, once after an installation."""
     arrays, nothing = ProblemArrays.of(pomdp), read_only(np.zeros(0, dtype=np.int64))
     value = np.zeros((0, 0, 0))
     _sweep(value, nothing, nothing, 0, arrays)
     _q_values(value[None], value, nothing, arrays)
-    _backward(value, value, nothing, 0, arrays)
+    _bellman_backup(value, value, nothing, 0, arrays)
 
 
-def highest(pomdp: AssistPOMDP) -> Floats:
-    """Give upper bounds from which values are worked out, shape (n, B, T): those of final states are their values.
+def initial_upper_bounds(pomdp: AssistPOMDP) -> Floats:
+    """Return upper bounds from which value iteration starts, shape (n, B, T); those of final states are their values.
 
-    Costs are positive, so that 0 is an upper bound, and remains one in every sweep; in a dead end each step to come
-    costs at least what the cheapest choice in any of them does.
+    Costs are positive, so that 0 is an upper bound. It remains an upper bound in every sweep, since the Bellman
+    operator is monotone. In a dead end, each step costs at least the cheapest choice of any dead end, unless the
+    frontier bounds there are higher.
     """
     choices = pomdp.model.choices
     value = np.zeros((len(choices), *pomdp.grid.shape))
@@ -164,7 +165,7 @@ def highest(pomdp: AssistPOMDP) -> Floats:
     return value
 
 
-def improve(
+def value_iteration(
     pomdp: AssistPOMDP,
     value: Floats,
     *,
@@ -173,27 +174,27 @@ def improve(
     deadline: float = math.inf,
     progress: Progress | None = None,
 ) -> bool:
-    """Sweep over values, shape (n, B, T), in place, and tell whether they have converged; arguments as in `qmdp`.
+    """Run value iteration on values, shape (n, B, T), in place; return whether they converged. Arguments as in `qmdp`.
 
-    Those of final states stay as they are.
+    The values of final states do not change.
     """
     robot, arrays = np.full(len(value), -1), ProblemArrays.of(pomdp)
     return _converge(value, sweep_order(pomdp), robot, arrays, tolerance, max_sweeps, deadline, progress)
 
 
-def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
-    """Look one step ahead: give the policy that takes values, shape (n, B, T), for what follows.
+def look_ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = None) -> QMDP:
+    """Return the policy that is greedy with respect to values, shape (n, B, T), by one exact Bellman backup.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     value : float array, shape (n, B, T)
     states : int array, optional
-        Where it will be asked; everywhere unless given.
+        States in which the policy will be used; all by default.
     """
     order = sweep_order(pomdp) if states is None else states[~pomdp.final[states]]
     ends = np.flatnonzero(pomdp.final) if states is None else states[pomdp.final[states]]
-    # Rows that are not asked about are never written to, and so take neither time nor memory.
+    # Rows of other states are never written to, so that they take neither time nor physical memory.
     q = np.zeros((len(value), pomdp.suggested.shape[1], *value.shape[1:]))
     q[ends] = -np.inf
     q[ends, 0] = value[ends]
@@ -201,38 +202,53 @@ def ahead(pomdp: AssistPOMDP, value: Floats, states: NDArray[np.int64] | None = 
     return QMDP(pomdp, value, q)
 
 
-def backward(pomdp: AssistPOMDP, value: Floats) -> Floats:
-    """Give the values one step earlier, shape (n, B, T), of those that there are from the next step on.
+def bellman_backup(pomdp: AssistPOMDP, value: Floats) -> Floats:
+    """Return the Bellman backup of values, shape (n, B, T), for a problem with one more step.
 
-    Those of final states stay as they are.
+    The values of final states do not change.
     """
     arrays, order, found = ProblemArrays.of(pomdp), read_only(sweep_order(pomdp)), value.copy()
     with ThreadPoolExecutor(processors()) as pool:
-        list(pool.map(lambda b: _backward(found, value, order, b, arrays), range(value.shape[1])))
+        list(pool.map(lambda b: _bellman_backup(found, value, order, b, arrays), range(value.shape[1])))
     return found
 
 
 def evaluate(
-    pomdp: AssistPOMDP, robot: NDArray[np.int64], *, tolerance: float = 1e-4, deadline: float = math.inf
+    pomdp: AssistPOMDP,
+    robot: NDArray[np.int64],
+    *,
+    tolerance: float = 1e-4,
+    deadline: float = math.inf,
+    max_equations: int = 5_000,
 ) -> Floats:
-    """Return the values of a policy that looks only at x, shape (n, B, T): exact or slightly below.
+    """Return the values of a policy that depends on x only, shape (n, B, T): exact or slightly too low.
 
     Parameters
     ----------
     pomdp : AssistPOMDP
     robot : int array, shape (n,)
-        What the robot does in each state.
+        Robot action in each state.
     tolerance : float
-        Largest error of any value, in cost units: gamma / (1 - gamma) times the last sweep's largest change.
+        Largest error of any value, in cost units. It is estimated as gamma / (1 - gamma) times the largest change in
+        the last sweep.
     deadline : float
-        A time on `time.perf_counter()`'s clock after which no sweep begins; what has not converged by then is below.
+        Time on the clock of `time.perf_counter()` after which no sweep begins. Values that have not converged by then
+        are lower bounds.
+    max_equations : int
+        Largest number of states for which the values without suggestions are the solution of linear equations. The
+        factors of more may exhaust the memory.
+
+    Raises
+    ------
+    RuntimeError
+        The values did not converge within `MOST_SWEEPS`.
     """
     arrays = ProblemArrays.of(pomdp)
     active = ~pomdp.final
     silent = pomdp.frontier is None and not robot[active].any()
-    if silent:  # then theta does not matter, and one value of it stands for all
+    if silent:  # theta has no effect then, so that one value of theta stands for all
         arrays = arrays._replace(theta=arrays.theta[:1])
-    # Nothing costs more per step than the dearest choice after the dearest robot action: each sweep raises this.
+    # This is a lower bound: the largest cost in every step. So each sweep can only raise the values.
     worst = -(pomdp.robot_costs.max(initial=0.0) + pomdp.model.choices.costs.max(initial=0.0)) / (1 - pomdp.gamma)
     if pomdp.frontier is not None:
         worst = min(worst, pomdp.frontier.lower.min(initial=0.0))
@@ -241,8 +257,8 @@ def evaluate(
     if pomdp.frontier is not None:
         lower = pomdp.frontier.lower
         value[pomdp.frontier.states] = lower if lower.ndim == 3 else lower[:, None]
-    if silent and active.sum() <= DIRECT:
-        value[active] = _alone_for_ever(arrays, active)[:, :, None]
+    if silent and active.sum() <= max_equations:
+        value[active] = _never_helped_values(arrays, active)[:, :, None]
     converged = _converge(value, sweep_order(pomdp), robot, arrays, tolerance, MOST_SWEEPS, deadline)
     if not converged and time.perf_counter() < deadline:
         raise RuntimeError(f"a policy's values have not converged after {MOST_SWEEPS} sweeps")
@@ -250,11 +266,13 @@ def evaluate(
     return np.repeat(value, pomdp.grid.shape[1], axis=2) if silent else value
 
 
-def _alone_for_ever(m: ProblemArrays, active: NDArray[np.bool_]) -> Floats:
-    """Give a start from below for `evaluate` where nothing is ever suggested, shape (active states, B).
+def _never_helped_values(m: ProblemArrays, active: NDArray[np.bool_]) -> Floats:
+    """Return lower bounds for `evaluate` without any suggestion, shape (active states, B).
 
-    Linear equations, solved directly; sweeps take long where people go round in circles. What the solution v leaves
-    over in one sweep, at most r, makes v - r / (1 - gamma) a start from which sweeps only rise.
+    The values solve linear equations. A direct solution is faster than sweeps where people move in circles for long.
+    Let v be the computed solution, r its largest residual abs(T v - v), and d = r / (1 - gamma), where T is one sweep.
+    Then T(v - d) >= T v - gamma d >= v - r - gamma d = v - d. So sweeps from v - d only rise. Twice d is subtracted, to
+    cover the rounding of r.
     """
     states = np.flatnonzero(active)
     number = np.full(len(active), -1)
@@ -275,7 +293,7 @@ def _alone_for_ever(m: ProblemArrays, active: NDArray[np.bool_]) -> Floats:
 
 
 def sweep_order(pomdp: AssistPOMDP) -> NDArray[np.int64]:
-    """Give the states of a problem in an order in which most of what can follow a state comes before it."""
+    """Return the states of a problem in an order in which successors mostly precede their predecessors."""
     if pomdp.order is not None:
         return pomdp.order
     states = np.flatnonzero(~pomdp.final)
@@ -292,9 +310,9 @@ def _converge(
     deadline: float = math.inf,
     progress: Progress | None = None,
 ) -> bool:
-    """Sweep until no value's error exceeds the tolerance, and tell whether that was reached.
+    """Sweep until the error of every value is at most the tolerance; return whether this was reached.
 
-    Each beta by itself, since some take much longer, and several at a time.
+    Each beta is swept separately, since the numbers of sweeps differ, and several threads work at once.
     """
     order, robot = read_only(order), read_only(robot)
     errors = np.full(value.shape[1], math.inf)
@@ -302,14 +320,14 @@ def _converge(
 
     def one(b: int) -> bool:
         nonlocal last, done
-        # What is swept over lies together, so that more of it stays in the processor's cache.
+        # Contiguous copies of one beta's arrays keep more of a sweep in the processor's cache.
         left, own = sweeps, value[:, b : b + 1].copy()
         chosen, unsuggested = read_only(arrays.chosen[:, :, b : b + 1]), read_only(arrays.unsuggested[:, :, b : b + 1])
         m = arrays._replace(chosen=chosen, unsuggested=unsuggested)
         while errors[b] > tolerance and left and not stopped and (now := time.perf_counter()) < deadline:
             errors[b] = _sweep(own, order, robot, 0, m) * arrays.gamma / (1 - arrays.gamma)
             left, done = left - 1, done + 1
-            if progress is not None and now > last + SECONDS_BETWEEN:
+            if progress is not None and now > last + 0.2:  # at most five reports per second
                 last = now
                 progress(SOLVING, done, None)
         value[:, b] = own[:, 0]
@@ -317,15 +335,16 @@ def _converge(
 
     with ThreadPoolExecutor(processors()) as pool:
         try:
-            return all(list(pool.map(one, range(value.shape[1]))))  # all of them: one that fails cancels none
+            # the list makes all threads finish: one failure cancels no other
+            return all(list(pool.map(one, range(value.shape[1]))))
         except BaseException:  # after Ctrl-C no further sweep begins
             stopped = True
             raise
 
 
 @njit()
-def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: ProblemArrays) -> None:
-    """Fill in, shape (T,), the person's mean return without a suggestion, and that of a uniform choice."""
+def _without_suggestion(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: ProblemArrays) -> None:
+    """Fill in the expected return without a suggestion, and that of a uniform choice (a lapse), both of shape (T,)."""
     expected[:] = 0.0
     mean[:] = 0.0
     for a in range(m.counts[x]):
@@ -337,51 +356,68 @@ def _alone(expected: Floats, mean: Floats, value: Floats, x: int, b: int, m: Pro
 
 
 @njit()
-def _row(
-    q: Floats, expected: Floats, mean: Floats, other: Floats, value: Floats, x: int, b: int, only: int, m: ProblemArrays
+def _action_values(
+    q: Floats,
+    expected: Floats,
+    mean: Floats,
+    declined: Floats,
+    value: Floats,
+    x: int,
+    b: int,
+    only: int,
+    m: ProblemArrays,
 ) -> None:
-    """Fill `q`, shape (R, T), with the return of every robot action (or of `only` one) in state x for one beta.
+    """Fill `q`, shape (R, T), with the Q-values of all robot actions (or of `only` one) in state x for one beta.
 
-    A suggestion moves theta alike whatever the person does, so that its returns are interpolated in the sums
-    that `_alone` fills in, not action by action; where hardly anything but the suggestion is left of a sum, the
-    others are summed anew, because a difference would lose its digits. `expected`, `mean` and `other`, shape
-    (T,), are room for the sums.
+    The trust update after a suggestion is the same for all choices, or for all but the suggested one if the trust rule
+    uses the answer. So the returns are interpolated in the sums that `_without_suggestion` fills in, and not for each
+    choice. If the suggested choice is almost certain, the sum over the other choices is recomputed, because a
+    difference would lose precision. `expected`, `mean` and `declined`, shape (T,), are work arrays.
     """
-    at_hand = -1
+    computed = -1
     for r in range(m.robot_actions[x]):
         if only >= 0 and r != only:
             continue
-        slot, place = m.suggested[x, r], m.afterstate[x, r]
-        if m.goal[place]:
+        slot, acting = m.suggested[x, r], m.afterstate[x, r]
+        if m.goal[acting]:
             q[r] = -m.robot_costs[x, r]
             continue
-        if place != at_hand:
-            _alone(expected, mean, value, place, b, m)
-            at_hand = place
+        if acting != computed:
+            _without_suggestion(expected, mean, value, acting, b, m)
+            computed = acting
         if slot >= 0:
             y, c, p, rest = (
-                m.targets[place, slot],
-                m.costs[place, slot],
-                m.chosen[place, slot, b],
+                m.targets[acting, slot],
+                m.costs[acting, slot],
+                m.chosen[acting, slot, b],
                 m.unsuggested[x, r, b],
             )
             if p > 0.9:
-                other[:] = 0.0
-                for a in range(m.counts[place]):
+                declined[:] = 0.0
+                for a in range(m.counts[acting]):
                     if a != slot:
                         for t in range(len(m.theta)):
-                            u = m.gamma * value[m.targets[place, a], b, t] - m.costs[place, a]
-                            other[t] += m.chosen[place, a, b] * u
+                            u = m.gamma * value[m.targets[acting, a], b, t] - m.costs[acting, a]
+                            declined[t] += m.chosen[acting, a, b] * u
             else:
                 for t in range(len(m.theta)):
-                    other[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
+                    declined[t] = expected[t] - p * (m.gamma * value[y, b, t] - c)
             for t in range(len(m.theta)):
                 at, up, theta = m.low[x, r, t], m.weight[x, r, t], m.theta[t]
                 followed = p * (m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c)
-                others = (1.0 - up) * other[at] + up * other[at + 1]
-                total = theta * p + (1.0 - theta) * rest
-                e = (theta * followed + (1.0 - theta) * others) / total if total > 0.0 else followed + others
+                expect_declined = (1.0 - up) * declined[at] + up * declined[at + 1]
                 lapsed = (1.0 - up) * mean[at] + up * mean[at + 1]
+                if m.uses_answer:  # the suggested slot has a trust update of its own
+                    as_declined = m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c
+                    at, up = m.followed_low[x, r, t], m.followed_weight[x, r, t]
+                    as_followed = m.gamma * ((1.0 - up) * value[y, b, at] + up * value[y, b, at + 1]) - c
+                    followed, lapsed = p * as_followed, lapsed + (as_followed - as_declined) / m.counts[acting]
+                total = theta * p + (1.0 - theta) * rest
+                e = (
+                    (theta * followed + (1.0 - theta) * expect_declined) / total
+                    if total > 0.0
+                    else followed + expect_declined
+                )
                 q[r, t] = (1.0 - m.lapse) * e + m.lapse * lapsed - m.robot_costs[x, r]
         else:
             for t in range(len(m.theta)):
@@ -390,13 +426,16 @@ def _row(
 
 @njit(nogil=True)
 def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b: int, m: ProblemArrays) -> float:
-    """Update every state once, in place; return the largest change. A negative `robot` stands for the best."""
+    """Do a Bellman backup of every state, in place; return the largest change.
+
+    A negative entry of `robot` stands for the best action.
+    """
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
-    expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     residual = 0.0
     for x in order:
-        _row(q, expected, mean, other, value, x, b, robot[x], m)
+        _action_values(q, expected, mean, declined, value, x, b, robot[x], m)
         first, end = (robot[x], robot[x] + 1) if robot[x] >= 0 else (0, m.robot_actions[x])
         for t in range(thetas):
             best = q[first, t]
@@ -408,13 +447,13 @@ def _sweep(value: Floats, order: NDArray[np.int64], robot: NDArray[np.int64], b:
 
 
 @njit(nogil=True)
-def _backward(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: ProblemArrays) -> None:
-    """Fill in the best values of states, for one beta, given those of what follows."""
+def _bellman_backup(found: Floats, value: Floats, order: NDArray[np.int64], b: int, m: ProblemArrays) -> None:
+    """Fill `found` with the Bellman backups of `value`, for one beta."""
     thetas = len(m.theta)
     q = np.empty((m.suggested.shape[1], thetas))
-    expected, mean, other = np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    expected, mean, declined = np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
-        _row(q, expected, mean, other, value, x, b, EACH, m)
+        _action_values(q, expected, mean, declined, value, x, b, BEST, m)
         for t in range(thetas):
             found[x, b, t] = q[0, t]
             for r in range(1, m.robot_actions[x]):
@@ -436,12 +475,12 @@ def _expected(q: Floats, x: NDArray[np.int64], belief: Floats, table: Floats, ro
 
 @njit()
 def _q_values(q: Floats, value: Floats, order: NDArray[np.int64], m: ProblemArrays) -> None:
-    """Fill `q`, shape (n, R, B, T), with the return of every robot action; minus infinity in padding."""
+    """Fill `q`, shape (n, R, B, T), with the Q-values of all robot actions; minus infinity in padding."""
     robots, thetas = q.shape[1], len(m.theta)
-    row, expected, mean, other = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
+    row, expected, mean, declined = np.empty((robots, thetas)), np.empty(thetas), np.empty(thetas), np.empty(thetas)
     for x in order:
         for b in range(value.shape[1]):
-            _row(row, expected, mean, other, value, x, b, EACH, m)
+            _action_values(row, expected, mean, declined, value, x, b, BEST, m)
             for r in range(robots):
                 for t in range(thetas):
                     q[x, r, b, t] = row[r, t] if r < m.robot_actions[x] else -np.inf

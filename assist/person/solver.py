@@ -1,24 +1,24 @@
-"""One person's problem solved between certified bounds.
+"""A solver for one person's problem with certified bounds.
 
-Heuristic search value iteration (Smith and Simmons, "Point-based POMDP algorithms: improved analysis and
-implementation", 2005) in a form made for this problem: x is observed, so that every state has bounds of its own,
-over beliefs of B * T numbers.
+The algorithm is heuristic search value iteration (Smith and Simmons, "Point-based POMDP algorithms: improved analysis
+and implementation", 2005), adapted to this problem: x is observed, so that every state has bounds of its own, over
+beliefs of B * T numbers.
 
-- Below, each state has alpha vectors: what some plan gets for each (beta, theta). They begin with policies that
-  look only at x (`qmdp.evaluate`), and each backup adds the vector of a robot action followed by vectors that are
-  there already. So the bound is the value of a policy that can be carried out.
-- Above, each state has a hull: the values of the problem with beta and theta seen (`qmdp.qmdp`), lowered at single
-  beliefs by backups.
+- Lower bound: each state has alpha vectors. The first ones belong to policies that depend on x only (`qmdp.evaluate`).
+  Each backup adds the vector of a robot action that is followed by existing vectors. So the lower bound is the value of
+  a policy that can be executed.
+- Upper bound: each state has a hull. It starts at the values of the problem with observed beta and theta (`qmdp.qmdp`).
+  Backups lower it at single beliefs.
 
-A trial walks from the initial state and the prior through the most promising robot action to a child, drawn by what
-each contributes to the gap (as in bounded real-time dynamic programming: McMahan, Likhachev and Gordon, 2005), until
-the gap there is small or hardly anybody gets there, and backs both bounds up on the way home. What is off the way of
-later trials would stay as it was first found: so after as many backups as there are beliefs above, all of these and all
-vectors below are backed up again, in the order in which the task ends (as point-based value iteration does: Pineau,
-Gordon and Thrun, 2003).
+A trial starts at the initial state and the prior. It follows the robot action with the largest upper bound to a child,
+sampled by its contribution to the gap, as in bounded real-time dynamic programming (McMahan, Likhachev and Gordon,
+2005). It ends where the gap or the probability of the path is small, and backs up both bounds on the way back. Beliefs
+off the paths of later trials would keep their first bounds. Therefore the solver also repeats all stored backups, each
+time the trials have done as many backups as the hull has beliefs. It does so in the order of increasing cost-to-go (as
+in point-based value iteration: Pineau, Gordon and Thrun, 2003).
 
-Both bounds hold in floating point too: whatever is stored is moved outwards by `qmdp.ROUNDING`. They are bounds of
-the problem on its grid of beta and theta, and to someone who acts in steps as `AssistPOMDP` has them.
+Both bounds hold in floating-point arithmetic: every stored number is moved outwards by `qmdp.ROUNDING`. They are bounds
+for the problem on its grid of beta and theta, and for people as `AssistPOMDP` models them.
 """
 
 from __future__ import annotations
@@ -45,45 +45,59 @@ from .problem_arrays import ProblemArrays, read_only
 from .qmdp import QMDP, ROUNDING, evaluate, load_compiled, qmdp, sweep_order
 
 SOLVING = "solving a person's POMDP: backups"
-BACKUPS = 1000  # between two looks at the clock
-MEMORY_LIMIT_MB = 4000.0  # unless another is given
-SEED = 0  # of what trials draw: with as many backups all comes out the same
-FOR_MET = 1 / 3  # of the time, for beliefs that are given
-MET_FINENESS = (0.01, 0.05)  # as `hsvi.trials` has it, there
-MET_BACKUPS = 60  # at one of these, before it is another's turn
-MET_GAIN = 0.05  # it has another turn if that made less of what is between its bounds by more than this share
-FINEST = 1e-6  # a bound that gains less than this share of the gap aimed at is as good as it was
+
+
+@dataclass(frozen=True)
+class SolverOptions:
+    """Options of the search in `solve`. The bounds are valid for all values.
+
+    Attributes
+    ----------
+    depth : int
+        Largest number of steps of a trial. At the default gamma of 0.99, later steps have a weight below 1 %. The
+        memory of a trial is proportional to it.
+    finest : float
+        Smallest relevant improvement of a bound, as a share of the target gap. A search without larger improvements has
+        stalled.
+    backups_per_check : int
+        Number of backups between two checks of time and memory; the default takes about 0.1 s.
+    """
+
+    depth: int = 500
+    finest: float = 1e-6
+    backups_per_check: int = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """A policy for one person's problem with proven bounds on its value.
+    """A policy for one person's problem with certified bounds on its value.
 
-    The policy is greedy in the alpha vectors, one exact step ahead; it gets at least their value.
+    The policy is greedy with respect to the alpha vectors, by one exact Bellman backup. Its value is at least that of
+    the vectors.
 
     Attributes
     ----------
     policy : VectorPolicy
     corner : float array, shape (n, B, T)
-        Upper bound where beta and theta are known.
+        Upper bound for known beta and theta, in cost units.
     point : float array, shape (p, B, T)
-        Beliefs at which the upper bound is known to be lower, sorted by state.
+        Beliefs with a lower upper bound, sorted by state.
     drop : float array, shape (p,)
-        By how much, against `corner`.
+        Upper bound at each of these beliefs minus the value of `corner` there; negative.
     first : int array, shape (n + 1,)
         The beliefs of state x are `point[first[x] : first[x + 1]]`.
     lower, upper : float
-        What the policy gets at least, and what none exceeds, from the initial state and the prior on.
+        Bounds on the optimal value at the initial state and the prior. The value of `policy` is at least `lower`.
     value_qmdp : float
         The QMDP value there, an upper bound.
     value_never, value_always : float
-        The value of doing nothing, and of always suggesting the optimal action that QMDP prefers at the prior; up to
-        1e-4 less, and the second less where a time limit has ended its evaluation.
+        Values of two policies there: do nothing, and always suggest the optimal action that QMDP prefers at the prior.
+        They are at most 1e-4 cost units too low; the second may be lower still after a time limit.
     seconds : float
     backups : int
     stopped : str
-        What ended the search: "gap", "time", "memory", or "stalled" where no trial can improve a bound any more,
-        because what is left is the width of a frontier's bounds, or rounding.
+        Why the search ended: "gap", "time", "memory" or "stalled". A search has stalled if no trial improves a bound:
+        the rest of the gap is due to the leaf bounds of a frontier, or to rounding.
     """
 
     policy: VectorPolicy
@@ -107,7 +121,7 @@ class Solution:
             array.flags.writeable = False
 
     def save(self, file: str | Path, **more: Any) -> None:
-        """Save the solution and its problem, with further arrays by name; `docs/policies.md` describes the file."""
+        """Save the solution and its problem, with further named arrays; `docs/policies.md` describes the file."""
         archive.save(Path(file), self, **more)
 
     @classmethod
@@ -117,7 +131,7 @@ class Solution:
         Raises
         ------
         ArchiveError
-            Another kind of file.
+            The file is of another kind.
         """
         return archive.load(Path(file), cls)
 
@@ -128,11 +142,11 @@ class Solution:
 
     @property
     def gap(self) -> float:
-        """The distance of the bounds, relative to the lower one."""
+        """The relative gap (upper - lower) / abs(lower)."""
         return relative_gap(self.lower, self.upper)
 
     def as_dict(self) -> dict[str, Any]:
-        """Give as plain data how large the problem is, what is proven of it, and what that took."""
+        """Return the size of the problem, its bounds and the effort, as plain data."""
         return {
             "states": len(self.pomdp.robot_actions),
             "hidden": self.pomdp.prior.size,
@@ -148,7 +162,7 @@ class Solution:
         }
 
     def q_values(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give the policy's value of each robot action, shape (N, R), at least; minus infinity in padding.
+        """Return lower bounds on the policy's Q-values, shape (N, R); minus infinity in padding.
 
         Parameters
         ----------
@@ -158,15 +172,18 @@ class Solution:
         return self.policy.q_values(x, belief)
 
     def value(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give what the policy gets at least, shape (N,); arguments as in `q_values`."""
+        """Return the lower bound on the policy's value, shape (N,); arguments as in `q_values`."""
         return self.policy.value(x, belief)
 
     def choose(self, x: NDArray[np.int64], belief: Floats) -> NDArray[np.int64]:
-        """Give the robot action for each person, shape (N,); 0 is nothing, also on ties."""
+        """Return the robot action for each person, shape (N,). Ties favour 0, doing nothing."""
         return self.q_values(x, belief).argmax(axis=1)
 
     def upper_bound(self, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give what no policy exceeds, shape (N,), convex in the belief; arguments as in `q_values`."""
+        """Return the upper bound on the value of any policy, shape (N,), convex in the belief.
+
+        The arguments are as in `q_values`.
+        """
         value, size = np.empty(len(x)), self.pomdp.prior.size
         beliefs = read_only(belief, float).reshape(len(x), size)
         corner, point = (read_only(array).reshape(-1, size) for array in (self.corner, self.point))
@@ -176,15 +193,15 @@ class Solution:
 
 
 def relative_gap(lower: float, upper: float) -> float:
-    """Give (upper - lower) / |lower|, 0 where both are 0."""
+    """Return (upper - lower) / abs(lower), or 0 if both are 0."""
     return 0.0 if upper <= lower else (upper - lower) / abs(lower)
 
 
-def first_bounds_bytes(pomdp: AssistPOMDP) -> int:
-    """Give about how many bytes `solve` takes before its search begins."""
+def first_bounds_bytes(pomdp: AssistPOMDP, depth: int = SolverOptions.depth) -> int:
+    """Return the approximate memory, in bytes, that `solve` needs before its search begins."""
     (states, robots), slots, hidden = pomdp.suggested.shape, pomdp.model.choices.targets.shape[1], pomdp.prior.size
-    # QMDP's values and a copy of them; the corners; vectors and witnesses of four policies; what one policy is worth.
-    return 8 * hidden * (states * (2 * robots + 12) + hsvi.DEPTH * (8 + robots * slots))
+    # QMDP's values and a copy; the corners; vectors and witnesses of four policies; the values of one policy.
+    return 8 * hidden * (states * (2 * robots + 12) + depth * (8 + robots * slots))
 
 
 @shows_progress
@@ -193,13 +210,14 @@ def solve(
     *,
     gap: float = 1e-3,
     time_limit: float | None = None,
-    memory_limit_mb: float = MEMORY_LIMIT_MB,
+    memory_limit_mb: float = 4000.0,
     best: QMDP | None = None,
-    met: tuple[NDArray[np.int64], Floats] | None = None,
+    further_beliefs: tuple[NDArray[np.int64], Floats] | None = None,
+    options: SolverOptions | None = None,
     bounds: Callable[[float, float, float], None] | None = None,
     progress: Wanted = None,
 ) -> Solution:
-    """Solve one person's problem.
+    """Solve one person's problem to a given gap.
 
     Parameters
     ----------
@@ -207,32 +225,36 @@ def solve(
     gap : float
         Stop when (upper - lower) / abs(lower) at the initial state and the prior is at most this.
     time_limit : float, optional
-        Stop the search after so many seconds. The policy that does nothing is evaluated in any case; values of
-        policies that suggest, and the first upper bound, are what they have come to by then. Compiling, which takes
-        place once after an installation, does not count.
+        Stop the search after so many seconds. The policy that does nothing is evaluated in any case. The evaluation of
+        other policies and the first upper bound stop at the limit as well. Compilation, once after an installation,
+        does not count.
     memory_limit_mb : float
-        Stop before vectors and beliefs take more.
+        Stop before vectors and beliefs take more memory, in MB.
     best : QMDP, optional
-        The QMDP policy, if it is known already.
-    met : int array, shape (m,), and float array, shape (m, B, T), optional
-        States, none of them final, and beliefs at which the bounds are to be good as well, wherever the best policy
-        goes; what comes last is best first. That ends where nothing is gained any more; a third of a time limit is for
-        it, and what is left of the rest.
+        The QMDP policy, if it is already known.
+    further_beliefs : int array, shape (m,), and float array, shape (m, B, T), optional
+        Further states, none of them final, and beliefs at which the bounds should be tight. The last has priority in
+        the upper bound's linear program. A third of the time limit is reserved for them. The work on them ends when
+        nothing improves.
+    options : SolverOptions, optional
     bounds : callable, optional
-        Called with seconds, lower and upper bound, about every tenth of a second.
+        Called with the elapsed seconds and both bounds, about every tenth of a second.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: how many backups have been done.
+        Receives progress reports, as `planner.system.progress` describes: the number of backups.
 
     Raises
     ------
     LimitError
-        The first bounds alone would take more memory than is allowed; nothing has been worked out.
+        The first bounds alone would exceed the memory limit. Nothing has been computed then.
+    ValueError
+        A number is negative.
     """
     assert callable(progress)
     for name, number in (("gap", gap), ("time_limit", time_limit), ("memory_limit_mb", memory_limit_mb)):
         if number is not None and not number >= 0:
             raise ValueError(f"{name} {number:g}: expected 0 or more")
-    needed = first_bounds_bytes(pomdp) / 1e6
+    options = options or SolverOptions()
+    needed = first_bounds_bytes(pomdp, options.depth) / 1e6
     if needed > memory_limit_mb:
         raise LimitError(
             f"the first bounds on {len(pomdp.robot_actions):,} states take about {needed:,.0f} MB of memory, and "
@@ -245,7 +267,7 @@ def solve(
     prior = pomdp.prior.reshape(-1)
     until = math.inf if time_limit is None else start + time_limit
     best = best or qmdp(pomdp, deadline=until)
-    work = _Search(pomdp, best)
+    work = _Search(pomdp, best, options)
     never = np.zeros(len(pomdp.robot_actions), dtype=np.int64)
     value_never = work.begin(never)
     value_always = work.begin(_informed(best, pomdp.prior, pomdp.suggests_optimal), until)
@@ -254,17 +276,18 @@ def solve(
     for belief in (pomdp.prior, trusting):
         work.begin(_informed(best, belief), until)
 
-    # A value of 0 is approached from below for ever, and the gap remains 1.
+    # A value of 0 is only approached from below, and the relative gap stays 1; so an absolute limit applies too.
     smallest = ROUNDING * (pomdp.robot_costs.max() + pomdp.model.choices.costs.max()) / (1 - pomdp.gamma)
-    searching = None if time_limit is None else time_limit * (1 - FOR_MET if met is not None else 1)
+    # A third of the time is kept for the further beliefs.
+    searching = None if time_limit is None else time_limit * (2 / 3 if further_beliefs is not None else 1)
     stopped, backups = "gap", 0
     lower, upper = -np.inf, np.inf
     begun = time.perf_counter()
-    work.trials(x0, prior, np.inf)  # no trial, but compiled code
+    work.trials(x0, prior, np.inf)  # runs no trial, but compiles the code
     work.renew(0.0)
     start += time.perf_counter() - begun
     while True:
-        # A bound that has been proven remains proven, should the search lose sight of it.
+        # A certified bound remains valid, even if a later evaluation of the search is looser.
         below, above = work.bounds(x0, prior)
         lower, upper = max(lower, below), min(upper, above)
         seconds = time.perf_counter() - start
@@ -279,14 +302,14 @@ def solve(
         if not work.make_room(memory_limit_mb):
             stopped = "memory"
             break
-        going_on = work.fineness[0] >= FINEST and upper - lower > smallest
+        going_on = work.fineness[0] >= options.finest and upper - lower > smallest
         done = work.improve(x0, prior, gap * abs(lower), upper - lower) if going_on else 0
         if not done:
             stopped = "stalled"
             break
         backups += done
-    if met is not None and len(met[0]):
-        work.widen(*met, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
+    if further_beliefs is not None and len(further_beliefs[0]):
+        work.widen(*further_beliefs, gap, math.inf if time_limit is None else start + time_limit, memory_limit_mb)
         below, above = work.bounds(x0, prior)
         lower, upper = max(lower, below), min(upper, above)
     return work.solution(
@@ -296,7 +319,10 @@ def solve(
 
 
 def _informed(best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
-    """Give QMDP's action in each state for one belief: of all, or `among` some, shape (n, R), if there are any."""
+    """Return QMDP's action in each state for one belief, shape (n,).
+
+    The choice is among all robot actions, or among those of the mask `among`, shape (n, R).
+    """
     q = np.einsum("nrbt,bt->nr", np.maximum(best.q_mdp, -1e300), belief)
     if among is not None:
         q = np.where(among, q, -np.inf)
@@ -304,52 +330,54 @@ def _informed(best: QMDP, belief: Floats, among: NDArray[np.bool_] | None = None
 
 
 class _Search:
-    """The bounds of one problem while they are improved."""
+    """The bounds of one problem during the search."""
 
-    def __init__(self, pomdp: AssistPOMDP, best: QMDP) -> None:
-        self.pomdp, self.arrays = pomdp, ProblemArrays.of(pomdp)
+    def __init__(self, pomdp: AssistPOMDP, best: QMDP, options: SolverOptions) -> None:
+        self.pomdp, self.arrays, self.options = pomdp, ProblemArrays.of(pomdp), options
         states, size = len(pomdp.robot_actions), pomdp.prior.size
         margin = ROUNDING / (1 - pomdp.gamma)
         corner = (best.value_mdp + margin * np.abs(best.value_mdp)).reshape(states, size)
         self.q = best.q_mdp.reshape(states, -1, size) * (1 - margin)  # values are negative
-        self.hull = hsvi.empty_hull(corner, 2 * hsvi.DEPTH)
-        self.plans = hsvi.no_plans(states, size, 4 * states + 2 * hsvi.DEPTH)
-        self.path = hsvi.new_path(size, pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1])
+        self.hull = hsvi.empty_hull(corner, 2 * options.depth)
+        self.vectors = hsvi.empty_vectors(states, size, 4 * states + 2 * options.depth)
+        robots, slots = pomdp.suggested.shape[1], pomdp.model.choices.targets.shape[1]
+        self.trial = hsvi.new_trial(options.depth, size, robots, slots)
         self.order = read_only(sweep_order(pomdp))
-        self.renewed = len(self.order)  # how far in this order the present renewal has come
-        self.tried = 0  # backups of trials since it began
-        self.fineness = np.array([0.001, 0.01])  # as `hsvi.trials` has it; refined where nothing more is found
-        self.rng = np.random.default_rng(SEED)
+        self.renewed = len(self.order)  # position of the current renewal in this order
+        self.tried = 0  # backups of trials since the last renewal began
+        self.fineness = np.array([0.001, 0.01])  # as in `hsvi.trials`, which refines it
+        self.rng = np.random.default_rng(0)  # fixed: the same number of backups gives the same result
 
     def begin(self, robot: NDArray[np.int64], deadline: float = math.inf) -> float:
-        """Add the vectors of a policy that looks only at x; return its value at the root, below it after a deadline."""
+        """Add the vectors of a policy that depends on x only; return its value at the root, or a lower bound on it."""
         value = evaluate(self.pomdp, robot, deadline=deadline)
         flat = np.ascontiguousarray(value).reshape(len(value), -1)
-        hsvi.add_plans(flat, robot, _own(self.pomdp.prior), self.plans)
+        hsvi.add_vectors(flat, robot, _own(self.pomdp.prior), self.vectors)
         return float((value[self.pomdp.model.choices.initial] * self.pomdp.prior).sum())
 
     def bounds(self, x: int, belief: Floats) -> tuple[float, float]:
-        """Give both bounds at a belief."""
+        """Return the lower and upper bound at a belief."""
         belief = _own(belief)
-        lower, _ = hsvi.lower(x, belief, self.plans)
+        lower, _ = hsvi.lower(x, belief, self.vectors)
         upper = hsvi.upper(x, belief, self.hull, hsvi.new_room(len(belief)))
         return lower - ROUNDING * abs(lower), upper + ROUNDING * abs(upper)
 
     def make_room(self, memory_limit_mb: float) -> bool:
-        """Double what is nearly full, if the limit allows it."""
+        """Double the capacity of arrays that are nearly full; return False if the memory limit forbids it."""
         limit = memory_limit_mb * 1e6
         if self.memory() > limit:
             return False
-        needed = max(hsvi.DEPTH, int(self.plans.live.max()))
-        for name in ("plans", "hull"):
+        needed = max(self.options.depth, int(self.vectors.live.max()))
+        per_state = ("corner", "head", "live", "limit", "space")  # these arrays do not grow
+        for name in ("vectors", "hull"):
             store = getattr(self, name)
             capacity = len(store.after)
             if capacity - store.space[0] > needed:
                 continue
             growing = [
-                field for field in store._fields if len(getattr(store, field)) == capacity and field not in FIXED
+                field for field in store._fields if len(getattr(store, field)) == capacity and field not in per_state
             ]
-            # While an array is copied, the old one and the new one are there.
+            # While an array is copied, both copies are in memory.
             if self.memory() + sum(getattr(store, field).nbytes for field in growing) > limit:
                 return False
             for field in growing:
@@ -362,11 +390,15 @@ class _Search:
         return True
 
     def memory(self) -> int:
-        """Give the bytes that vectors and beliefs take."""
-        return sum(array.nbytes for store in (self.plans, self.hull) for array in store)
+        """Return the memory of vectors and beliefs in bytes."""
+        return sum(array.nbytes for store in (self.vectors, self.hull) for array in store)
 
     def improve(self, x: int, belief: Floats, target: float, gap: float) -> int:
-        """Do some backups, and return how many: of trials, and of all there is once trials have done as many."""
+        """Do some backups, and return their number.
+
+        They repeat all stored backups once the trials have done as many as the hull has beliefs; otherwise they are
+        trials.
+        """
         if self.renewed == len(self.order) and self.tried > self.hull.space[0]:
             self.renewed = self.tried = 0
         done = self.renew(self.fineness[0] * gap)
@@ -377,43 +409,53 @@ class _Search:
         return done
 
     def renew(self, step: float) -> int:
-        """Go on with backing everything up again; gains up to `step` are no reason for another vector."""
+        """Continue the repetition of stored backups; return the number of backups.
+
+        Improvements up to `step` add no vector.
+        """
         self.renewed, done = hsvi.renew(
-            self.renewed, self.order, step, BACKUPS, self.path, self.plans, self.hull, self.q, self.arrays
-        )
+            self.renewed, self.order, step, self.options.backups_per_check, self.trial, self.vectors, self.hull,
+            self.q, self.arrays,
+        )  # fmt: skip
         return done
 
     def trials(self, x: int, belief: Floats, target: float) -> int:
-        """Improve the bounds by some trials."""
+        """Improve the bounds by some trials; return the number of backups."""
         return hsvi.trials(
-            x, _own(belief), target, BACKUPS, self.fineness, self.rng, self.path, self.plans, self.hull, self.q,
-            self.arrays,
+            x, _own(belief), target, self.options.backups_per_check, self.fineness, self.rng, self.trial, self.vectors,
+            self.hull, self.q, self.arrays,
         )  # fmt: skip
 
     def widen(
         self, states: NDArray[np.int64], beliefs: Floats, gap: float, until: float, memory_limit_mb: float
     ) -> None:
-        """Improve the bounds at beliefs: each by one backup, then by trials from those where that goes on to gain."""
+        """Improve the bounds at further beliefs.
+
+        Each belief gets one upper backup, then rounds of trials. A belief stays in the rounds while 60 backups of
+        trials reduce its gap by more than 5 %. The numbers balance the effort between the beliefs.
+        """
         flat = np.array(beliefs, dtype=float).reshape(len(states), -1)
-        states, step = np.array(states, dtype=np.int64), FINEST * abs(self.bounds(int(states[0]), flat[0])[0])
-        fineness = np.array(MET_FINENESS)
+        states = np.array(states, dtype=np.int64)
+        step = self.options.finest * abs(self.bounds(int(states[0]), flat[0])[0])
+        finest = (0.01, 0.05)  # coarser than at the root, since there are many beliefs
+        fineness = np.array(finest)
 
         def once() -> None:
             at = 0
             while at < len(states) and self.make_room(memory_limit_mb):
-                at, _ = hsvi.lower_at(at, states, flat, step, self.path, self.hull, self.q, self.arrays)
+                at, _ = hsvi.lower_at(at, states, flat, step, self.trial, self.hull, self.q, self.arrays)
 
         def gains(i: int) -> bool:
             below, above = self.bounds(int(states[i]), flat[i])
             if relative_gap(below, above) <= gap:
                 return False
-            fineness[:] = MET_FINENESS
+            fineness[:] = finest
             hsvi.trials(
-                int(states[i]), flat[i], gap * abs(below), MET_BACKUPS, fineness, self.rng, self.path, self.plans,
+                int(states[i]), flat[i], gap * abs(below), 60, fineness, self.rng, self.trial, self.vectors,
                 self.hull, self.q, self.arrays,
             )  # fmt: skip
             lower, upper = self.bounds(int(states[i]), flat[i])
-            return upper - lower < (1 - MET_GAIN) * (above - below)
+            return upper - lower < 0.95 * (above - below)
 
         once()
         left = list(range(len(states)))
@@ -429,12 +471,12 @@ class _Search:
         once()
 
     def solution(self, **facts: object) -> Solution:
-        """Collect the result, sorted by state."""
+        """Return the result, sorted by state."""
         pomdp, states = self.pomdp, len(self.pomdp.robot_actions)
         shape = (-1, *pomdp.grid.shape)
-        kept, first = _sorted(self.plans.state, states)
+        kept, first = _sorted(self.vectors.state, states)
         policy = VectorPolicy(
-            pomdp, self.plans.vector[kept].reshape(shape), self.plans.robot[kept].astype(np.int64), first
+            pomdp, self.vectors.vector[kept].reshape(shape), self.vectors.robot[kept].astype(np.int64), first
         )
         kept, first = _sorted(self.hull.state, states)
         return Solution(
@@ -444,15 +486,12 @@ class _Search:
 
 
 def _own(belief: Floats) -> Floats:
-    """Give a flat copy that is not read-only: what is compiled for one kind of array is not compiled for another."""
+    """Return a flat, writable copy. Compiled code is compiled separately for read-only arrays."""
     return np.array(belief).reshape(-1)
 
 
-FIXED = ("corner", "head", "live", "limit", "space")
-
-
 def _sorted(state: NDArray[np.int32], states: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Give the used places in the order of their states, and each state's first."""
+    """Return the used entries in the order of their states, and the offset of each state."""
     used = np.flatnonzero(state >= 0)
     used = used[np.argsort(state[used], kind="stable")]
     return used, np.searchsorted(state[used], np.arange(states + 1))

@@ -1,7 +1,7 @@
-"""The cost of suggestions from which on downwards a policy makes one.
+"""The suggestion threshold: the largest cost of a suggestion at which a policy makes one.
 
-What a suggestion is worth depends on the cost of later ones. So the threshold cannot be read off a policy: lower costs
-are tried, each with a policy that is solved for it, until a suggestion is made.
+The value of a suggestion depends on the cost of later suggestions, so that the threshold cannot be read off one policy.
+The search tries lower costs, each with a policy that is solved for that cost.
 """
 
 from __future__ import annotations
@@ -12,17 +12,11 @@ from dataclasses import dataclass
 
 from .solver import Solution, solve
 
-QUARTERS, FINER = 5, 3
-"""How often the cost is divided by four until a suggestion is made, and how often the last two costs are bisected."""
+SEARCHED_STATES = 20_000
+"""Total number of states, over all people's tasks, up to which lower costs are tried.
 
-MARGIN = 1e-3
-"""Cost units that suggestions have to gain in all, to count: more than the rounding of values."""
-
-ENOUGH = 0.01
-"""Relative gap at which a lower cost is given up, if no suggestion has been found to be worth it."""
-
-LARGEST = 20_000
-"""States, of all people's tasks together, up to which lower costs are tried: solving these takes a few seconds."""
+One policy for so many states takes a few seconds to solve, and a search solves up to eight.
+"""
 
 
 @dataclass(frozen=True)
@@ -32,11 +26,11 @@ class SuggestionThreshold:
     Attributes
     ----------
     c_suggest : float
-        The cost of a suggestion at which it made none.
+        The cost of a suggestion, in cost units, at which the policy made none.
     worth_at : float or None
-        The largest cost of those tried at which the same policy makes one.
+        The largest tried cost at which the same policy makes a suggestion.
     searched : bool
-        Whether lower costs were tried. If so and `worth_at` is None, no suggestion is worth making even if it is free.
+        Whether lower costs were tried. If so and `worth_at` is None, the policy makes no suggestion even if it is free.
     """
 
     c_suggest: float
@@ -55,24 +49,27 @@ class SuggestionThreshold:
 def search_threshold(c_suggest: float, suggests: Callable[[float], bool] | None) -> SuggestionThreshold:
     """Return the threshold below a cost at which no suggestion is made.
 
+    The cost is divided by four up to five times. The last two costs then enclose the threshold, and three bisections on
+    a logarithmic scale narrow it to a factor of 4 ** (1 / 8), about 1.2. Costs are rounded to two digits.
+
     Parameters
     ----------
     c_suggest : float
-        The cost at which none is made.
+        Cost at which no suggestion is made, in cost units.
     suggests : callable or None
-        Whether a suggestion is made at a lower cost; None where that would take too long to find out.
+        Returns whether a suggestion is made at a lower cost; None if this would take too long.
     """
     if suggests is None:
         return SuggestionThreshold(c_suggest, None, searched=False)
     high = c_suggest
-    for _ in range(QUARTERS if c_suggest else 0):
+    for _ in range(5 if c_suggest else 0):
         low = _rounded(high / 4)
         if suggests(low):
             break
         high = low
     else:
         return SuggestionThreshold(c_suggest, 0.0 if c_suggest and suggests(0.0) else None, searched=True)
-    for _ in range(FINER):
+    for _ in range(3):
         between = _rounded(math.sqrt(low * high))
         if low < between < high:
             low, high = (between, high) if suggests(between) else (low, between)
@@ -86,14 +83,15 @@ def _rounded(cost: float) -> float:
 def threshold_of(solution: Solution) -> SuggestionThreshold | None:
     """Return the threshold of one person's problem; None where a suggestion is worth its present cost.
 
-    It is None, too, where the solver was stopped before that was known. Each lower cost is tried for as many seconds as
-    the solution took, and at least one, unless the bounds decide it before.
+    The result is also None if the solver was stopped before this was known. The search spends on each lower cost as
+    many seconds as the solution took, but at least one. It ends earlier if the bounds decide the question.
 
     Parameters
     ----------
     solution : Solution
     """
-    alone = solution.value_never + MARGIN  # it does not depend on the cost of suggestions
+    # The value without suggestions does not depend on their cost. A gain of 1e-3 cost units exceeds rounding errors.
+    alone = solution.value_never + 1e-3
     undecided = solution.stopped in ("time", "memory") and solution.upper > alone
     if solution.lower > alone or undecided:
         return None
@@ -106,15 +104,16 @@ def threshold_of(solution: Solution) -> SuggestionThreshold | None:
 
         try:
             limit = max(1.0, solution.seconds)
-            return solve(pomdp.priced(c_suggest), gap=ENOUGH, time_limit=limit, bounds=check).lower > alone
+            # At a relative gap of 1 % without a decision, no suggestion is worth the cost for practical purposes.
+            return solve(pomdp.priced(c_suggest), gap=0.01, time_limit=limit, bounds=check).lower > alone
         except _Decided as found:
             return found.suggests
 
-    return search_threshold(pomdp.c_suggest, suggests if len(pomdp.robot_actions) <= LARGEST else None)
+    return search_threshold(pomdp.c_suggest, suggests if len(pomdp.robot_actions) <= SEARCHED_STATES else None)
 
 
-class _Decided(Exception):  # noqa: N818  it ends a search and is no error
-    """The bounds decide whether a suggestion is made."""
+class _Decided(Exception):  # noqa: N818  it ends a search and does not report an error
+    """Raised when the bounds decide whether a suggestion is made."""
 
     def __init__(self, suggests: bool) -> None:
         super().__init__(suggests)

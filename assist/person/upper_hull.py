@@ -1,16 +1,18 @@
-"""The upper bound of a solution at given beliefs: the least that its points prove.
+"""The upper bound of a solution at given beliefs: the lowest value that its points imply.
 
-`hsvi` says how points with known bounds bound the value at another belief b, and gives up the linear program
+`hsvi` states and proves how points with known bounds bound the value function at another belief b. It stops after a few
+pivots of the linear program
 
-    minimise  sum_i w_i d_i   where  sum_i w_i b_i <= b,  w >= 0
+    minimise  sum_i w_i d_i   where  sum_i w_i b_i <= b,  w >= 0.
 
-after a few pivots. Here it is solved to the end, so that the bound is convex in the belief, up to rounding. In units of
-the weight that each point could carry alone, and of the entries of b, all numbers are between 0 and 1:
+This module solves the program to optimality, so that the bound is convex in the belief up to rounding. The weights are
+scaled by the weight that each point could carry alone, and the rows by the entries of b. Then all coefficients lie
+between 0 and 1:
 
-    minimise  c . u   where  A u + s = 1,  u >= 0,  s >= 0
+    minimise  c . u   where  A u + s = 1,  u >= 0,  s >= 0.
 
-The simplex method works on the table of that, condensed to the columns that are not in the basis. Whatever rounding
-does to the table, the weights are checked in the end: any that keep the two conditions give a bound.
+The simplex method works on the condensed tableau, which holds the nonbasic columns only. The final weights are checked
+against both conditions, so that rounding in the tableau cannot invalidate the bound.
 """
 
 from __future__ import annotations
@@ -23,16 +25,10 @@ from planner.system.jit import njit
 from ..people.decision import Floats
 from .qmdp import ROUNDING
 
-PIVOTS = (
-    5000  # hardly ever more than a hundred are needed; a bound that stops short, should they go in circles, is valid
-)
-NEGLIGIBLE = 1e-14  # share of the bound that a point, or a pivot, must be able to take off
-LEAST = 1e-12  # an entry of the table that is pivoted on
-SLANT = 1e-11  # the right-hand sides are moved apart by this, so that no two points leave the basis at once
-ABSENT = 1e-100  # share of the mass that is added to each entry of b, so that none is 0: far below rounding
+PIVOTS = 5000  # limit against cycling; rarely more than a hundred are needed, and the bound is valid after any number
 
 
-# Sums may be taken in any order: what that does to rounding is covered by the margin of each bound.
+# Reassociation lets the compiler vectorise the sums. The margin of each bound covers its effect on rounding.
 @njit(fastmath={"reassoc", "contract"})
 def uppers(
     value: Floats,
@@ -46,8 +42,8 @@ def uppers(
 ) -> None:
     """Fill in the upper bounds, shape (N,), of states at unnormalised beliefs, shape (N, H).
 
-    The points of state s, shape (H,) each, are those from `first[s]` to `first[s + 1]`, and the bound there is by
-    `drop` below what the corners of s, shape (H,), give.
+    The points of state s are `point[first[s] : first[s + 1]]`, shape (H,) each. `drop` is the bound at a point minus
+    the value of the corners of s, shape (H,), there.
     """
     size = beliefs.shape[1]
     weight, used = np.empty(size), np.empty(size, np.int64)
@@ -75,21 +71,25 @@ def weigh(
 ) -> int:
     """Fill in the weights, shape (H,), of the points that bound the value at an unnormalised belief, shape (H,).
 
-    They are among those from `begin` to `end`, and `base` is what the corners give. Returns how many are used.
+    The points considered are `point[begin:end]`, and `base` is the value of the corners at the belief. Return the
+    number of points with a weight; `used` holds them.
     """
     size, mass = len(belief), belief.sum()
+    absent = 1e-100  # share of the mass that is added to each entry of b, so that none is 0; far below rounding
+    negligible = 1e-14  # smallest improvement of a point, or of a pivot, as a share of the bound
+    slant = 1e-11  # perturbation of the right-hand sides, so that no two basic variables reach 0 at once
     table, left, inverse = np.empty((size + 1, end - begin + 1)), np.empty(size), np.empty(size)
     share, column = np.empty(end - begin), np.empty(end - begin, np.int64)
     basic, free = np.empty(size, np.int64), np.empty(end - begin, np.int64)
     for h in range(size):
-        left[h] = belief[h] + ABSENT * mass
+        left[h] = belief[h] + absent * mass
         inverse[h] = 1.0 / left[h] if left[h] > 0.0 else 0.0
     count = 0
     for i in range(begin, end):
         largest = 0.0
         for h in range(size):
             largest = max(largest, point[i, h] * inverse[h])
-        if largest > 0.0 and drop[i] < NEGLIGIBLE * base * largest:
+        if largest > 0.0 and drop[i] < negligible * base * largest:
             share[count], column[count] = 1.0 / largest, i
             count += 1
     for c in range(count):
@@ -97,9 +97,9 @@ def weigh(
     for h in range(size):
         for c in range(count):
             table[h, c] = share[c] * point[column[c], h] * inverse[h]
-        table[h, count], basic[h] = 1.0 - SLANT * (h + 1) / size, count + h
+        table[h, count], basic[h] = 1.0 - slant * (h + 1) / size, count + h
     table[size, count] = 0.0
-    _minimise(table, basic, free, count, -NEGLIGIBLE * abs(base), pivots)
+    _minimise(table, basic, free, count, -negligible * abs(base), pivots)
     found = 0
     for h in range(size):
         if basic[h] < count and table[h, count] > 0.0:
@@ -110,8 +110,8 @@ def weigh(
             found += 1
     scale = 1.0
     for h in range(size):
-        if left[h] < 0.0:  # then the weights are that much too large
-            entry = belief[h] + ABSENT * mass
+        if left[h] < 0.0:  # the weights violate this row and are scaled down
+            entry = belief[h] + absent * mass
             scale = min(scale, entry / (entry - left[h]))
     for j in range(found):
         weight[j] *= scale
@@ -122,9 +122,10 @@ def weigh(
 def _minimise(
     table: Floats, basic: NDArray[np.int64], free: NDArray[np.int64], count: int, enough: float, pivots: int
 ) -> None:
-    """Pivot until no column can take off more than `enough`, or so many times.
+    """Pivot until no column improves the objective by more than `enough`, or until the limit of pivots.
 
-    The rows are the variables `basic` and the costs, the columns the variables `free` and the right-hand sides.
+    The rows of the tableau are the basic variables and the objective. Its columns are the nonbasic variables `free` and
+    the right-hand sides.
     """
     rows = len(basic)
     for _ in range(pivots):
@@ -136,7 +137,8 @@ def _minimise(
             return
         r = -1
         for h in range(rows):
-            if table[h, c] > LEAST and (r < 0 or table[h, count] * table[r, c] < table[r, count] * table[h, c]):
+            # Smaller entries would amplify rounding errors.
+            if table[h, c] > 1e-12 and (r < 0 or table[h, count] * table[r, c] < table[r, count] * table[h, c]):
                 r = h
         if r < 0:
             return

@@ -1,4 +1,4 @@
-"""Pictures (extra `plots`)."""
+"""Figures (extra `plots`)."""
 
 from planner.system.lazy_imports import lazy_exports
 

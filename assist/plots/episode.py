@@ -1,4 +1,4 @@
-"""The picture of one episode: everybody's way to the goal, and what the robot did. Needs the extra `plots`."""
+"""The figure of one episode: each person's progress to the goal, and the robot's actions. Needs the extra `plots`."""
 
 from __future__ import annotations
 
@@ -6,30 +6,25 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from ..simulation.episodes import Episode, Trace
-from .style import BLUE, GREEN, GREY, ORANGE, require
+from .style import BLUE, GREEN, GREY, ORANGE, PAGE_WIDTH, require
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH, PANEL = 9.0, 1.9  # inches
-BESIDE = 1.02  # of a panel's width: where the words about a person begin, so that they cover nothing
-LINE = 0.19  # of a panel's height
-LONGEST_NAME = 80  # letters
-
 
 def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -> Figure:
-    """Draw one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
+    """Plot one episode: each person's cost-to-go over time, the suggestions, and where the robot was.
 
     Parameters
     ----------
     episode : Episode
-        Who was in the team.
+        The episode's people and totals.
     trace : list of dict
         The episode's actions, as `simulate` traces them.
     alone : list of dict, optional
-        Those of the same episode without a robot, drawn for comparison.
+        The actions of the same episode without a robot, plotted for comparison.
 
     Raises
     ------
@@ -43,7 +38,7 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
     places = sorted({row["place"] for row in trace})
     steps = max(row["step"] for row in trace) + 1
     alone_steps = max((row["step"] for row in alone or []), default=0) + 1
-    shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze all else
+    shown = max(steps, min(alone_steps, 2 * steps))  # a person in a trap would squeeze the rest
     highest = max(row["cost_to_go"] or 0 for row in [*trace, *(r for r in alone or [] if r["step"] < shown)])
     title = textwrap.fill(
         f"Episode {episode.episode} under the policy '{episode.policy}': {sum(episode.actions)} human actions, "
@@ -51,8 +46,8 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         100,
     )
     above = 0.55 + 0.2 * (title.count("\n") + 1)  # inches
-    height = above + 1.15 + PANEL * len(places)
-    figure = Figure(figsize=(WIDTH, height))
+    height = above + 1.15 + 1.9 * len(places)  # inches; 1.9 for each panel
+    figure = Figure(figsize=(PAGE_WIDTH, height))
     axes = figure.subplots(len(places), 1, sharex=True, squeeze=False)[:, 0]
     figure.subplots_adjust(left=0.08, right=0.78, top=1 - above / height, bottom=1.15 / height, hspace=0.35)
     figure.suptitle(title, fontsize=11, y=1 - 0.2 / height, va="top")
@@ -67,14 +62,14 @@ def episode_figure(episode: Episode, trace: Trace, alone: Trace | None = None) -
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
-    axes[len(axes) // 2].set_ylabel("cost still to go, at best")
+    axes[len(axes) // 2].set_ylabel("cost-to-go")
     axes[-1].set_xlabel("step (in each, every person acts once)")
     figure.legend(handles=_entries(bool(alone)), loc="lower center", ncols=3, frameon=False, fontsize=9)
     return figure
 
 
 def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
-    """Draw one person's way with the robot and without it, the suggestions, and when the robot was there."""
+    """Plot one person's cost-to-go with the robot and without it, the suggestions, and when the robot was there."""
     for step in {row["step"] for row in rows if row["robot_place"] == place}:
         axis.axvspan(step, step + 1, color=ORANGE, alpha=0.22, linewidth=0)
     _line(axis, alone, GREY, "--", 1.3)
@@ -92,30 +87,31 @@ def _panel(axis: Axes, place: int, rows: Trace, alone: Trace) -> None:
 
 
 def _about(axis: Axes, episode: Episode, place: int, rows: Trace, alone: Trace) -> None:
-    """Write beside a panel who it is, and after how many actions they had done it, with the robot and without."""
+    """Write the person's parameters and number of actions, with the robot and without it, next to a panel."""
     beta, theta, sigma = (values[place] for values in (episode.beta, episode.theta, episode.sigma))
     lines = [
         (f"expertise β = {beta:.2f}", "#555555"),
-        (f"influence θ = {theta:.2f} at first", "#555555"),
+        (f"initial influence θ = {theta:.2f}", "#555555"),
         (f"misconception σ = {sigma:.2f}", "#555555"),
         (f"{_ending(rows)} action{'s' * (len(rows) != 1)}", BLUE),
     ]
     if alone:
         lines.append((f"alone {_ending(alone)}", GREY))
     for number, (text, color) in enumerate(lines):
-        axis.text(BESIDE, 1 - LINE * number, text, transform=axis.transAxes, va="top", fontsize=9, color=color)
+        # Right of the panel, as fractions of its width and height.
+        axis.text(1.02, 1 - 0.19 * number, text, transform=axis.transAxes, va="top", fontsize=9, color=color)
 
 
 def _ending(rows: Trace) -> str:
-    return f"{'done' if rows[-1]['cost_to_go_after'] == 0 else 'not done'} after {len(rows)}"
+    return f"{'finished' if rows[-1]['cost_to_go_after'] == 0 else 'not finished'} after {len(rows)}"
 
 
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
+def _short(name: str, most: int = 80) -> str:
+    return name if len(name) <= most else f"{name[: most - 1]}…"
 
 
 def _entries(alone: bool) -> list[Artist]:
-    """Give the entries of the legend."""
+    """Return the entries of the legend."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -123,14 +119,14 @@ def _entries(alone: bool) -> list[Artist]:
     return [
         Line2D([], [], color=BLUE, linewidth=2, label="with the robot"),
         *([Line2D([], [], color=GREY, linewidth=1.3, linestyle="--", label="the same people, alone")] if alone else []),
-        Patch(color=ORANGE, alpha=0.22, label="the robot is here"),
-        Line2D([], [], **told, label="suggestion, taken"),  # type: ignore[arg-type]
-        Line2D([], [], **told, markerfacecolor="white", label="suggestion, not taken"),  # type: ignore[arg-type]
+        Patch(color=ORANGE, alpha=0.22, label="robot present"),
+        Line2D([], [], **told, label="suggestion, followed"),  # type: ignore[arg-type]
+        Line2D([], [], **told, markerfacecolor="white", label="suggestion, not followed"),  # type: ignore[arg-type]
     ]
 
 
 def _line(axis: Axes, rows: Trace, color: str, style: str, width: float) -> None:
-    """Draw a person's cost-to-go at every step, the end of their last action included."""
+    """Plot a person's cost-to-go at every step, including the end of the last action."""
     if rows:
         x = [row["step"] for row in rows] + [rows[-1]["step"] + 1]
         y = [row["cost_to_go"] for row in rows] + [rows[-1]["cost_to_go_after"]]

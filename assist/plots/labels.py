@@ -1,6 +1,6 @@
-"""Words in a picture where they cover nothing: beside the ends of curves, and around points.
+"""Placement of text in figures without overlap: next to the ends of curves, and around points.
 
-Both are placed once all else is drawn and the figure's layout is known.
+Texts are placed after everything else is drawn and the figure's layout is known.
 """
 
 from __future__ import annotations
@@ -19,23 +19,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Annotation
 
-LINE = 10.5  # points from a line of words to the next
-FONT = 8.5
-NOTE_FONT = 8
-DISTANCES = (6, 14, 24)  # points from a point to its words: the nearest place that is free
-SAMPLES = 60  # of each straight piece of a curve, to see what words would cover
+FONT, NOTE_FONT = 8.5, 8  # points
+SAMPLES = 60  # samples of each line segment, to detect overlap with text
 
 
 @dataclass(frozen=True)
 class Note:
-    """Words, and the point (in data coordinates) that they belong to.
+    """A text and the point (in data coordinates) that it belongs to.
 
     Attributes
     ----------
     text : str
     x, y : float
     color : str
-        Of the line that ties them to it.
+        Colour of the line between them.
     """
 
     text: str
@@ -45,7 +42,7 @@ class Note:
 
 
 def name_curves(figure: Figure, ends: Mapping[Axes, Sequence[Note]]) -> None:
-    """Put names beside the ends of curves, right of each panel, moved apart as far as they need and tied to them."""
+    """Write the names of curves to the right of each panel, connected to their ends and without overlap."""
     from scipy.optimize import isotonic_regression
 
     figure.draw_without_rendering()
@@ -53,11 +50,12 @@ def name_curves(figure: Figure, ends: Mapping[Axes, Sequence[Note]]) -> None:
         if not own:
             continue
         low, high = axis.get_ylim()
+        # In data units, for a line spacing of 10.5 points.
         lines = max(note.text.count("\n") + 1 for note in own)
-        gap = LINE * lines * (high - low) / (axis.get_window_extent().height * 72 / figure.dpi)
+        gap = 10.5 * lines * (high - low) / (axis.get_window_extent().height * 72 / figure.dpi)
         order = sorted(own, key=lambda note: note.y)
         steps = gap * np.arange(len(order))
-        # Ascending by `gap` at least, and otherwise as near to the ends as least squares can be.
+        # The heights that are closest to the ends in the least-squares sense, with distances of at least `gap`.
         heights = isotonic_regression(np.array([note.y for note in order]) - steps).x + steps
         axis.set_ylim(low, high)
         for note, height in zip(order, heights, strict=True):
@@ -72,14 +70,15 @@ def name_curves(figure: Figure, ends: Mapping[Axes, Sequence[Note]]) -> None:
 
 
 def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
-    """Write beside points, in the nearest place around each where the words cover least; far words are tied to it."""
+    """Write notes next to their points, where they cover least. Distant notes are connected to their points."""
     from matplotlib.text import Text
 
     figure.draw_without_rendering()
+    distances = (6, 14, 24)  # points from a mark to its text; the nearest free place is used
     for axis, own in notes.items():
         covered = _ink(axis)
         room = axis.get_window_extent()
-        written: list[tuple[Floats, Floats]] = []  # middle and size of each, in pixels
+        written: list[tuple[Floats, Floats]] = []  # centre and size of each, in pixels
         for note in own:
             words = _words(axis, note)
             box = Text.get_window_extent(words)  # without the line to the point
@@ -87,7 +86,7 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
             at = axis.transData.transform((note.x, note.y))
             places = [
                 (distance, right, up)
-                for distance, right, up in product(DISTANCES, (1, 0, -1), (1, 0, -1)) if right or up
+                for distance, right, up in product(distances, (1, 0, -1), (1, 0, -1)) if right or up
             ]  # fmt: skip
             pixels = figure.dpi / 72
             middles = [at + np.array([right, up]) * (size / 2 + distance * pixels) for distance, right, up in places]
@@ -98,7 +97,7 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
                 )
                 over = sum(bool((np.abs(other - middle) < (size + its) / 2 + pixels).all()) for other, its in written)
                 lines = (np.abs(covered - middle) < size / 2 + pixels).all(axis=1).sum()
-                tie = np.linspace(at, middle, SAMPLES if distance > DISTANCES[0] else 0)
+                tie = np.linspace(at, middle, SAMPLES if distance > distances[0] else 0)
                 over += sum(bool((np.abs(tie - other) < its / 2 + pixels).all(axis=1).any()) for other, its in written)
                 hidden.append(len(covered) * (over + out.any()) + lines + distance / 10)
             best = int(np.argmin(hidden))
@@ -106,7 +105,7 @@ def note_points(figure: Figure, notes: Mapping[Axes, Sequence[Note]]) -> None:
             written.append((middles[best], size))
             words.set(ha=("center", "left", "right")[right], va=("center", "bottom", "top")[up])
             words.xyann = (distance * right, distance * up)
-            if distance > DISTANCES[0]:
+            if distance > distances[0]:
                 covered = np.concatenate([covered, np.linspace(at, middles[best], SAMPLES)])
             elif words.arrow_patch is not None:
                 words.arrow_patch.set_visible(False)
@@ -123,7 +122,7 @@ def _words(axis: Axes, note: Note) -> Annotation:
 
 
 def _ink(axis: Axes) -> Floats:
-    """Give points of all that is drawn, close to each other, in pixels, shape (n, 2)."""
+    """Return dense samples of everything that is drawn, in pixels, shape (n, 2)."""
     from matplotlib.collections import LineCollection
 
     drawn = [np.asarray(line.get_xydata(), dtype=float) for line in axis.get_lines()]
@@ -131,7 +130,7 @@ def _ink(axis: Axes) -> Floats:
         np.asarray(part, dtype=float)
         for bars in axis.collections if isinstance(bars, LineCollection) for part in bars.get_segments()
     ]  # fmt: skip
-    # An interval of a single pool has no ends.
+    # The interval of a single pool is NaN.
     lines = [axis.transData.transform(points) for points in drawn if points.ndim == 2 and np.isfinite(points).all()]
     pieces = [np.linspace(start, end, SAMPLES) for line in lines for start, end in pairwise(line)]
     return np.concatenate([*pieces, *lines, np.empty((0, 2))])

@@ -1,4 +1,4 @@
-"""Pictures of what was learned from people's actions. Needs the extra `plots`."""
+"""Figures of what was estimated from people's actions. Needs the extra `plots`."""
 
 from __future__ import annotations
 
@@ -18,12 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_PEOPLE = 60  # in a picture with a line or a panel for each
-MOST_PANELS = 12
-
 
 def draw(fits: list[Fit], folder: Path) -> list[Path]:
-    """Write the pictures into a folder; return their files.
+    """Write the figures to a folder; return their files.
 
     Raises
     ------
@@ -44,7 +41,7 @@ def draw(fits: list[Fit], folder: Path) -> list[Path]:
 
 
 def draw_comparison(comparison: Comparison, folder: Path) -> Path:
-    """Write the picture of a comparison of choice models into a folder; return its file.
+    """Write the figure of a comparison of choice models to a folder; return its file.
 
     Raises
     ------
@@ -58,7 +55,7 @@ def draw_comparison(comparison: Comparison, folder: Path) -> Path:
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw how well each choice model predicts people whom it was not fitted to, and whom of them better.
+    """Plot the held-out prediction error of each choice model, and its difference for each person.
 
     Parameters
     ----------
@@ -76,7 +73,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
             spread = np.linspace(-0.28, 0.28, len(less))[np.argsort(np.argsort(less))]
             people.scatter(less, row + spread, s=9, color=np.where(less > 0, GREEN, ORANGE), linewidths=0)
     means.set_yticks(rows, [model.model for model in comparison.models])
-    means.set(xlabel="nats per choice of people left out, with 95 % interval", ylim=(-0.6, len(rows) - 0.4))
+    means.set(xlabel="nats per choice of held-out people, with 95 % interval", ylim=(-0.6, len(rows) - 0.4))
     people.set_yticks(rows, [""] * len(rows))
     people.set(xlabel=f"less than {reference.model}, one mark per person", ylim=(-0.6, len(rows) - 0.4))
     people.axvline(0.0, color=GREY, linewidth=1)
@@ -97,7 +94,7 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def calibration_figure(fits: list[Fit]) -> Figure:
-    """Draw how often choices of each predicted probability were made.
+    """Plot the observed frequency of choices against their predicted probability.
 
     Parameters
     ----------
@@ -113,23 +110,25 @@ def calibration_figure(fits: list[Fit]) -> Figure:
     for x, y, count in zip(c.predicted, c.observed, c.count, strict=True):
         axis.annotate(f"{count:.0f}", (x, y), xytext=(7, -11), textcoords="offset points", fontsize=8, color="#555555")
     axis.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), xlabel="predicted probability of a choice", ylabel="share chosen")
-    axis.set_title("Predicted and observed choices (numbers: choices that could be made)", fontsize=10)
+    axis.set_title("Predicted and observed choices (numbers: applicable actions)", fontsize=10)
     axis.legend(frameon=False, loc="upper left")
     return figure
 
 
-def expertise_figure(fits: list[Fit]) -> Figure:
-    """Draw beta with its interval for each person, and theta where it is known.
+def expertise_figure(fits: list[Fit], most: int = 60) -> Figure:
+    """Plot beta with its interval for each person, and theta where it is known.
 
     Parameters
     ----------
     fits : list of Fit
+    most : int
+        Largest number of people, each with a line; more cannot be read.
     """
     from matplotlib.figure import Figure
 
     shown = sorted(fits, key=lambda f: (f.beta.value, f.beta.interval[0]))
-    if len(shown) > MOST_PEOPLE:  # evenly over all
-        shown = [shown[i] for i in np.linspace(0, len(shown) - 1, MOST_PEOPLE).astype(int)]
+    if len(shown) > most:  # an even selection over the whole range
+        shown = [shown[i] for i in np.linspace(0, len(shown) - 1, most).astype(int)]
     columns = 2 if any(f.theta is not None for f in shown) else 1
     figure = Figure(figsize=(4.7 * columns + 1, 1.3 + 0.24 * max(len(shown), 4)), layout="constrained")
     axes = figure.subplots(1, columns, sharey=True, squeeze=False)[0]
@@ -152,14 +151,14 @@ def expertise_figure(fits: list[Fit]) -> Figure:
     axes[0].set_xlabel("expertise β, per cost unit (arrow: not bounded above)")
     axes[0].set_yticks(rows, [f.observations.person for f in shown], fontsize=8)
     if columns == 2:
-        axes[1].set(xlim=(0, 1), xlabel="influence θ at the beginning")
+        axes[1].set(xlim=(0, 1), xlabel="initial influence θ")
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else f"{len(fits)} people"
     figure.suptitle(f"Estimates with {100 * fits[0].method.level:g} % intervals, {number}", fontsize=10)
     return figure
 
 
 def errors_figure(fits: list[Fit]) -> Figure:
-    """Draw beta against the share of suboptimal actions.
+    """Plot beta against the share of suboptimal actions.
 
     Parameters
     ----------
@@ -184,20 +183,22 @@ def errors_figure(fits: list[Fit]) -> Figure:
     return figure
 
 
-def episodes_figure(fits: list[Fit]) -> Figure:
-    """Draw the cost-to-go along each person's episodes, and the suggestions.
+def episodes_figure(fits: list[Fit], most: int = 12) -> Figure:
+    """Plot the cost-to-go along each person's episodes, and the suggestions.
 
     Parameters
     ----------
     fits : list of Fit
+    most : int
+        Largest number of people, each with a panel.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
     shown = fits
-    if len(fits) > MOST_PANELS:  # from the least to the most expert
+    if len(fits) > most:  # from the least to the most expert person
         order = sorted(fits, key=lambda f: f.beta.value)
-        shown = [order[i] for i in np.linspace(0, len(order) - 1, MOST_PANELS).astype(int)]
+        shown = [order[i] for i in np.linspace(0, len(order) - 1, most).astype(int)]
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     figure = Figure(figsize=(3.6 * columns, 0.6 + 2.3 * rows), layout="constrained")
@@ -224,9 +225,9 @@ def episodes_figure(fits: list[Fit]) -> Figure:
         axis.spines[["top", "right"]].set_visible(False)
         axis.grid(axis="y", alpha=0.3)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes[0].set_ylim(bottom=0)  # shared, and only now: a limit stops the scaling
+    axes[0].set_ylim(bottom=0)  # shared by all axes; set last, since limits stop automatic scaling
     number = f"{len(shown)} of {len(fits)} people" if len(shown) < len(fits) else "all people"
-    figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled where taken", fontsize=10)
+    figure.suptitle(f"Episodes of {number}; triangles: suggestions, filled if followed", fontsize=10)
     figure.supxlabel("action", fontsize=9)
-    figure.supylabel("cost still to go, at best", fontsize=9)
+    figure.supylabel("cost-to-go", fontsize=9)
     return figure

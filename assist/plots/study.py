@@ -1,7 +1,7 @@
-"""Pictures of a study: team sizes, savings, kinds of people, costs, beliefs. Needs the extra `plots`.
+"""Figures of a simulation study: team sizes, savings, kinds of people, costs and beliefs. Needs the extra `plots`.
 
-Each takes a data frame with a row for each mark. What published figures are to be marked beside is given as data: no
-picture knows any of its own.
+Each function takes a data frame with a row for each mark. Published values for comparison are arguments; no function
+contains any.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from .style import (
     BLUE,
     GREEN,
     ORANGE,
+    PAGE_WIDTH,
     SKY,
     THICK,
     THIN,
@@ -37,9 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-WIDTH = 9.0  # inches
-MOST_COSTS = 6  # that are all written beside a policy's points
-UPRIGHT = 6  # kinds of people from which on their names stand upright
 MEASURES = {"actions": "human actions per person", "interventions": "robot interventions per episode"}
 COMPARISONS = {
     "actions against none": PolicyLook(BLUE, "o"),
@@ -50,12 +48,12 @@ COMPARISONS = {
 
 @styled
 def team_size_figure(cells: DataFrame) -> Figure:
-    """Draw actions and interventions against the number of people.
+    """Plot actions and interventions against the number of people.
 
     Parameters
     ----------
     cells : DataFrame
-        With the columns `instance`, `policy`, `humans`, `measure` (see `MEASURES`), `mean`, `sd`, `low`, `high`, `n`.
+        Columns `instance`, `policy`, `humans`, `measure` (see `MEASURES`), `mean`, `sd`, `low`, `high`, `n`.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -91,24 +89,24 @@ def category_figure(
     published: Sequence[tuple[Sequence[str], float]] = (),
     source: str = "published",
 ) -> Figure:
-    """Draw actions and interventions for kinds of people.
+    """Plot actions and interventions for kinds of people.
 
     Parameters
     ----------
     cells : DataFrame
-        With the columns `instance`, `policy`, `category`, `measure` (see `MEASURES`), `mean`, `sd`, `low`, `high`, `n`.
+        Columns `instance`, `policy`, `category`, `measure` (see `MEASURES`), `mean`, `sd`, `low`, `high`, `n`.
     categories : sequence of str
         The kinds, in the order in which they are shown.
     published : sequence of (categories, interventions)
-        What is marked for comparison.
+        Published means, marked for comparison.
     source : str
-        Whose these are.
+        Name of their source.
     """
     shown = looks(cells["policy"])
     place = {name: number for number, name in enumerate(categories)}
     figure, rows = _panels(_names(cells), list(MEASURES), height=2.7)
     apart = _dodge(len(shown), 0.16)
-    upright = len(categories) >= UPRIGHT
+    upright = len(categories) >= 6  # fewer labels fit horizontally
     ticks = [textwrap.fill(name, 24 if upright else max(8, 64 // len(categories))) for name in categories]
     for instance, row in zip(_names(cells), rows, strict=True):
         for measure, axis in row.items():
@@ -140,20 +138,20 @@ def category_figure(
 
 @styled
 def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = None, source: str = "") -> Figure:
-    """Draw human actions against interventions, for all policies and costs.
+    """Plot human actions against interventions, for all policies and costs.
 
-    The axes follow the points; intervals that are much longer run out of the picture.
+    The axes are scaled to the points; much longer intervals are clipped.
 
     Parameters
     ----------
     points : DataFrame
-        With the columns `instance`, `policy`, `c_suggest`, `c_move`, and `actions` and `interventions` with
-        `_low` and `_high` of each.
+        Columns `instance`, `policy`, `c_suggest`, `c_move`, and `actions` and `interventions` with `_low` and `_high`
+        of each.
     published : mapping of str to float, optional
-        Savings in percent by the names of `COMPARISONS`. It is marked where they would lead to from what the policies
-        `none` and `reactive` need here.
+        Published savings in percent, by the names in `COMPARISONS`. Marks show these savings relative to the policies
+        `none` and `reactive` here.
     source : str
-        Whose these are.
+        Name of their source.
     """
     shown = looks(points["policy"])
     instances = _names(points)
@@ -176,7 +174,7 @@ def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = 
         axis.grid()
     entries: list[Artist] = [sample(name, look) for name, look in shown.items()]
     if any("against" in note.text for own in notes.values() for note in own):
-        entries.append(entry(f"savings of {source}, from the baselines here", marker="*", markersize=9))
+        entries.append(entry(f"savings of {source}, relative to the baselines here", marker="*", markersize=9))
     if np.isfinite(points["actions_high"].to_numpy(dtype=float)).any():
         entries.append(entry("95 % intervals of the mean", **THIN))
     entries.append(entry("cost of suggesting, of moving", marker="$0,0$", markersize=14, markeredgewidth=0))
@@ -187,17 +185,17 @@ def trade_off_figure(points: DataFrame, published: Mapping[str, float] | None = 
 
 @styled
 def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = None, source: str = "") -> Figure:
-    """Draw what a policy saves against the number of people.
+    """Plot a policy's savings against the number of people.
 
     Parameters
     ----------
     cells : DataFrame
-        With the columns `instance`, `humans`, `comparison` (`COMPARISONS`, or any), `mean`, `low`, `high`, the last
-        three in percent.
+        Columns `instance`, `humans`, `comparison` (`COMPARISONS`, or others), `mean`, `low`, `high`, the last three in
+        percent.
     published : mapping of str to float, optional
-        Savings over all team sizes, by comparison, that are marked beside.
+        Published savings over all team sizes, by comparison.
     source : str
-        Whose these are.
+        Name of their source.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -211,7 +209,7 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
         first = cells["humans"].min() - 0.6
         for (comparison, look), shift in zip(shown.items(), _dodge(len(shown), 0.08), strict=True):
             own = cells[(cells["instance"] == instance) & (cells["comparison"] == comparison)]
-            own = own.dropna(subset=["mean"]).sort_values("humans")  # of nothing no share can be saved
+            own = own.dropna(subset=["mean"]).sort_values("humans")  # undefined if the baseline is 0
             if len(own):
                 x = own["humans"].to_numpy() + shift
                 axis.plot(x, own["mean"], color=look.color, linestyle=look.line, linewidth=1.4)
@@ -227,7 +225,7 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
         here = cells[cells["instance"] == instance]["mean"].dropna()
         if len(here):
             low, high = axis.get_ylim()
-            far = 2 * max(np.ptp([0, *here, *marked.values()]), 10)  # an interval of few pools would squeeze all else
+            far = 2 * max(np.ptp([0, *here, *marked.values()]), 10)  # intervals of few pools would squeeze the rest
             axis.set_ylim(max(low, min([0, *here]) - far), min(high, max([0, *here]) + far))
         axis.set_title(instance, loc="left", fontweight="bold")
         axis.set(xlabel="people in the team, K", ylabel="saving, %")
@@ -243,12 +241,12 @@ def benefit_figure(cells: DataFrame, published: Mapping[str, float] | None = Non
 
 @styled
 def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
-    """Draw what the robot believes about each person in the course of an episode, and what is true.
+    """Plot the robot's belief about each person over the course of an episode, and the true values.
 
     Parameters
     ----------
     beliefs, episode
-        As `beliefs_of_episode` gives them; `beliefs` as a DataFrame.
+        Results of `beliefs_of_episode`; `beliefs` as a DataFrame.
     """
     from matplotlib.patches import Patch
     from matplotlib.ticker import MaxNLocator
@@ -270,7 +268,7 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
             axis.plot(own["step"], own[f"{name}_true"], color=ink(), linestyle="--", linewidth=1.2)
             top = 1.0 if name == "theta" else float(np.nanmax(beliefs[["beta_high", "beta_true"]].to_numpy()))
             told = own["step"][own["suggestion"]]
-            # Below all values, where they hide nothing.
+            # Below all values, where marks hide nothing.
             axis.plot(told, np.full(len(told), -0.1 * top), linestyle="none", marker="^", markersize=5, color=GREEN)
             axis.set_ylim(-0.2 * top, 1.06 * top)
             axis.set_ylabel(hidden[name])
@@ -282,10 +280,10 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
         axis.set_xlabel("step")
     figure.suptitle(textwrap.fill(f"Episode {episode.episode} under the policy '{episode.policy}'", 100))
     entries = [
-        entry("believed, mean", color=BLUE, linewidth=1.8),
-        Patch(color=BLUE, alpha=0.3, label="believed, 5 % to 95 %"),
+        entry("posterior mean", color=BLUE, linewidth=1.8),
+        Patch(color=BLUE, alpha=0.3, label="posterior, 5 % to 95 %"),
         entry("true", linestyle="--", linewidth=1.2),
-        Patch(color=ORANGE, alpha=0.22, label="the robot is here"),
+        Patch(color=ORANGE, alpha=0.22, label="robot present"),
         entry("suggestion", color=GREEN, marker="^", markersize=5),
     ]
     legend_below(figure, entries)
@@ -293,17 +291,17 @@ def belief_figure(beliefs: DataFrame, episode: Episode) -> Figure:
 
 
 def _names(cells: DataFrame) -> list[str]:
-    """Give the instances in the order in which they come."""
+    """Return the instances in order of appearance."""
     return list(dict.fromkeys(cells["instance"]))
 
 
 def _panels(
     rows: Sequence[str], columns: Sequence[str], *, height: float, sharey: Any = False
 ) -> tuple[Figure, list[dict[str, Axes]]]:
-    """Make panels for each row, whose name is above the first of them, and column."""
+    """Return a figure with panels for each row and column, with the name of each row above its first panel."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, 0.6 + height * len(rows)), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.6 + height * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), len(columns), sharex="col", sharey=sharey, squeeze=False)
     for name, axis in zip(rows, axes[:, 0], strict=True):
         axis.set_title(name, loc="left", fontweight="bold")
@@ -311,11 +309,11 @@ def _panels(
 
 
 def _grid(panels: int, columns: int, *, height: float) -> tuple[Figure, list[Axes]]:
-    """Make so many panels, in rows."""
+    """Return a figure with the given number of panels, in rows."""
     from matplotlib.figure import Figure
 
     rows = -(-panels // columns)
-    figure = Figure(figsize=(WIDTH, 0.6 + height * rows), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.6 + height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes[panels:]:
         axis.set_visible(False)
@@ -323,7 +321,7 @@ def _grid(panels: int, columns: int, *, height: float) -> tuple[Figure, list[Axe
 
 
 def _dodge(count: int, gap: float) -> Sequence[float]:
-    """Give where to put so many things beside each other, around 0."""
+    """Return `count` horizontal offsets around 0."""
     gap = min(gap, 0.8 / count)
     return [gap * (i - (count - 1) / 2) for i in range(count)]
 
@@ -340,7 +338,7 @@ def _intervals(axis: Axes, x: Any, cell: DataFrame, look: PolicyLook) -> None:
 
 
 def _bars(axis: Axes, x: Any, low: Any, high: Any, look: PolicyLook, how: dict[str, Any], zorder: int = 2) -> None:
-    """Draw upright bars where both ends are known: a single episode has no deviation, a single pool no interval."""
+    """Draw vertical bars where both ends are known. One episode has no deviation, one pool no interval."""
     ends = np.stack([np.asarray(values, dtype=float) for values in (x, low, high)], axis=1)
     ends = ends[np.isfinite(ends).all(axis=1)]
     if len(ends):
@@ -348,21 +346,21 @@ def _bars(axis: Axes, x: Any, low: Any, high: Any, look: PolicyLook, how: dict[s
 
 
 def _from_nothing(axis: Axes, cells: DataFrame, *others: float) -> None:
-    """Let a panel begin at 0 and end above all means and deviations: intervals of few pools would squeeze all else."""
+    """Let a panel extend from 0 to above all means and deviations, even if intervals of few pools are longer."""
     tops = cells["mean"].to_numpy(dtype=float) + np.nan_to_num(cells["sd"].to_numpy(dtype=float))
     highest = max([*tops, *others], default=0.0)
     axis.set_ylim(0, min(axis.get_ylim()[1], 1.5 * highest) if highest > 0 else 1)
 
 
 def _around(values: Sequence[float]) -> tuple[float, float]:
-    """Give ends of an axis around counts, which are never negative."""
+    """Return the limits of an axis around counts, which are never negative."""
     low, high = min(values), max(values)
     margin = 0.12 * (high - low) or 0.1 * high or 1.0
     return max(low - margin, -0.04 * (high + margin)), high + margin
 
 
 def _what_bars_mean(cells: DataFrame) -> list[Artist]:
-    """Give the entries of a legend for what `_intervals` draws."""
+    """Return the legend entries of what `_intervals` draws."""
     fewest, most = int(cells["n"].min()), int(cells["n"].max())
     runs = f"{most} runs" if fewest == most else f"{fewest} to {most} runs"
     what = {
@@ -373,36 +371,36 @@ def _what_bars_mean(cells: DataFrame) -> list[Artist]:
 
 
 def _curve(axis: Axes, look: PolicyLook, own: DataFrame) -> list[Note]:
-    """Draw one policy's points, a line for each cost of moving; give some of the costs, to be written beside them."""
+    """Plot one policy's points, with a line for each cost of moving; return notes with the costs of some points."""
     x, y = own["interventions"].to_numpy(), own["actions"].to_numpy()
-    indifferent = len({*zip(x, y, strict=True)}) == 1  # costs do not change what the policy does
+    indifferent = len({*zip(x, y, strict=True)}) == 1  # costs do not change the policy's actions
     axis.hlines(y, own["interventions_low"], own["interventions_high"], color=look.color, **THIN)
     axis.vlines(x, own["actions_low"], own["actions_high"], color=look.color, **THIN)
-    # Where both costs grow together no cost of moving has a line of its own.
+    # If both costs vary together, no cost of moving has a line of its own.
     together = own["c_move"].is_unique or own["c_move"].nunique() == 1
     for line in [own] if together else [part for _, part in own.groupby("c_move")]:
         axis.plot(
             line["interventions"], line["actions"], color=look.color, linestyle=look.line, linewidth=1.4,
             marker=look.marker, markeredgecolor=axis.get_facecolor(), markeredgewidth=0.6,
-            # A policy that hardly ever helps comes to lie upon 'none', which is to show behind it.
+            # A policy that hardly ever helps coincides with 'none', which stays visible behind it.
             markersize=11 if indifferent else 6, zorder=3 if indifferent else 4,
         )  # fmt: skip
     if indifferent:
         return []
     return [
         Note(f"{own['c_suggest'].iloc[i]:g}, {own['c_move'].iloc[i]:g}", x[i], y[i], look.color)
-        for i in (range(len(own)) if len(own) <= MOST_COSTS else (0, len(own) // 2, len(own) - 1))
+        for i in (range(len(own)) if len(own) <= 6 else (0, len(own) // 2, len(own) - 1))
     ]
 
 
 def _published_points(points: DataFrame, published: Mapping[str, float]) -> list[Note]:
-    """Give where published savings would lead to from the baselines here, as far as both are known."""
+    """Return notes where published savings lead from the baselines here, as far as both are known."""
     base = {
         policy: points[points["policy"] == policy][["actions", "interventions"]].mean()
         for policy in ("none", "reactive") if (points["policy"] == policy).any()
     }  # fmt: skip
     fewer = published.get("interventions against reactive")
-    if fewer is None or "reactive" not in base:  # from nothing no intervention can be saved
+    if fewer is None or "reactive" not in base:  # undefined without interventions of the baseline
         return []
     x = (1 - fewer / 100) * base["reactive"]["interventions"]
     return [

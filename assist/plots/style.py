@@ -1,7 +1,7 @@
-"""How every picture looks: colours, what policies look like, legends, and how pictures are written to files.
+"""Common style of all figures: colours, marks of policies, legends, and output files.
 
-Text and axes have the colours of matplotlib's settings, so that pictures can be drawn for dark pages as well. Needs
-the extra `plots`.
+Text and axes have the colours of matplotlib's settings, so that figures can be drawn for dark pages as well. Needs the
+extra `plots`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 
-# Okabe and Ito's colours, which people with any colour vision tell apart.
+# Colours of Okabe and Ito, which can be distinguished with any colour vision.
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#8C8C8C"
 SKY, VERMILLION, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
 
+PAGE_WIDTH = 9.0  # inches, the text width of a landscape page
 FORMATS = (".png", ".svg", ".pdf")
 
 SETTINGS: dict[Any, Any] = {
@@ -43,7 +44,7 @@ THIN: dict[str, Any] = {"linewidth": 0.9, "alpha": 0.6}
 
 @dataclass(frozen=True)
 class PolicyLook:
-    """What a policy looks like in every picture: colour, marker and line differ at once."""
+    """Marks of a policy in every figure. Colour, marker and line differ together."""
 
     color: str
     marker: str
@@ -58,30 +59,27 @@ LOOKS = {
     "priority": PolicyLook(GREEN, "P"),
 }
 OTHERS = ((VERMILLION, "v"), (PURPLE, "X"), ("#999933", "<"), ("#A0522D", "p"))
-OTHER_LINES = ((0, (3, 1)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
 
 
 def looks(policies: Iterable[str]) -> dict[str, PolicyLook]:
-    """Give each policy its look, in the order in which they are drawn.
+    """Return the marks of each policy, in the order in which policies are drawn.
 
-    A name that is not known has the look that follows from it, or the next one where another such name of
-    the picture has that. They have different colours while there are colours.
+    An unknown name has marks that depend on the name only, or the next free ones if another unknown name has them.
+    Colours are distinct as long as there are enough.
     """
-    names = set(policies)
+    names, dashes = set(policies), ((0, (3, 1)), (0, (8, 2)), (0, (3, 1, 1, 1, 1, 1)))
     found = {name: look for name, look in LOOKS.items() if name in names}
     for name in sorted(names - set(LOOKS)):
         first = crc32(name.encode())
         taken = set(found.values())
-        wheel = (
-            PolicyLook(*OTHERS[(first + i) % len(OTHERS)], line) for line in OTHER_LINES for i in range(len(OTHERS))
-        )
+        wheel = (PolicyLook(*OTHERS[(first + i) % len(OTHERS)], line) for line in dashes for i in range(len(OTHERS)))
         free = (look for look in wheel if look not in taken)
         found[name] = next(free, PolicyLook(*OTHERS[first % len(OTHERS)]))
     return found
 
 
 def require() -> None:
-    """Check that pictures can be drawn.
+    """Check that figures can be drawn.
 
     Raises
     ------
@@ -89,11 +87,11 @@ def require() -> None:
         matplotlib is not installed.
     """
     if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("pictures need", "matplotlib", "plots")
+        raise MissingExtraError("figures need", "matplotlib", "plots")
 
 
 def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Draw with the settings of all these pictures."""
+    """Return a version of a drawing function that uses the common settings."""
 
     @wraps(draw)
     def with_settings(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -107,28 +105,28 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def ink() -> str:
-    """Give the colour of text on the present background."""
+    """Return the colour of text on the present background."""
     from matplotlib import rcParams
 
     return str(rcParams["text.color"])
 
 
 def entry(label: str, **how: Any) -> Artist:
-    """Give an entry in a legend: a line, or a marker without one unless asked for."""
+    """Return a legend entry: a line, or a marker without a line unless one is requested."""
     from matplotlib.lines import Line2D
 
     return Line2D([], [], **{"color": ink(), "linestyle": "none" if "marker" in how else "-", **how}, label=label)
 
 
 def sample(name: str, look: PolicyLook, *, line: bool = True) -> Artist:
-    """Give a policy's entry in a legend."""
+    """Return the legend entry of a policy."""
     return entry(
         name, color=look.color, marker=look.marker, linestyle=look.line if line else "none", markersize=6, linewidth=1.4
     )
 
 
 def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
-    """Put the legend below all panels, in as few rows as there is width for."""
+    """Add a legend below all panels, in as few rows as its width allows."""
     figure.align_ylabels()
     for columns in range(len(entries), 0, -1):
         legend = figure.legend(handles=entries, loc="outside lower center", ncols=columns)
@@ -138,25 +136,25 @@ def legend_below(figure: Figure, entries: Sequence[Artist]) -> None:
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Save a figure in the format that the file's name asks for, at once or not at all."""
+    """Save a figure in the format given by the file's suffix, atomically."""
     with atomic(file) as path:
         figure.savefig(path, dpi=150)
 
 
 def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str, *, dark: bool = True) -> list[Path]:
-    """Draw a figure twice, for light and for dark pages, and write each as PNG and SVG; return the files.
+    """Draw a figure for light and for dark pages, and write both as PNG and SVG; return the files.
 
     The same figure always gives the same files.
 
     Parameters
     ----------
     figure_of : callable
-        Draws it. It is called once for each background.
+        Draws the figure. It is called once for each background.
     folder : Path
     name : str
         The files are `name.png`, `name.svg`, `name-dark.png` and `name-dark.svg`.
     dark : bool
-        Whether there are dark pages; the last two are not drawn otherwise.
+        Whether to write the figures for dark pages.
     """
     require()
     from matplotlib import rc_context, style
@@ -174,5 +172,5 @@ def save_for_pages(figure_of: Callable[[], Figure], folder: Path, name: str, *, 
                 files.append(folder / f"{name}{suffix}{ending}")
                 with atomic(files[-1]) as path:
                     figure.savefig(path, dpi=150, metadata=metadata)
-                figure.set_layout_engine("none")  # laid out once; that takes a third of the time
+                figure.set_layout_engine("none")  # the layout is computed once, which saves a third of the time
     return files

@@ -1,6 +1,6 @@
-"""Pictures of a user study: measures by condition, differences from a reference, scales, dropouts. Needs `plots`.
+"""Figures of a user study: measures by condition, differences from a reference, scales and dropouts. Needs `plots`.
 
-Each takes rows as they stand in the study's summary.
+The functions take rows of the study's summary.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .style import BLUE, GREY, PolicyLook, ink, legend_below, looks, sample, styled
+from .style import BLUE, GREY, PAGE_WIDTH, PolicyLook, ink, legend_below, looks, sample, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,20 +18,17 @@ if TYPE_CHECKING:
 
 Rows = Sequence[Mapping[str, Any]]
 
-WIDTH = 9.0  # inches
-ACROSS = 3
-
 
 @styled
 def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
-    """Draw each measure by condition: a point for each participant, the mean with its 95 % interval beside them.
+    """Plot each measure by condition: a point for each participant, next to the mean with its 95 % interval.
 
     Parameters
     ----------
     measures : sequence of dict
-        With `measure`, `label`, and `cells` with `condition`, `n`, `mean`, `low`, `high`.
+        Keys `measure`, `label`, and `cells` with `condition`, `n`, `mean`, `low`, `high`.
     points : mapping of mapping of sequence of float
-        The participants' values by measure, then by condition.
+        The participants' values, by measure and condition.
     """
     shown = looks(cell["condition"] for cell in measures[0]["cells"])
     figure, axes = _panels(len(measures), 2.5)
@@ -40,7 +37,7 @@ def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[f
             look = shown[cell["condition"]]
             values = np.sort(points[measure["measure"]][cell["condition"]])
             spread = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(len(values))
-            order = np.argsort(np.arange(len(values)) * 0.618 % 1)  # neighbours apart, the same in every run
+            order = np.argsort(np.arange(len(values)) * 0.618 % 1)  # separates neighbours, in the same way in every run
             axis.plot(place - 0.12 + spread[order], values, ".", color=look.color, alpha=0.55, markersize=5)
             _interval(axis, place + 0.22, cell, look, vertical=True)
         axis.set_xticks(
@@ -55,12 +52,12 @@ def outcomes_figure(measures: Rows, points: Mapping[str, Mapping[str, Sequence[f
 
 @styled
 def differences_figure(measures: Rows, reference: str) -> Figure:
-    """Draw how far conditions are from the reference, with 95 % intervals; 0 is no difference.
+    """Plot the differences of conditions from the reference, with 95 % intervals.
 
     Parameters
     ----------
     measures : sequence of dict
-        With `label`, and `differences` with `condition`, `mean`, `low`, `high`, `hedges_g`.
+        Keys `label`, and `differences` with `condition`, `mean`, `low`, `high`, `hedges_g`.
     reference : str
     """
     names = [one["condition"] for one in max(measures, key=lambda one: len(one["differences"]))["differences"]]
@@ -86,22 +83,22 @@ def differences_figure(measures: Rows, reference: str) -> Figure:
 
 @styled
 def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], highest: float) -> Figure:
-    """Draw the items of a questionnaire by condition, means with 95 % intervals.
+    """Plot the items of a questionnaire by condition, as means with 95 % intervals.
 
     Parameters
     ----------
     questionnaire : dict
-        With `items`: `item`, `condition`, `mean`, `low`, `high`.
+        Key `items`, with `item`, `condition`, `mean`, `low`, `high`.
     texts : mapping of str to str
-        What each item is called.
+        Label of each item.
     highest : float
-        End of its scale.
+        Upper end of the scale.
     """
     from matplotlib.figure import Figure
 
     items = list(dict.fromkeys(row["item"] for row in questionnaire["items"]))
     shown = looks(row["condition"] for row in questionnaire["items"])
-    figure = Figure(figsize=(WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.9 + 0.55 * len(items)), layout="constrained")
     axis = figure.subplots()
     apart = np.linspace(0.27, -0.27, len(shown)) if len(shown) > 1 else np.zeros(1)
     for (name, look), shift in zip(shown.items(), apart, strict=True):
@@ -118,17 +115,17 @@ def scales_figure(questionnaire: Mapping[str, Any], texts: Mapping[str, str], hi
 
 @styled
 def flow_figure(flow: Rows) -> Figure:
-    """Draw how many participants reached each part of the procedure, and how many left there.
+    """Plot how many participants reached each stage of the procedure, and how many left there.
 
     Parameters
     ----------
     flow : sequence of dict
-        With `stage`, `reached`, `left`, `there`.
+        Keys `stage`, `reached`, `left`, `there`.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.7 + 0.36 * len(flow)), layout="constrained")
     axis = figure.subplots()
     for place, row in enumerate(flow):
         stay = row["reached"] - row["left"]
@@ -136,21 +133,21 @@ def flow_figure(flow: Rows) -> Figure:
         axis.barh(-place, row["left"], left=stay, color=GREY, height=0.6, alpha=0.6)
         said = [str(row["reached"])]
         said += [f"{row['left']} left"] if row["left"] else []
-        said += [f"{row['there']} there now"] if row["there"] else []
+        said += [f"{row['there']} present"] if row["there"] else []
         axis.annotate(", ".join(said), (row["reached"], -place), (5, 0), textcoords="offset points", va="center")
     axis.set_yticks([-place for place in range(len(flow))], [row["stage"] for row in flow])
     axis.set_xlim(0, 1.18 * max(1, flow[0]["reached"]))
     axis.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axis.set_xlabel("participants who reached this part; grey: left there")
+    axis.set_xlabel("participants who reached this stage (grey: left there)")
     return figure
 
 
 def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    columns = min(ACROSS, count)
+    columns = min(3, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(WIDTH, 0.3 + height * rows), layout="constrained")
+    figure = Figure(figsize=(PAGE_WIDTH, 0.3 + height * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     for axis in axes[count:]:
         axis.set_visible(False)

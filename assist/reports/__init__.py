@@ -1,4 +1,4 @@
-"""What studies found: statistics, wording, tables, figures and reports."""
+"""Reports of studies: statistics, wording, tables and figures."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""What a comparison of conditions shows, between groups or within participants: differences, effect sizes, power."""
+"""Comparisons of conditions, between groups or within participants: differences, effect sizes and power."""
 
 from __future__ import annotations
 
@@ -10,22 +10,20 @@ from scipy import optimize, stats
 
 from .statistics import IntervalEstimate, mean
 
-POWER = 0.8
-
 
 def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> IntervalEstimate:
-    """Give how much larger the mean of one group is than another's, with Welch's interval, for unequal variances.
+    """Return the difference of two groups' means, with Welch's interval for unequal variances.
 
     Parameters
     ----------
     a, b : float arrays, shapes (n,) and (m,)
-        A number for each participant. Of fewer than two in a group there is no interval, nor where nobody differs.
+        A value for each participant. There is no interval if a group has fewer than two, or if all variances are 0.
     """
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     value = float(x.mean() - y.mean()) if len(x) and len(y) else math.nan
     if min(len(x), len(y)) < 2 or x.var() + y.var() == 0:
         return IntervalEstimate(value, math.nan, math.nan)
-    # By hand: scipy's test warns where everybody in one group is alike, which here is no fault.
+    # Computed here, since scipy's test warns if all values of a group are equal, which is no fault.
     first, second = float(x.var(ddof=1)) / len(x), float(y.var(ddof=1)) / len(y)
     freedom = (first + second) ** 2 / (first**2 / (len(x) - 1) + second**2 / (len(y) - 1))
     half = float(stats.t.ppf((1 + level) / 2, freedom)) * math.sqrt(first + second)
@@ -33,12 +31,12 @@ def difference(a: ArrayLike, b: ArrayLike, level: float = 0.95) -> IntervalEstim
 
 
 def difference_within(pairs: ArrayLike, level: float = 0.95) -> IntervalEstimate:
-    """Give how much larger a number is in one condition than in another for the same participants (Student's t).
+    """Return the mean difference between two conditions for the same participants, with Student's t interval.
 
     Parameters
     ----------
     pairs : float array, shape (n,)
-        The difference of each participant. Of fewer than two there is no interval, nor where nobody differs.
+        The difference of each participant. There is no interval for fewer than two, or if the variance is 0.
     """
     x = np.asarray(pairs, dtype=float)
     found = mean(x, level=level)
@@ -46,12 +44,12 @@ def difference_within(pairs: ArrayLike, level: float = 0.95) -> IntervalEstimate
 
 
 def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
-    """Give the standardised difference of two groups: Cohen's d with Hedges' correction for few participants (1981).
+    """Return the standardised difference of two groups: Cohen's d with Hedges' small-sample correction (1981).
 
     Parameters
     ----------
     a, b : float arrays, shapes (n,) and (m,)
-        Not a number for fewer than two in a group, and where nobody differs.
+        A value for each participant. The result is NaN if a group has fewer than two, or if the variance is 0.
     """
     x, y = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
     freedom = len(x) + len(y) - 2
@@ -62,12 +60,12 @@ def hedges_g(a: ArrayLike, b: ArrayLike) -> float:
 
 
 def hedges_g_within(differences: ArrayLike) -> float:
-    """Give the mean difference of pairs by their standard deviation (d_z), with Hedges' correction for few pairs.
+    """Return the standardised mean difference of pairs (d_z), with Hedges' small-sample correction.
 
     Parameters
     ----------
     differences : float array, shape (n,)
-        One for each participant. Not a number for fewer than three, and where nobody differs.
+        The difference of each participant. The result is NaN for fewer than three, or if the variance is 0.
     """
     x = np.asarray(differences, dtype=float)
     deviation = float(x.std(ddof=1)) if len(x) > 2 else 0.0
@@ -75,13 +73,13 @@ def hedges_g_within(differences: ArrayLike) -> float:
 
 
 def cronbach_alpha(scores: ArrayLike) -> float:
-    """Give how well the items of a scale go together (Cronbach, 1951): 1 if they say the same.
+    """Return the internal consistency of a scale (Cronbach's alpha, 1951), at most 1.
 
     Parameters
     ----------
     scores : float array, shape (n, items)
-        A row for each participant, reversed items turned round. Not a number for fewer than two of either, and where
-        nobody differs.
+        A row for each participant, with reversed items recoded. The result is NaN for fewer than two rows or items, or
+        if the variance of the sums is 0.
     """
     x = np.asarray(scores, dtype=float)
     if x.ndim != 2 or min(x.shape) < 2 or x.sum(axis=1).var() == 0:
@@ -90,18 +88,18 @@ def cronbach_alpha(scores: ArrayLike) -> float:
     return float(items / (items - 1) * (1 - x.var(axis=0, ddof=1).sum() / x.sum(axis=1).var(ddof=1)))
 
 
-def detectable(n: int, m: int, power: float = POWER, level: float = 0.95) -> float:
-    """Give the smallest standardised difference that two groups of these sizes would show so often (t-test).
+def detectable(n: int, m: int, power: float = 0.8, level: float = 0.95) -> float:
+    """Return the smallest standardised difference of two groups that a t-test detects with this power.
 
-    Not a number for fewer than two in a group.
+    The result is NaN if a group has fewer than two participants.
     """
     return math.nan if min(n, m) < 2 else _detectable(n + m - 2, math.sqrt(n * m / (n + m)), power, level)
 
 
-def detectable_within(n: int, power: float = POWER, level: float = 0.95) -> float:
-    """Give the smallest standardised difference that so many pairs would show so often (t-test of their differences).
+def detectable_within(n: int, power: float = 0.8, level: float = 0.95) -> float:
+    """Return the smallest standardised difference of n pairs that a paired t-test detects with this power.
 
-    Not a number for fewer than two.
+    The result is NaN for fewer than two pairs.
     """
     return math.nan if n < 2 else _detectable(n - 1, math.sqrt(n), power, level)
 
@@ -113,5 +111,5 @@ def _detectable(freedom: int, scale: float, power: float, level: float) -> float
         shifted = effect * scale
         return float(stats.nct.cdf(critical, freedom, shifted)) - (1 - power)
 
-    # Far beyond what is sought scipy's distribution is not a number.
+    # Above this bound, scipy's noncentral t distribution returns NaN.
     return float(optimize.brentq(missed, 0.0, (2 * critical + 2) / scale))

@@ -1,12 +1,12 @@
-"""Means, savings and effects with intervals, where the unit that is repeated is a pool of people.
+"""Means, savings and effects with confidence intervals, where the unit of replication is a pool of people.
 
-Episodes of one pool share its people, so that they are not independent, and an interval over episodes would be too
-narrow. Every function here takes one number for each pool (or one row), which belongs to the same pool in every
-array: policies have met the same people with the same luck, and what is compared is paired.
+Episodes of one pool share its people and are not independent, so that intervals over episodes would be too narrow.
+Every function takes one value for each pool, with the pools in the same order in every array. Policies are simulated
+with the same people and random numbers, so comparisons are paired.
 
-The bootstrap is ours and not `scipy.stats.bootstrap`, with which it agrees up to chance (a test compares them): where
-all pools are alike, or nothing can be saved in some resample (0 / 0), scipy's interval is not a number; and the figures
-of studies that have been published with ours stay what they are, to the byte.
+The bootstrap agrees with `scipy.stats.bootstrap` up to sampling error (a test compares them). It differs where all
+pools are equal or a resample has a baseline of 0: there scipy's interval is NaN. It also keeps published figures
+reproducible to the byte.
 """
 
 from __future__ import annotations
@@ -22,20 +22,23 @@ from planner.system.files import finite
 
 Floats = NDArray[np.float64]
 
-RESAMPLES = 10_000
-FEW_POOLS = 10
-"""Of fewer, resampling knows too little: its 95 % intervals then cover 52 % (2 pools), 71 % (3) or 82 % (5)."""
+RESAMPLES = 10_000  # of the bootstrap; the ends of intervals then vary by about 1 % of their width
+FEW = 10
+"""Number of pools, or of a condition's participants, below which results are called preliminary.
+
+With fewer pools the bootstrap undercovers: nominal 95 % intervals cover 52 % (2 pools), 71 % (3), 82 % (5).
+"""
 
 
 @dataclass(frozen=True)
 class IntervalEstimate:
-    """A number with an interval.
+    """An estimate with a confidence interval.
 
     Attributes
     ----------
     value : float
     low, high : float
-        Ends of the interval; not a number where there are fewer than two pools.
+        Ends of the interval; NaN for fewer than two pools.
     """
 
     value: float
@@ -43,7 +46,7 @@ class IntervalEstimate:
     high: float
 
     def record(self) -> dict[str, float | None]:
-        """Give the fields as plain data, None for what is not a number."""
+        """Return the fields as plain data, with None for NaN."""
         return {
             "mean": finite(self.value),
             "low": finite(self.low),
@@ -52,12 +55,12 @@ class IntervalEstimate:
 
 
 def mean(values: ArrayLike, level: float = 0.95) -> IntervalEstimate:
-    """Give the mean of pools with Student's t interval.
+    """Return the mean over pools with Student's t interval.
 
     Parameters
     ----------
     values : float array, shape (n,)
-        One number for each pool.
+        One value for each pool.
     """
     x = np.asarray(values, dtype=float)
     if len(x) < 2:
@@ -67,17 +70,16 @@ def mean(values: ArrayLike, level: float = 0.95) -> IntervalEstimate:
 
 
 def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
-    """Give how much less is needed with something than without it, in percent: 100 (1 - mean / mean).
+    """Return the saving in percent: 100 (1 - mean(with_it) / mean(without)).
 
     The interval is the bias-corrected and accelerated bootstrap over pools (Efron, "Better bootstrap confidence
-    intervals", 1987), because a ratio of means is skewed, and so are the means of people who are caught in a trap. Of
-    fewer than `FEW_POOLS` it is Student's t with the jackknife's standard error (Tukey, 1958), which is as wide as
-    so little deserves.
+    intervals", 1987), since a ratio of means is skewed, as are the numbers of actions of people in a trap. For fewer
+    than `FEW` pools it is Student's t with the jackknife standard error (Tukey, 1958), which is wider.
 
     Parameters
     ----------
     with_it, without : float arrays, shape (n,)
-        One number for each pool; the same pool at the same place.
+        One value for each pool, in the same order.
     """
     pairs = np.stack([np.asarray(with_it, dtype=float), np.asarray(without, dtype=float)], axis=1)
 
@@ -90,7 +92,7 @@ def saving(with_it: ArrayLike, without: ArrayLike, rng: np.random.Generator, lev
 def change(
     first: tuple[ArrayLike, ArrayLike], last: tuple[ArrayLike, ArrayLike], rng: np.random.Generator, level: float = 0.95
 ) -> IntervalEstimate:
-    """Give how much larger the first of two savings is than the last, in percentage points; arrays as in `saving`."""
+    """Return the first saving minus the last, in percentage points. The arrays are as in `saving`."""
     columns = np.stack([np.asarray(values, dtype=float) for values in (*first, *last)], axis=1)
 
     def points(means: Floats) -> Floats:
@@ -100,7 +102,7 @@ def change(
 
 
 def ratio(above: ArrayLike, below: ArrayLike, rng: np.random.Generator, level: float = 0.95) -> IntervalEstimate:
-    """Give the ratio of two means, with an interval as in `saving`."""
+    """Return the ratio of two means, with an interval as in `saving`."""
     pairs = np.stack([np.asarray(above, dtype=float), np.asarray(below, dtype=float)], axis=1)
 
     def quotient(means: Floats) -> Floats:
@@ -110,12 +112,12 @@ def ratio(above: ArrayLike, below: ArrayLike, rng: np.random.Generator, level: f
 
 
 def effect(difference: ArrayLike) -> float:
-    """Give Cohen's d of paired values: their mean difference in units of its standard deviation over pools.
+    """Return Cohen's d of paired values: the mean difference divided by its standard deviation over pools.
 
     Parameters
     ----------
     difference : float array, shape (n,)
-        One for each pool; at least two, otherwise the result is not a number.
+        One difference for each pool. The result is NaN for fewer than two.
     """
     x = np.asarray(difference, dtype=float)
     spread = float(x.std(ddof=1)) if len(x) > 1 else 0.0
@@ -123,21 +125,21 @@ def effect(difference: ArrayLike) -> float:
 
 
 def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: float) -> IntervalEstimate:  # type: ignore[no-untyped-def]
-    """Give a function of the columns' means, shape (..., m) to (...), with its bootstrap interval over rows."""
+    """Return a statistic of the columns' means, shape (..., m) to (...), with its bootstrap interval over rows."""
     n = len(columns)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = float(statistic(columns.mean(axis=0)))
         if n < 2 or not math.isfinite(value):
             return IntervalEstimate(value, math.nan, math.nan)
         left_out = np.asarray(statistic((columns.sum(axis=0) - columns) / (n - 1)))
-        if n < FEW_POOLS:
+        if n < FEW:
             return _jackknife(value, left_out, level)
         weights = rng.multinomial(n, np.full(n, 1 / n), size=RESAMPLES) / n
         drawn = np.asarray(statistic(weights @ columns))
     drawn, left_out = drawn[np.isfinite(drawn)], left_out[np.isfinite(left_out)]
     off = left_out.mean() - left_out
     spread = float((off**2).sum())
-    if not len(drawn) or spread < 1e-24 * max(1.0, value**2):  # all pools are alike
+    if not len(drawn) or spread < 1e-24 * max(1.0, value**2):  # all pools are equal
         return IntervalEstimate(value, value, value)
     acceleration = float((off**3).sum()) / (6 * spread**1.5)
     below = (np.sum(drawn < value) + np.sum(drawn == value) / 2) / len(drawn)
@@ -148,7 +150,7 @@ def _bootstrap(columns: Floats, statistic, rng: np.random.Generator, level: floa
 
 
 def _jackknife(value: float, left_out: Floats, level: float) -> IntervalEstimate:
-    """Give Student's t interval with the standard error of what is found when each of the n pools is left out."""
+    """Return Student's t interval with the jackknife standard error; `left_out` has the n leave-one-out values."""
     n = len(left_out)
     error = math.sqrt((n - 1) / n * float(((left_out - left_out.mean()) ** 2).sum()))
     half = float(stats.t.ppf((1 + level) / 2, n - 1)) * error

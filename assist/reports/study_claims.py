@@ -1,4 +1,4 @@
-"""What a study's reference claims, and what of it holds here. Without a `[reference]` nothing of this is written."""
+"""The claims of a study's `[reference]`, and whether they hold here."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from ..study.study import OWN, Contrast, Study
 from .study_summary import BASELINES
 from .wording import Record, beside, interval, named, sign, table
 
-SHOWN_READINGS = 8
-
 
 def claims(study: Study, summary: Record) -> Iterator[str]:
-    """Say which of the reference's claims hold, and under which readings of what it leaves open."""
+    """Yield a table of the reference's claims with verdicts, and the interpretations under which contrasts hold."""
     reference = study.reference
     if reference is None:
         return
@@ -26,7 +24,7 @@ def claims(study: Study, summary: Record) -> Iterator[str]:
                 rows.append([claim, instance, f"{verdict}; {beside(found[key], published)}", interval(found[key])])
     for r in summary["decline"] if reference.declines else ():
         if r["population"] == summary["headline"]["population"]:
-            verdict = {"yes": "holds", "not shown": "is not shown"}.get(sign(r), "the contrary holds")
+            verdict = {"yes": "holds", "not shown": "is not shown"}.get(sign(r), "the opposite holds")
             claim = f"saves fewer {r['measure']} against {r['against']} in large teams"
             rows.append([claim, r["instance"], verdict, interval(r)])
     if rows:
@@ -37,7 +35,7 @@ def claims(study: Study, summary: Record) -> Iterator[str]:
 
 
 def _of_contrast(contrast: Contrast, summary: Record) -> Iterator[str]:
-    readings: dict[str, list[str]] = {"yes": [], "not shown": [], "no, the contrary": []}
+    readings: dict[str, list[str]] = {"yes": [], "not shown": [], "no, the opposite": []}
     for c in summary["contrasts"]:
         if c["contrast"] == contrast.name and c["policy"] not in BASELINES:
             name = ", ".join([c["instance"], c["policy"], c["setting"] or "default", f"prior {prior(c['prior'])}"])
@@ -46,30 +44,30 @@ def _of_contrast(contrast: Contrast, summary: Record) -> Iterator[str]:
     if any(readings.values()):
         more, fewer = (" and ".join(f"*{name}*" for name in side) for side in (contrast.of, contrast.to))
         yield (
-            f"More interventions for {more} than for {fewer}: shown under {len(readings['yes'])} readings, undecided "
-            f"under {len(readings['not shown'])}, the contrary under {len(readings['no, the contrary'])}. Shown under: "
-            f"{'; '.join(readings['yes']) or 'none'}."
+            f"More interventions for {more} than for {fewer}: shown under {len(readings['yes'])} interpretations, "
+            f"undecided under {len(readings['not shown'])}, the opposite under {len(readings['no, the opposite'])}. "
+            f"Shown under: {'; '.join(readings['yes']) or 'none'}."
         )
 
 
 def prior(name: str) -> str:
-    """Say what the robot takes people to be."""
-    return "the kind itself" if name == OWN else name
+    """Return the description of the robot's prior."""
+    return "its population" if name == OWN else name
 
 
 def readings(study: Study, summary: Record) -> Iterator[str]:
-    """Show which reading of what the reference leaves open comes nearest to its interventions."""
+    """Yield the interpretations of unspecified details that fit the reference's interventions best."""
     found, reference = summary["readings"], study.reference
     if not found or reference is None:
         return
-    targets = reference.interventions
-    yield f"## Which reading comes nearest to the interventions of {reference.name}"
+    targets, shown = reference.interventions, found[:8]
+    yield f"## Which interpretation fits the interventions of {reference.name} best"
     yield (
-        f"{reference.source} says that "
+        f"{reference.source} reports that "
         + "; ".join(f"{' and '.join(f'*{name}*' for name in names)} got {mean:g}" for names, mean in targets)
-        + f". How they are counted is read in several ways, as is what the conditions vary. Of {len(found)} readings "
-        f"these {min(SHOWN_READINGS, len(found))} come nearest (all are in `summary.json`); *off* is by how many "
-        "interventions the means miss those, on average."
+        + f". It leaves open how they are counted, and some settings. Of {len(found)} interpretations, "
+        f"these {len(shown)} fit best (all are in `summary.json`). *Off* is the mean absolute "
+        "difference in interventions."
     )
     head = [
         "policy", "setting", "robot's prior", "instance", "counted", *(f"published {m:g}" for _, m in targets), "off",
@@ -81,8 +79,8 @@ def readings(study: Study, summary: Record) -> Iterator[str]:
             *(interval(estimate) for estimate in r["interventions"]), f"{r['off']:.1f}",
         ]  # fmt: skip
 
-    yield table(head, map(row, found[:SHOWN_READINGS]))
+    yield table(head, map(row, shown))
     default = [r for r in found if r["setting"] == "" and r["policy"] == study.focus and r["prior"] != OWN]
     if default:
-        yield "Under the study's own setting, the robot's prior not being the kind itself:"
+        yield "With the study's own setting and a prior other than the population:"
         yield table(head, map(row, default))

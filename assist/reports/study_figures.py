@@ -1,4 +1,4 @@
-"""The pictures of a report: which of them a study has data for, and the data of each."""
+"""The figures of a study's report, and the data of each figure."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-SHOWN_PEOPLE = 3  # in the picture of an episode
-
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A picture of the report: its file's name, what it shows, and what draws it."""
+    """A figure of the report: its file name, its description, and the function that draws it."""
 
     name: str
     text: str
@@ -30,7 +28,7 @@ class ReportFigure:
 
 
 def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
-    """Give the pictures for which the study has data."""
+    """Yield the figures for which the study has data."""
     import pandas as pd
 
     study, whose = found.study, of_whom(found)
@@ -48,7 +46,7 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
         if row["humans"] is not None and row["policy"] == study.focus
     )
     if len(benefit) and len(set(benefit["humans"])) > 1:
-        text = f"What {study.focus} saves, against the number of people{whose}"
+        text = f"Savings of {study.focus} against the number of people{whose}"
         yield ReportFigure("benefit", text, partial(draw.benefit_figure, benefit, published, source))
 
     condition = of_kinds(study)
@@ -57,25 +55,25 @@ def pictures(found: Found, summary: Record) -> Iterator[ReportFigure]:
         marks = reference.interventions if reference else ()
         marks = tuple(mark for mark in marks if {*mark[0]} <= {*condition.populations})
         figure = partial(draw.category_figure, kinds, condition.populations, marks, source)
-        yield ReportFigure("categories", "Actions and interventions of kinds of people", figure)
+        yield ReportFigure("categories", "Actions and interventions for each kind of people", figure)
 
     points = pd.DataFrame(_points(found))
     if len(points) and len(points[["c_suggest", "c_move"]].drop_duplicates()) > 1:
         name = reference.name if reference else ""
         figure = partial(draw.trade_off_figure, points, published, name)
-        yield ReportFigure("trade-off", f"Actions against interventions as costs vary{whose}", figure)
+        yield ReportFigure("trade-off", f"Actions against interventions for different costs{whose}", figure)
 
-    text = f"What the robot believes in the course of one episode{whose}"
+    text = f"The robot's belief over the course of one episode{whose}"
     yield ReportFigure("belief", text, partial(draw.belief_figure, *_one_episode(found)))
 
 
 def of_kinds(study: Study) -> Condition | None:
-    """Give the first condition that compares several populations, under its first setting and prior."""
+    """Return the first condition with several populations. Its first setting and prior are shown."""
     return next((condition for condition in study.conditions if len(condition.populations) > 1), None)
 
 
 def of_whom(found: Found) -> str:
-    """Say of whom the pictures of the first condition are, where it has several populations, settings or priors."""
+    """Return the population, setting and prior of the main figures, as far as the first condition has several."""
     first = found.study.conditions[0]
     several = {
         "population": first.populations, "setting": first.settings, "prior": first.priors,
@@ -85,14 +83,14 @@ def of_whom(found: Found) -> str:
 
 
 def _measured(cells: Iterable[Record]) -> Iterator[Record]:
-    """Give a row for each measure of each cell."""
+    """Yield a row for each measure of each cell."""
     for cell in cells:
         for name in draw.MEASURES:
             yield {**cell, "measure": name, **cell[MEASURES[name]]}
 
 
 def _kinds(found: Found, condition: Condition) -> Iterator[Record]:
-    """Give actions and interventions of each population, over all team sizes."""
+    """Yield the actions and interventions of each population, averaged over all team sizes."""
     arms = found.arms(condition=condition.name, setting=condition.settings[0][0], prior=condition.priors[0])
     for arm, own in arms:
         for policy in dict.fromkeys(own["policy"]):
@@ -107,7 +105,7 @@ def _kinds(found: Found, condition: Condition) -> Iterator[Record]:
 
 
 def _points(found: Found) -> Iterator[Record]:
-    """Give actions and interventions wherever nothing but costs differs from the first condition, of common pools."""
+    """Yield actions and interventions of the arms that differ from the main one in costs only, on common pools."""
     study = found.study
     main = dict(study.conditions[0].settings)[found.main["setting"]]
     arms = []
@@ -129,13 +127,13 @@ def _points(found: Found) -> Iterator[Record]:
 
 
 def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
-    """Give what the robot believes in one episode of the first pool: the one with the most interventions."""
+    """Return the robot's beliefs in the episode of the first pool that has the most interventions."""
     import pandas as pd
 
     from ..simulation.belief_trace import beliefs_of_episode
 
     study, condition = found.study, found.study.conditions[0]
-    humans = min(condition.humans, key=lambda k: abs(k - SHOWN_PEOPLE))
+    humans = min(condition.humans, key=lambda k: abs(k - 3))  # panels that fit a page
     instance = condition.instances[0]
     own = found.episodes
     for name, value in {**found.main, "instance": instance, "policy": study.focus, "humans": humans}.items():
@@ -146,7 +144,7 @@ def _one_episode(found: Found) -> tuple[pd.DataFrame, Any]:
     number = int(row["draw"]) * study.trials + int(row["trial"])
     team = study.teams(0, humans)[number]
     episode, beliefs = beliefs_of_episode(
-        pool, policy_of(study, study.focus, pool), humans=team.tolist(), episode=number, seed=study.luck(0),
+        pool, policy_of(study, study.focus, pool), humans=team.tolist(), episode=number, seed=study.seed_of(0),
         name=study.focus,
     )  # fmt: skip
     return pd.DataFrame(beliefs), episode

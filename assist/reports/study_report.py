@@ -1,7 +1,7 @@
-"""The report of a study: what was run, and what was found.
+"""The report of a simulation study.
 
-`report.md` and `report.html` say the same; the numbers are those of `summary.json`. What a reference claims has a place
-of its own, `assist.reports.study_claims`.
+`report.md` and `report.html` have the same content; the numbers are those of `summary.json`. Claims of a reference are
+treated in `assist.reports.study_claims`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from planner.system.errors import MissingExtraError
@@ -25,7 +25,7 @@ from ..study.runner import load_study, without_suggestions
 from ..study.study import OWN, Study
 from . import study_claims
 from . import study_claims as claims
-from .statistics import FEW_POOLS
+from .statistics import FEW
 from .study_figures import ReportFigure, of_kinds, of_whom, pictures
 from .study_summary import ARM, BASELINES, MEASURES, Found, average
 from .wording import Record, beside, interval, named, sign, table, varying, with_deviation
@@ -67,16 +67,16 @@ def require() -> None:
 
 @dataclass(frozen=True)
 class Report:
-    """What was found, ready to be written.
+    """A report that is ready to be written.
 
     Attributes
     ----------
     summary : dict
         All numbers.
     text : str
-        In Markdown.
+        The report in Markdown.
     pictures : tuple of ReportFigure
-        Not drawn yet.
+        Figures, not drawn yet.
     """
 
     summary: Record
@@ -85,7 +85,7 @@ class Report:
 
     @classmethod
     def of(cls, study: Study, folder: str | Path) -> Report:
-        """Work out what a study's results say."""
+        """Build the report of a study's results."""
         found = Found(study, load_study(Path(folder)), without_suggestions(folder))
         summary = found.summary()
         shown = tuple(pictures(found, summary))
@@ -93,7 +93,7 @@ class Report:
         return cls(summary, text, shown)
 
     def page(self, title: str) -> str:
-        """Give it as a page of HTML, whose pictures suit the background."""
+        """Return the report as an HTML page, with figures for light and dark backgrounds."""
         import markdown
 
         body = IMAGE.sub(_for_both_backgrounds, markdown.markdown(self.text, extensions=["tables"]))
@@ -101,16 +101,15 @@ class Report:
 
 
 def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
-    """Write `summary.json`, the pictures, `report.md` and `report.html` beside a study's results; give the summary.
-
-    With several `jobs` pictures are drawn in as many processes.
+    """Write `summary.json`, the figures, `report.md` and `report.html` to a study's folder; return the summary.
 
     Parameters
     ----------
     study : Study
     folder : path
-        Of its results.
+        Folder of the results.
     jobs : int
+        Number of processes that draw figures.
     """
     folder = Path(folder)
     report = Report.of(study, folder)
@@ -126,14 +125,14 @@ def write_report(study: Study, folder: str | Path, *, jobs: int = 1) -> Record:
 
 
 def _for_both_backgrounds(image: re.Match[str]) -> str:
-    """Show each picture as it is made for the page's background."""
+    """Return an image element that selects the figure for the page's background."""
     text, name = image.groups()
     dark = f'<source srcset="{name}-dark.svg" media="(prefers-color-scheme: dark)">'
     return f'<picture>{dark}<img alt="{text}" src="{name}.svg"></picture>'
 
 
 def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None:
-    if jobs == 1:  # another process takes longer to start than a picture to draw
+    if jobs == 1:  # starting a process takes longer than drawing a figure
         for picture in pictures:
             _draw(picture, folder)
         return
@@ -143,7 +142,7 @@ def _draw_all(pictures: Sequence[ReportFigure], folder: Path, jobs: int) -> None
                 if isinstance(outcome, Exception):
                     raise outcome
     finally:
-        remove_unfinished([folder])  # by processes that were stopped
+        remove_unfinished([folder])  # files of stopped processes
 
 
 def _draw(picture: ReportFigure, folder: Path) -> None:
@@ -151,7 +150,7 @@ def _draw(picture: ReportFigure, folder: Path) -> None:
 
 
 def _sections(found: Found, summary: Record, shown: dict[str, str]) -> Iterator[str]:
-    """Give the report part by part; `shown` has the text of each picture that there is."""
+    """Yield the sections of the report; `shown` has the description of each available figure."""
     study = found.study
 
     def picture(name: str) -> Iterator[str]:
@@ -183,13 +182,13 @@ def _what_was_run(study: Study, summary: Record) -> Iterator[str]:
     yield "## What was run"
     yield (
         f"{study.repeats} pools of {study.pool} people; from each, for each team size, {study.draws} teams in "
-        f"{study.trials} episodes each, under every policy with the same people and the same luck. Seed {study.seed}, "
-        f"fingerprint {summary['fingerprint'][:12]}. In brackets are 95 % intervals over pools: Student's t for means, "
-        "the bias-corrected and accelerated bootstrap for savings and ratios."
+        f"{study.trials} episodes each, under every policy with the same people and random numbers. Seed {study.seed}, "
+        f"fingerprint {summary['fingerprint'][:12]}. Brackets contain 95 % intervals over pools: Student's t for "
+        "means, the bias-corrected and accelerated bootstrap for savings and ratios."
     )
-    yield "Setting, unless a condition says otherwise: " + ", ".join(
+    yield "Setting, unless a condition differs: " + ", ".join(
         f"{name} {value}"
-        for name, value in asdict(study.conditions[0].settings[0][1]).items()
+        for name, value in study.conditions[0].settings[0][1].as_dict().items()
         if name not in ("execute", "c_execute")
     ) + "."  # fmt: skip
     pools = [min(study.repeats, c.repeats or study.repeats) for c in study.conditions]
@@ -205,13 +204,13 @@ def _what_was_run(study: Study, summary: Record) -> Iterator[str]:
         ),
     )  # fmt: skip
     yield "Instances: " + ", ".join(f"{label} (`{i.problem.name}`)" for label, i in study.instances) + "."
-    few = [c.name for c, number in zip(study.conditions, pools, strict=True) if number < FEW_POOLS]
+    few = [c.name for c, number in zip(study.conditions, pools, strict=True) if number < FEW]
     if few:
         which = "All conditions" if len(few) == len(pools) else ", ".join(f"*{name}*" for name in few)
         yield (
-            f"**Few pools.** {which}: fewer than {FEW_POOLS} pools, which is a first look. A single pool gives no "
-            "intervals; of two to nine, those of savings and ratios are Student's t with the jackknife's standard "
-            "error, which are wide and still cover somewhat less than 95 %."
+            f"**Few pools.** {which}: fewer than {FEW} pools, so results are preliminary. A single pool gives no "
+            "intervals. With two to nine pools, intervals of savings and ratios are Student's t with the jackknife "
+            "standard error; they are wide and still cover somewhat less than 95 %."
         )
 
 
@@ -235,25 +234,25 @@ def _headline(study: Study, summary: Record) -> Iterator[str]:
                 if key in found:
                     row: list[object] = [named(key), *_which(group, columns), label]
                     row.append(interval(found[key]))
-                    # What is published is of the first.
+                    # Published figures refer to the first group.
                     if key in published and group is headline:
                         row += [published[key], beside(found[key], published[key])]
                     elif published:
                         row += ["", ""]
                     rows.append(row)
     head = [f"{headline['policy']} saves, %", *_titles(columns), "instance", "here"]
-    yield table(head + ([reference.name, "here beside it"] if reference and published else []), rows)
+    yield table(head + ([reference.name, "comparison"] if reference and published else []), rows)
     yield from _effects(study, summary)
     if reference:
         yield f"Figures of {reference.name}: {reference.source}."
 
 
 def threshold_notes(summary: Record) -> Iterator[str]:
-    """Yield a note for each policy that equals no assistance; lower costs were tried on the first pool."""
+    """Yield a note for each policy that makes no suggestion. The threshold was determined on the first pool."""
     for row in summary["without_suggestions"]:
         where = ", ".join(row[name] for name in ARM if row[name] and row[name] != OWN)
         why = SuggestionThreshold(row["c_suggest"], row["worth_at"], row["searched"])
-        yield f"{row['policy']} is no assistance ({where}): {why}"
+        yield f"{row['policy']} makes no suggestion ({where}): {why}"
 
 
 def _titles(columns: Iterable[str]) -> list[str]:
@@ -261,7 +260,7 @@ def _titles(columns: Iterable[str]) -> list[str]:
 
 
 def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:
-    """Give the headline as a table, its titles and its rows, and of how many pools it is."""
+    """Return the headline as a table (titles and rows), and the number of pools."""
     found = summary["headline"]
     groups = [found, *found["others"]]
     columns = varying(groups, COLUMNS)
@@ -273,13 +272,13 @@ def headline(summary: Record) -> tuple[list[str], list[list[str]], str]:
             cells = [interval(saved[key]) if key in saved else "-" for saved in instances]
             rows.append([named(key), *_which(group, columns), *cells])
     pools = f"{found['pools']} pools" if found["pools"] > 1 else "1 pool"
-    few = f"; fewer than {FEW_POOLS} are a first look" if found["pools"] < FEW_POOLS else ""
+    few = f"; preliminary, since fewer than {FEW}" if found["pools"] < FEW else ""
     titles = [f"{found['policy']} saves, %", *_titles(columns), *found["instances"], *(["together"] if several else [])]
     return titles, rows, f"{pools} of people, 95 % intervals over pools{few}"
 
 
 def _which(row: Record, columns: Iterable[str]) -> list[str]:
-    """Name what a row is of, in those columns."""
+    """Return a row's labels in the given columns."""
     return [{"": "default", OWN: "its population"}.get(str(row[column]), str(row[column])) for column in columns]
 
 
@@ -291,9 +290,9 @@ def _effects(study: Study, summary: Record) -> Iterator[str]:
     ]
     if effects:
         columns = varying(effects, COLUMNS)
-        yield "Effect sizes (Cohen's d of the paired differences of pools), and in how many pools the sign is the same:"
+        yield "Effect sizes (Cohen's d of the paired differences of pools), and the share of pools with a lower value:"
         yield table(
-            [*_titles(columns), "instance", "measure", "against", "effect size", "pools in which it is less"],
+            [*_titles(columns), "instance", "measure", "against", "effect size", "pools with a lower value"],
             (
                 [
                     *_which(r, columns), r["instance"], r["measure"], r["against"],
@@ -308,9 +307,9 @@ def _effects(study: Study, summary: Record) -> Iterator[str]:
 def _team_sizes(found: Found, summary: Record) -> Iterator[str]:
     yield "## Team sizes"
     yield (
-        "Mean ± standard deviation over episodes, with the interval of the mean over pools. The actions of people who "
-        "are caught in a trap have a heavy tail: the median stands beside the mean, and the last column counts "
-        "episodes in which somebody had not finished at the step limit."
+        "Mean ± standard deviation over episodes, with the interval of the mean over pools. Numbers of actions have a "
+        "heavy tail, since people can be caught in a trap. The median is therefore given too, and the last column "
+        "counts episodes in which a person had not finished at the step limit."
     )
     cells = [cell for cell in summary["cells"] if cell["condition"] == found.main["condition"]]
     columns = varying(cells, COLUMNS)
@@ -336,13 +335,13 @@ def _decline(study: Study, summary: Record) -> Iterator[str]:
     first, last = rows[0]["humans"]
     yield "## Does the benefit decline with the number of people?"
     yield (
-        f"By how many percentage points {study.focus} saves less with K = {last} than with K = {first}; it declines "
-        "where the whole interval is above 0. Against no assistance the baseline is that of all K together: to "
-        "those whom nobody helps it makes no difference how many others there are."
+        f"The saving of {study.focus} with K = {first} minus that with K = {last}, in percentage points. It declines "
+        "if the whole interval is above 0. Against no assistance, the baseline is the mean over all K, since the "
+        "size of the team makes no difference without assistance."
     )
     columns = varying(rows, COLUMNS)
     yield table(
-        [*_titles(columns), "instance", "measure", "against", "percentage points less", "declines"],
+        [*_titles(columns), "instance", "measure", "against", "decline, percentage points", "declines"],
         ([*_which(r, columns), r["instance"], r["measure"], r["against"], interval(r), sign(r)] for r in rows),
     )
 
@@ -361,24 +360,24 @@ def _kinds_of_people(found: Found, summary: Record, picture: Iterator[str]) -> I
             values.append(average(largest, "interventions", policy))
             rows.append([arm["instance"], arm["population"], policy, *(interval(v.record()) for v in values)])
     yield (
-        f"Condition *{condition.name}*, over all team sizes unless K is named. Interventions are per episode of a team "
-        "whose members are all of one kind."
+        f"Condition *{condition.name}*, over all team sizes unless K is given. Interventions are per episode of a team "
+        "whose members are of the same kind."
     )
     most = f"interventions, K = {max(condition.humans)}"
     yield table(["instance", "people", "policy", "actions per person", "interventions", most], rows)
     yield from picture
     main = [c for c in summary["contrasts"] if which.items() <= c.items()]
     if main:
-        yield "How many times the interventions of one kind another gets:"
+        yield "Ratios of interventions between kinds:"
         yield table(
-            ["instance", "contrast", "policy", "ratio of interventions", "more than 1"],
+            ["instance", "contrast", "policy", "ratio of interventions", "above 1"],
             ([c["instance"], c["contrast"], c["policy"], interval(c), sign(c, 1.0)] for c in main),
         )
     others = [c for c in summary["contrasts"] if not which.items() <= c.items()]
     if others:
-        yield "The same elsewhere:"
+        yield "The same under other conditions:"
         yield table(
-            ["condition", "instance", "setting", "robot's prior", "contrast", "policy", "ratio", "more than 1"],
+            ["condition", "instance", "setting", "robot's prior", "contrast", "policy", "ratio", "above 1"],
             (
                 [
                     c["condition"], c["instance"], c["setting"] or "default", study_claims.prior(c["prior"]),
@@ -390,7 +389,7 @@ def _kinds_of_people(found: Found, summary: Record, picture: Iterator[str]) -> I
 
 
 def _sensitivity(found: Found, summary: Record) -> Iterator[str]:
-    """Compare what is saved wherever people are not only of a kind: kinds are compared with each other elsewhere."""
+    """Yield the savings under all conditions, except for kinds of people, which are compared elsewhere."""
     kinds = {name for c in found.study.conditions if len(c.populations) > 1 for name in c.populations}
     rows = [
         row
@@ -402,8 +401,8 @@ def _sensitivity(found: Found, summary: Record) -> Iterator[str]:
         return
     yield "## Sensitivity"
     yield (
-        "What is saved, in percent, over all team sizes, as the conditions vary, on the same people with the same "
-        "luck. A condition of fewer pools has wider intervals."
+        "Savings in percent over all team sizes for different conditions, with the same people and random numbers. "
+        "Conditions with fewer pools have wider intervals."
     )
     grouped: dict[tuple[str, ...], dict[str, str]] = {}
     for r in rows:
@@ -414,6 +413,6 @@ def _sensitivity(found: Found, summary: Record) -> Iterator[str]:
         grouped.setdefault(key, {})[f"{r['measure']} against {r['against']}"] = interval(r)
     columns = list(dict.fromkeys(name for cells in grouped.values() for name in cells))
     yield table(
-        ["what", "policy", "instance", "pools", *columns],
+        ["variation", "policy", "instance", "pools", *columns],
         ([*key, *(cells.get(name, "-") for name in columns)] for key, cells in grouped.items()),
     )

@@ -1,4 +1,4 @@
-"""What a study found, in numbers: means per team size and policy, savings with intervals, and how they change.
+"""Numeric results of a study: means for each team size and policy, savings with intervals, and comparisons.
 
 Everything is computed over pools of people, not over their episodes; see `assist.reports.statistics`.
 """
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ARM = ("condition", "setting", "prior", "population", "instance")
-"""What episodes that are compared have in common."""
+"""Fields that the episodes of an arm share."""
 
 MEASURES = {
     "actions": "human_actions_per_person", "interventions": "interventions", "moves": "moves",
 }  # fmt: skip
 BASELINES = {
-    "none": ("max_steps",), "reactive": ("max_steps", "eta", "utility_scale", "travel_time"),
+    "none": ("max_steps",), "reactive": ("max_steps", "eta", "utility_scale", "trust", "travel_time"),
 }  # fmt: skip
-"""Policies that others are compared with, and the settings that matter to them."""
+"""Policies that others are compared with, and the settings that affect them."""
 
-SEED = 95  # of the bootstrap, so that a study always has the same intervals
+SEED = 95  # of the bootstrap; fixed, so that a study always has the same intervals
 
 
 class Found:
-    """A study's episodes by pools; the rest is computed from them.
+    """The results of a study, by pool.
 
     Attributes
     ----------
@@ -44,8 +44,7 @@ class Found:
     pools : DataFrame
         One row for each arm, policy, team size and pool: the mean over its episodes of each of `MEASURES`.
     main : dict
-        The arms of the headline and the pictures: the first condition under its first setting and prior, of its first
-        population.
+        The arms of the headline and the figures: the first condition with its first setting, prior and population.
     """
 
     def __init__(
@@ -63,10 +62,10 @@ class Found:
         }  # fmt: skip
 
     def with_baselines(self, arm: dict[str, str], own: pd.DataFrame) -> pd.DataFrame:
-        """Add the baselines that an arm leaves out, if the first condition has them for the same people and luck.
+        """Add baselines that an arm lacks, if the first condition has them for the same people and random numbers.
 
-        What people do alone depends on no setting but the step limit; what they do under the reactive policy, also
-        on how trust moves and how long the robot is under way.
+        Without assistance, people's actions depend only on the step limit. Under the reactive policy they also depend
+        on the trust update and the travel time.
         """
         import pandas as pd
 
@@ -89,7 +88,7 @@ class Found:
         return dict(self.study.condition(arm["condition"]).settings)[arm["setting"]]
 
     def arms(self, **wanted: str) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-        """Give each arm that has the wanted properties, and its pools."""
+        """Yield each arm with the wanted properties, and its pools."""
         pools = self.pools
         for name, value in wanted.items():
             pools = pools[pools[name] == value]
@@ -97,7 +96,7 @@ class Found:
             yield dict(zip(ARM, _texts(values), strict=True)), own
 
     def summary(self) -> dict[str, Any]:
-        """Give everything as plain data; `docs/study.md` describes it."""
+        """Return all results as plain data, which `docs/study.md` describes."""
         return {
             "schema": SCHEMA,
             "title": self.study.title,
@@ -114,9 +113,9 @@ class Found:
         }
 
     def headline(self) -> dict[str, Any]:
-        """Give what the policy in focus saves in the first condition, over all team sizes; each task, and together.
+        """Return the savings of the focus policy in the first condition, over all team sizes, by task and overall.
 
-        It is of `main`; where the condition has other populations, settings or priors, those are under `others`.
+        The values are those of `main`. Other populations, settings and priors of the condition are under `others`.
         """
         first = self.study.conditions[0]
         groups = [
@@ -146,7 +145,7 @@ class Found:
         return found
 
     def cells(self) -> list[dict[str, Any]]:
-        """Give mean, standard deviation and so on for each arm, team size and policy."""
+        """Return descriptive statistics for each arm, team size and policy."""
         found = []
         keys = [*ARM, "humans", "policy"]
         pools: dict[tuple[str, ...], pd.DataFrame] = {
@@ -168,7 +167,7 @@ class Found:
         return found
 
     def comparisons(self) -> list[dict[str, Any]]:
-        """Compare policies with the baselines over all team sizes (`humans` null), in the main arms also by size."""
+        """Compare policies with the baselines over all team sizes (`humans` null); in main arms also by size."""
         found = []
         for arm, own in self.arms():
             pools = self.with_baselines(arm, own)
@@ -189,7 +188,7 @@ class Found:
         return found
 
     def arms_without_suggestions(self) -> list[dict[str, Any]]:
-        """Return the arms and policies in which no suggestion was made, with the threshold of each."""
+        """Return the arms and policies without any suggestion, with the suggestion threshold of each."""
         found = []
         most = self.episodes.groupby([*ARM, "policy"], observed=True, sort=False)["interventions"].max()
         for record in self.without_suggestions:
@@ -200,7 +199,7 @@ class Found:
         return found
 
     def decline(self) -> list[dict[str, Any]]:
-        """Give by how many percentage points the policy in focus saves less in large teams than in small ones."""
+        """Return the difference of the focus policy's savings between small and large teams, in percentage points."""
         found = []
         focus = self.study.focus
         for arm, own in self.arms(condition=self.main["condition"]):
@@ -210,7 +209,9 @@ class Found:
                     ends = [
                         paired(own[own["humans"] == size], measure, focus, against) for size in (sizes[0], sizes[-1])
                     ]
-                    if against == "none":  # alone, nobody's team matters: all sizes together are the surer baseline
+                    if (
+                        against == "none"
+                    ):  # without assistance the team does not matter, so all sizes give the more precise baseline
                         alone = paired(own, measure, against, against)[0]
                         ends = [(mine, alone) for mine, _ in ends]
                     estimate = statistics.change(ends[0], ends[1], np.random.default_rng(SEED))
@@ -228,7 +229,7 @@ class Found:
         return found
 
     def contrasts(self) -> list[dict[str, Any]]:
-        """Give how many times the interventions of some populations others get, wherever all of them are compared."""
+        """Return ratios of interventions between populations, in every arm that has all of them."""
         found = []
         for family, pools in self._families():
             for contrast in self.study.contrasts:
@@ -241,14 +242,14 @@ class Found:
                     ]
                     above, below = sides[0].align(sides[1], join="inner")
                     estimate = statistics.ratio(above, below, np.random.default_rng(SEED))
-                    if above.sum() > 0:  # where the others get none, the ratio is no number
+                    if above.sum() > 0:  # otherwise the ratio is undefined
                         found.append({**family, "policy": policy, "contrast": contrast.name, **estimate.record()})
         return found
 
     def readings(self) -> list[dict[str, Any]]:
-        """Compare interventions with the reference's, under each reading of what it leaves open; nearest first.
+        """Compare interventions with the reference's under each interpretation of unspecified details, best fit first.
 
-        `off` is by how many interventions the means miss the reference's, on average.
+        `off` is the mean absolute difference to the reference's numbers of interventions.
         """
         found = []
         targets = () if self.study.reference is None else self.study.reference.interventions
@@ -280,20 +281,20 @@ class Found:
         return sorted(found, key=lambda reading: reading["off"])
 
     def _families(self) -> Iterator[tuple[dict[str, str], pd.DataFrame]]:
-        """Give the arms that differ in nothing but the population, and their pools."""
+        """Yield groups of arms that differ only in the population, and their pools."""
         names = [name for name in ARM if name != "population"]
         for values, own in self.pools.groupby(names, observed=True, sort=False):
             yield dict(zip(names, _texts(values), strict=True)), own
 
 
 def _interventions(pools: pd.DataFrame, per_person: bool = False) -> Any:
-    """Give the mean interventions in each repeat, over populations and team sizes, a series."""
+    """Return the mean interventions of each repeat over populations and team sizes, as a series."""
     value = pools["interventions"] / (pools["humans"] if per_person else 1)
     return value.groupby(pools["repeat"]).mean()
 
 
 def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tuple[Any, Any]:
-    """Give a measure's mean in each pool under two policies, arrays of shape (n,), the same pool at the same place."""
+    """Return a measure's mean in each pool under two policies, arrays of shape (n,) in the same order of pools."""
     means = pools.groupby(["policy", "repeat"], observed=True)[measure].mean()
     mine, other = means.loc[policy], means.loc[against]
     mine, other = mine.align(other, join="inner")
@@ -301,7 +302,7 @@ def paired(pools: pd.DataFrame, measure: str, policy: str, against: str) -> tupl
 
 
 def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> IntervalEstimate:
-    """Give what a policy saves against another, in percent, over all that the pools hold."""
+    """Return the saving of a policy against another in percent, over all given pools."""
     mine, other = paired(pools, measure, policy, against)
     return statistics.saving(mine, other, np.random.default_rng(SEED))
 
@@ -309,7 +310,7 @@ def saving(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Inte
 def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> Iterator[dict[str, Any]]:
     mine, other = paired(pools, measure, policy, against)
     estimate = statistics.saving(mine, other, np.random.default_rng(SEED))
-    if math.isfinite(estimate.value):  # of nothing no share can be saved
+    if math.isfinite(estimate.value):  # undefined if the baseline is 0
         yield {
             **estimate.record(),
             "effect": finite(statistics.effect(other - mine)),
@@ -319,12 +320,12 @@ def _compared(pools: pd.DataFrame, measure: str, policy: str, against: str) -> I
 
 
 def average(pools: pd.DataFrame, measure: str, policy: str) -> IntervalEstimate:
-    """Give the mean of a measure over pools."""
+    """Return the mean of a measure over pools."""
     return statistics.mean(pools[pools["policy"] == policy].groupby("repeat")[measure].mean().to_numpy())
 
 
 def _described(values: Any, pools: Any) -> dict[str, float | int | None]:
-    """Describe a measure: over episodes, and the interval of the mean over pools."""
+    """Return statistics of a measure over episodes, and the interval of its mean over pools."""
     estimate = statistics.mean(pools)
     return {
         "mean": float(values.mean()),

@@ -1,4 +1,4 @@
-"""The report of a user study: `report.md`, `summary.json` and pictures, from its folder or from an unpacked export."""
+"""The report of a user study (`report.md`, `summary.json` and figures), from its folder or from an unpacked export."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from ..plots import userstudy as draw
 from ..userstudy.plan import UserStudy, read
 from ..userstudy.session import JOURNAL, PLAN
 from ..userstudy.tables import COLUMNS, Row, Tables, tables
-from .userstudy_summary import FEW, TASK_MEASURES, measures, summarise
+from .statistics import FEW
+from .userstudy_summary import TASK_MEASURES, measures, summarise
 from .wording import interval, table
 
 if TYPE_CHECKING:
@@ -43,12 +44,12 @@ def require() -> None:
 
 
 def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
-    """Read what a study has recorded: from its journal, while it goes on or afterwards, or from an unpacked export.
+    """Read a study's data from its journal, during the study or afterwards, or from an unpacked export.
 
     Raises
     ------
     InputFileError, DamagedFileError, OSError
-        It is neither.
+        The folder is neither.
     """
     study = read(folder / PLAN, carried_out=True)
     if (folder / JOURNAL).exists():
@@ -65,7 +66,7 @@ def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
             try:
                 yield {name: _cell(name, cell) for name, cell in row.items()}
             except (TypeError, ValueError):
-                raise DamagedFileError(file, reader.line_num, "a number was expected where there is none") from None
+                raise DamagedFileError(file, reader.line_num, "expected a number") from None
 
 
 def _cell(name: str, cell: str) -> Any:
@@ -77,18 +78,18 @@ def _cell(name: str, cell: str) -> Any:
 
 
 def write_report(folder: Path, out: Path) -> dict[str, Any]:
-    """Write the report of a study; give its numbers.
+    """Write the report of a study; return its numbers.
 
     Parameters
     ----------
     folder : Path
-        Of the study, or of an unpacked export.
+        Folder of the study, or of an unpacked export.
     out : Path
 
     Raises
     ------
     InputFileError, DamagedFileError, OSError
-        It is neither.
+        The folder is neither.
     """
     study, found = of_folder(folder)
     summary = summarise(study, found)
@@ -103,7 +104,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
 
 
 def headline(summary: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Give the head and the rows of a table with the mean of each measure in each condition."""
+    """Return the titles and rows of a table with the mean of each measure in each condition."""
     names = [cell["condition"] for cell in summary["measures"][0]["cells"]]
     return ["", *names], [[one["label"], *map(_written, one["cells"])] for one in summary["measures"]]
 
@@ -129,15 +130,13 @@ def _pictures(
         if one["n"]:
             own = study.questionnaire(one["questionnaire"])
             texts = {
-                item.name: item.name
-                if own.form == "nasa-tlx"
-                else _short(item.text) + " (turned round)" * item.reversed
+                item.name: item.name if own.form == "nasa-tlx" else _short(item.text) + " (reversed)" * item.reversed
                 for item in own.items
             }
             highest = 100 if own.form == "nasa-tlx" else own.points
             yield f"scales-{own.name}", (f"{own.name} by item", partial(draw.scales_figure, one, texts, highest))
     if summary["flow"][0]["reached"]:
-        yield "flow", ("How far participants came", partial(draw.flow_figure, summary["flow"]))
+        yield "flow", ("Progress of participants", partial(draw.flow_figure, summary["flow"]))
 
 
 def _short(text: str, most: int = 48) -> str:
@@ -152,7 +151,7 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
     yield f"# {study.title}"
     if summary["simulated"]:
         yield (
-            "**A rehearsal.** Participants are simulated, and what they answered is made up: the figures say nothing "
+            "**Rehearsal.** Participants are simulated and their answers are generated, so the results say nothing "
             "about people."
         )
     yield from _who_took_part(study, summary, picture("flow"))
@@ -162,9 +161,9 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
     yield from picture("differences")
     for one in summary["questionnaires"]:
         yield f"## {study.questionnaire(one['questionnaire']).title} ({one['questionnaire']})"
-        alpha = "cannot be given" if one["alpha"] is None else f"is {one['alpha']:.2f}"
+        alpha = "is undefined" if one["alpha"] is None else f"is {one['alpha']:.2f}"
         turned = (
-            " Reversed items are turned round."
+            " Reversed items are recoded."
             if any(i.reversed for i in study.questionnaire(one["questionnaire"]).items)
             else ""
         )
@@ -174,17 +173,17 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
 
 
 def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[str]) -> Iterator[str]:
-    yield "## Who took part"
+    yield "## Participants"
     flow, conditions = summary["flow"], summary["conditions"]
     began = sum(one["begun"] for one in conditions)
     done = sum(one["done"] for one in conditions)
     drawn, place = ("order of conditions", "an order") if study.is_within else ("condition", "a condition")
     yield (
-        f"{flow[0]['reached']} came, {began} began the first task and had their {drawn} drawn then, {done} went "
-        f"through to the end. Who leaves before that takes no place in {place}; who leaves after it "
-        + ("is replaced." if study.replace else "keeps it and is not replaced.")
+        f"{flow[0]['reached']} arrived, {began} were randomised to their {drawn} when they began the first task, "
+        f"{done} completed the study. Participants who left before the first task do not count in {place}; those who "
+        + ("left later were replaced." if study.replace else "left later still count and were not replaced.")
     )
-    head = [drawn, "policy", "began", "done", "left after they began", "under way"]
+    head = [drawn, "policy", "randomised", "completed", "left after randomisation", "taking part"]
     yield table(
         head,
         ([one[key] for key in ("condition", "policy", "begun", "done", "left", "under_way")] for one in conditions),
@@ -195,8 +194,8 @@ def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[
 def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield "## Conditions"
     yield (
-        "Means with 95 % intervals (Student's t) over participants. Tasks count for whoever has been through all of "
-        "them, questionnaires for whoever answered."
+        "Means with 95 % intervals (Student's t) over participants. Measures of tasks include participants who "
+        "completed all of them; questionnaires include all who answered."
     )
     head, rows = headline(summary)
     yield table(["measure", *head[1:]], rows)
@@ -209,29 +208,30 @@ def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     ]
     if lacking:
         yield (
-            "Fewer have a value of some (nothing is followed where nothing was suggested): " + "; ".join(lacking) + "."
+            "Some measures have fewer values (without suggestions, none can be followed): " + "; ".join(lacking) + "."
         )
     if summary["few"]:
         whole = len(summary["few"]) == len(study.conditions)
         which = "every condition" if whole else ", ".join(summary["few"])
         yield (
-            f"**Few participants.** Fewer than {FEW} in {which}: a first look. Student's intervals take means to be "
-            "normally distributed, which so few cannot show; look at the single points as well."
+            f"**Few participants.** Fewer than {FEW} in {which}, so results are preliminary. Student's "
+            "intervals assume normally distributed means, which cannot be checked with so few; see the individual "
+            "points as well."
         )
 
 
 def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
-    yield f"## Against {study.reference}"
+    yield f"## Differences from {study.reference}"
     said = (
-        "Everybody is compared with themselves: means of their differences with 95 % intervals (Student's t), and "
-        "Hedges' g of the differences (d_z). What one learns from one condition to the next weighs on all of them "
-        "alike only as far as the orders above are equally full."
+        "Comparisons are within participants: mean differences with 95 % intervals (Student's t), and "
+        "Hedges' g of the differences (d_z). Learning from one condition to the next affects all conditions equally "
+        "only if the orders above are equally frequent."
         if study.is_within
         else "Differences of means with Welch's 95 % intervals, and Hedges' g."
     )
     yield (
-        f"{said} An interval without 0 shows a difference, one at a time: with {len(TASK_MEASURES)} measures and more, "
-        "one in twenty does so by chance."
+        f"{said} An interval that excludes 0 shows a difference. Intervals are not corrected for multiple comparisons: "
+        f"with {len(TASK_MEASURES)} or more measures, one in twenty excludes 0 by chance."
     )
     rows = []
     for one in summary["measures"]:
@@ -241,11 +241,12 @@ def _compared(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:
     yield table(["measure", "condition", f"minus {study.reference}", "Hedges' g", "shown"], rows)
     if summary["detectable"] is not None:
         yield (
-            "Sensitivity at 80 % power: with as many participants as in the smallest of these conditions, four of five "
-            f"studies show a difference of g = {summary['detectable']:.2f} or more; a smaller one is likely missed."
+            "Sensitivity at 80 % power: with the number of participants in the smallest condition, four of five "
+            f"studies show a difference of g = {summary['detectable']:.2f} or more. Smaller differences are "
+            "likely to be missed."
         )
     else:
-        yield "With fewer than two participants in a condition nothing can be compared."
+        yield "Conditions with fewer than two participants cannot be compared."
 
 
 def _shows(one: dict[str, Any]) -> str:

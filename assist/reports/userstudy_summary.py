@@ -1,4 +1,4 @@
-"""What a user study has found, in numbers: conditions, differences from the reference, questionnaires, dropouts."""
+"""Numeric results of a user study: conditions, differences from the reference, questionnaires and dropouts."""
 
 from __future__ import annotations
 
@@ -24,10 +24,7 @@ from .effects import (
     hedges_g,
     hedges_g_within,
 )
-from .statistics import mean
-
-FEW = 10
-"""Participants in a condition below which its figures are a first look."""
+from .statistics import FEW, mean
 
 TASK_MEASURES = {
     "actions": "actions per task",
@@ -40,13 +37,13 @@ TASK_MEASURES = {
 
 @dataclass(frozen=True)
 class Measure:
-    """A number for each participant.
+    """A value for each participant.
 
     Attributes
     ----------
     name, label : str
     values : dict of dict
-        By condition, then by participant.
+        Values by condition and participant.
     """
 
     name: str
@@ -55,7 +52,7 @@ class Measure:
 
 
 def measures(study: UserStudy, tables: Tables) -> Iterator[Measure]:
-    """Give what is measured: of those who have been through all tasks, and of those who answered."""
+    """Yield the measures: of participants who completed all tasks, and of those who answered a questionnaire."""
     stages = [stage.name for stage in study.stages]
     last = max(number for number, stage in enumerate(study.stages) if stage.kind == "task")
     through = {row["participant"] for row in tables.participants if stages.index(row["stage"]) > last}
@@ -88,7 +85,7 @@ def _of_tasks(name: str, rows: list[Row]) -> float | None:
 
 
 def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, str, list[float]]]:
-    """Give for each time that somebody answered a questionnaire who, in which condition, and each item's score."""
+    """Yield each completed questionnaire: the participant, the condition, and the score of each item."""
     given: dict[tuple[str, str], dict[str, float]] = {}
     for row in tables.answers:
         if row["questionnaire"] == questionnaire.name:
@@ -98,7 +95,7 @@ def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, 
 
 
 def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
-    """Give all numbers of the report, as JSON has them."""
+    """Return all numbers of the report as JSON data."""
     names = [one.name for one in study.conditions]
     found = list(measures(study, tables))
     smallest = [min(len(found[0].values[name]), len(found[0].values[study.reference])) for name in names]
@@ -116,12 +113,15 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "detectable": finite(
             detectable_within(min(smallest)) if study.is_within else detectable(min(smallest), min(smallest))
         ),
-        "few": [name for name, count in zip(names, smallest, strict=True) if len(found[0].values[name]) < FEW],
+        "few": [
+            name for name, count in zip(names, smallest, strict=True)
+            if len(found[0].values[name]) < FEW
+        ],
     }  # fmt: skip
 
 
 def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
-    """Count participants in each condition; where everybody has all, in each order."""
+    """Return the numbers of participants in each condition, or in each order of conditions."""
     found, policies = [], {one.name: one.policy for one in study.conditions}
     for name, order in study.orders.items():
         own = [row["status"] for row in tables.participants if row["condition"] == name]
@@ -132,7 +132,7 @@ def _conditions(study: UserStudy, tables: Tables) -> list[Row]:
 
 
 def _flow(study: UserStudy, tables: Tables) -> list[Row]:
-    """Count who reached each stage, and who left there."""
+    """Return the numbers of participants who reached each stage, and who left there."""
     stages = [stage.name for stage in study.stages]
     at = [(stages.index(row["stage"]), row["status"]) for row in tables.participants]
     return [
@@ -155,7 +155,7 @@ def _measure(study: UserStudy, measure: Measure) -> dict[str, Any]:
 
 
 def _compared(study: UserStudy, own: dict[str, float], reference: dict[str, float]) -> dict[str, Any]:
-    """Compare a condition with the reference: participants with themselves, where they have both; empty without any."""
+    """Compare a condition with the reference, within participants if the design allows it; empty without data."""
     if study.is_within:
         pairs = [value - reference[participant] for participant, value in own.items() if participant in reference]
         return {**difference_within(pairs).record(), "hedges_g": finite(hedges_g_within(pairs))} if pairs else {}

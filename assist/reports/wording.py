@@ -1,4 +1,4 @@
-"""How a report writes numbers: tables, intervals, and what an interval shows."""
+"""Wording of reports: tables, intervals, and conclusions from intervals."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Record = dict[str, Any]
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Write a table in Markdown; columns that are empty in every row are left out."""
+    """Return a Markdown table without the columns that are empty in every row."""
     lines = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
     kept = [place for place in range(len(head)) if not lines or any(line[place] for line in lines)]
     shown = [[line[place] for place in kept] for line in ([*head], ["---"] * len(head), *lines)]
@@ -17,9 +17,9 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def interval(estimate: Record, digits: int = 1) -> str:
-    """Write a number with its interval, if it has one."""
+    """Return a number with its interval, if it has one."""
     if estimate["mean"] is None:
-        return "only these get any"
+        return "undefined (no others)"
     text = f"{estimate['mean']:.{digits}f}"
     if estimate["low"] is None:
         return text
@@ -27,25 +27,25 @@ def interval(estimate: Record, digits: int = 1) -> str:
 
 
 def with_deviation(cell: Record) -> str:
-    """Write a mean with its standard deviation over episodes, and its interval over pools, as far as there are."""
+    """Return a mean with its standard deviation over episodes and its interval over pools, as far as they exist."""
     deviation = "" if cell["sd"] is None else f" ± {cell['sd']:.1f}"
     ends = "" if cell["low"] is None else f" ({cell['low']:.1f} to {cell['high']:.1f})"
     return f"{cell['mean']:.1f}{deviation}{ends}"
 
 
 def sign(estimate: Record, at: float = 0.0) -> str:
-    """Say whether an interval shows that a number is larger than another."""
+    """Return whether an interval shows that a number exceeds `at`."""
     if estimate["mean"] is None:
         return "yes"
     if estimate["low"] is not None and estimate["low"] > at:
         return "yes"
     if estimate["high"] is not None and estimate["high"] < at:
-        return "no, the contrary"
+        return "no, the opposite"
     return "not shown"
 
 
 def beside(estimate: Record, published: float) -> str:
-    """Say how a saving compares with a published one."""
+    """Return the comparison of a saving with a published one."""
     if estimate["low"] is None:
         return f"{'better' if estimate['mean'] > published else 'worse'}, in a single pool"
     if estimate["low"] > published:
@@ -56,10 +56,10 @@ def beside(estimate: Record, published: float) -> str:
 
 
 def named(key: str) -> str:
-    """Write the name of a saving as in a sentence: `actions_vs_none` is "actions against none"."""
+    """Return the name of a saving in words: `actions_vs_none` is "actions against none"."""
     return key.replace("_vs_", " against ").replace("_", " ")
 
 
 def varying(rows: Sequence[Record], columns: Iterable[str]) -> list[str]:
-    """Give those of some columns in which rows differ: what is the same everywhere needs no column."""
+    """Return the columns in which rows differ."""
     return [column for column in columns if len({row[column] for row in rows}) > 1]

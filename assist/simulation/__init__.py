@@ -1,4 +1,4 @@
-"""The people from whom teams are drawn, and episodes of a team."""
+"""Simulated episodes of teams, and the pools of people from whom teams are drawn."""
 
 from planner.system.lazy_imports import lazy_exports
 

@@ -1,4 +1,4 @@
-"""What the robot believed in the course of an episode, beside what was true."""
+"""The robot's beliefs during an episode, next to the true parameters."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from .task_view import World
 
 @dataclass(frozen=True)
 class Watched:
-    """A policy for one team that notes what the robot believes whenever it is asked.
+    """A policy for one team that records the robot's beliefs in each step in which it chooses.
 
     Attributes
     ----------
     policy : TeamPolicy
-        Whose choices it makes.
+        The policy that chooses.
     beliefs : dict of float arrays, shape (K, B, T)
-        By step.
+        Beliefs by step.
     """
 
     policy: TeamPolicy
     beliefs: dict[int, Floats] = field(default_factory=dict)
-    uses_belief = True  # whether the policy does or not
+    uses_belief = True  # even if the policy itself does not use beliefs
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose as the policy does."""
+        """Record the beliefs, and return the policy's choice."""
         assert team.belief is not None
-        self.beliefs[team.step] = team.belief[0].copy()  # the simulation goes on in the same array
+        self.beliefs[team.step] = team.belief[0].copy()  # the simulation reuses the array
         return self.policy(team)
 
 
@@ -55,23 +55,23 @@ def beliefs_of_episode(
     presence: Schedule | None = None,
     world: World = "people",
 ) -> tuple[Episode, list[dict[str, Any]]]:
-    """Simulate one episode, and give what the robot believed about each person before each of their actions.
+    """Simulate one episode; return it with the robot's belief about each person before each of their actions.
 
     Parameters
     ----------
     pool, policy, humans, seed, name, travel, presence, world
-        As in `simulate`.
+        As in `simulate`. With the same arguments the episode is the same.
     episode : int
-        Its number. The parameters are those of `simulate`, and with the same ones it is the same episode.
+        Number of the episode.
 
     Returns
     -------
     Episode
     list of dict
-        For each person and step: `place`, `step`; mean and interval (`Spread`) of beta and theta, as `beta_mean`,
-        `beta_low`, `beta_high` and so on; `beta_true` and `theta_true`, the latter at that time; `suggestion`,
-        whether one was made to them then; `robot_here`. What is believed while the robot is under way is not
-        known (NaN), since no policy is asked then.
+        For each person and step: `place` and `step`; mean and interval (`Spread`) of beta and theta, as `beta_mean`,
+        `beta_low`, `beta_high` and so on; `beta_true` and the present `theta_true`; `suggestion`, whether one was made
+        to this person; and `robot_here`. Beliefs are NaN while the robot is on its way, since the policy does not
+        choose then.
     """
     watched, trace = Watched(policy), Trace()
     episodes = simulate(

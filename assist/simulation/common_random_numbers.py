@@ -1,4 +1,4 @@
-"""The luck of simulated episodes: each has its own random numbers, whatever others are simulated beside it."""
+"""Common random numbers: the numbers of an episode depend on the seed and the episode's number only."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ..people.decision import Floats
 from ..person.pomdp import AssistPOMDP
 
 BLOCK = 64
-"""Episodes whose random numbers are drawn together."""
+"""Number of episodes whose random numbers are drawn together; a change of it changes all results for a seed."""
 
 
 class CommonRandomNumbers:
-    """The random numbers of some episodes, whatever others are simulated beside them."""
+    """The random numbers of some episodes, independent of the other episodes that are simulated."""
 
     def __init__(self, seed: int, numbers: NDArray[np.int64], places: int) -> None:
         blocks, self.block = np.unique(numbers // BLOCK, return_inverse=True)
@@ -27,13 +27,13 @@ class CommonRandomNumbers:
         self.drawn = np.empty((len(blocks), BLOCK, places))
 
     def draw(self, kind: int, rows: NDArray[np.int64]) -> Floats:
-        """Give uniform numbers for some episodes: 0 who they are in the model, 1 choices, 2 moves of theta."""
-        for block in np.unique(self.block[rows]):  # the streams of those that have ended are not missed
+        """Return uniform numbers for some episodes: kind 0 for people's types, 1 for choices, 2 for trust updates."""
+        for block in np.unique(self.block[rows]):  # the streams of finished episodes need not advance
             self.streams[kind][block].random(out=self.drawn[block])
         return self.drawn[self.block[rows], self.row[rows]]
 
     def team(self, pool: int) -> NDArray[np.int64]:
-        """Draw K different numbers of a pool, shape (N, K)."""
+        """Return K distinct numbers of a pool for each episode, shape (N, K)."""
         order = [stream.permuted(np.tile(np.arange(pool), (BLOCK, 1)), axis=1) for stream in self.streams[3]]
         return np.stack(order)[self.block, self.row, : self.places]
 
@@ -41,21 +41,21 @@ class CommonRandomNumbers:
 def from_the_prior(
     pomdps: Sequence[AssistPOMDP], model: NDArray[np.int64], drawn: Floats
 ) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Decide who people are where the robot's models hold: a point of the grid, by their model's prior.
+    """Draw the types of people in the robot's model: points of the grid, from the prior of their model.
 
     Parameters
     ----------
     pomdps : sequence of AssistPOMDP
-        Of each model.
+        Problem of each model.
     model : int array
-        Everybody's model.
+        Model of each person.
     drawn : float array, of the same shape
         Uniform numbers.
 
     Returns
     -------
     mind, beta, theta : arrays of the same shape
-        The number of beta in the grid, and the values.
+        Index of beta in the grid, and the values of beta and theta.
     """
     mind, beta, theta = np.zeros(model.shape, dtype=np.int64), np.zeros(model.shape), np.zeros(model.shape)
     for number, pomdp in enumerate(pomdps):

@@ -1,4 +1,4 @@
-"""What became of simulated episodes: their records, and what they say on average."""
+"""Records of simulated episodes, and their means."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from ..person.suggestion_threshold import SuggestionThreshold
 
 @dataclass(frozen=True)
 class Episode:
-    """What became of one episode.
+    """The record of one episode.
 
     Attributes
     ----------
     policy : str
     episode : int
     people : tuple of str
-        Who was in the team; each of the next tuples has one entry per person.
+        Names of the team's people; the next tuples have one entry per person.
     beta, theta, sigma : tuple of float
-        Who they were; theta at the beginning.
+        True parameters; theta is that at the beginning.
     actions : tuple of int
-        Actions until the goal, or the cut-off.
+        Number of actions until the goal or the end of the episode.
     costs : tuple of float
-        What these cost, in cost units.
+        Costs of these actions, in cost units.
     finished : tuple of bool
     helped : tuple of int
-        Suggestions made to each, and actions executed for them.
+        Number of suggestions to each person and of actions executed for them.
     executed : tuple of int
-        Of these, actions executed.
+        Number of these that are executions.
     interventions, moves, steps : int
-        Suggestions made and actions executed, changes of place, and steps until all had finished.
+        Number of suggestions and executions, of changes of place, and of steps until all had finished.
     discounted_return : float
-        Sum over steps of gamma^t times the reward.
+        Sum over steps of gamma^t times the reward, in cost units.
     """
 
     policy: str
@@ -62,13 +62,13 @@ class Episode:
     discounted_return: float
 
     def record(self) -> dict[str, Any]:
-        """Give the fields as plain data."""
+        """Return the fields as plain data."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Episodes:
-    """What became of N episodes of K people, one array for each field of `Episode`; a sequence of those.
+    """The records of N episodes of K people, one array for each field of `Episode`; a sequence of these.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Episodes:
     cut_off : bool array, shape (N,)
         Whether a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
-        Set where the policy weighs costs and made no suggestion.
+        Set if the policy weighs costs and made no suggestion.
     """
 
     policy: str
@@ -109,13 +109,13 @@ class Episodes:
 
     @classmethod
     def joined(cls, parts: Sequence[Episodes]) -> Episodes:
-        """Put the episodes of one policy together."""
+        """Return the union of episodes of one policy."""
         names = [field.name for field in fields(cls) if field.name not in ("policy", "suggestion_threshold")]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return cls(parts[0].policy, **arrays)
 
     def summary(self) -> Summary:
-        """Give means and their standard errors."""
+        """Return means and their standard errors."""
         return Summary(
             policy=self.policy,
             episodes=len(self),
@@ -194,27 +194,27 @@ SHOWN = {
     "moves": "moves",
     "discounted_return": "return",
 }
-"""What is summarised, and what it is called in records."""
+"""Summarised fields, with their names in records."""
 
 Trace = list[dict[str, Any]]
-"""One dictionary for each action of each person."""
+"""A list with one dictionary for each action of each person."""
 
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and standard error over the episodes of one policy.
+    """Means and standard errors over the episodes of one policy.
 
     Attributes
     ----------
     policy : str
     episodes : int
     actions, interventions, suggestions, executions, moves, discounted_return : tuple of float
-        Mean and standard error: human actions per person, and interventions, which are suggestions and executions,
-        each of the two, changes of place and return per episode.
+        Mean and standard error of: actions per person; interventions, which are suggestions and executions; each of
+        these two; changes of place; and the return of an episode.
     cut_off : int
-        Episodes in which a person had neither finished nor left at the step limit.
+        Number of episodes in which a person had neither finished nor left at the step limit.
     suggestion_threshold : SuggestionThreshold or None
-        Set where the policy weighs costs and made no suggestion.
+        Set if the policy weighs costs and made no suggestion.
     """
 
     policy: str
@@ -229,7 +229,7 @@ class Summary:
     suggestion_threshold: SuggestionThreshold | None = None
 
     def record(self) -> dict[str, Any]:
-        """Give it as plain data; a standard error that is not known is None."""
+        """Return the summary as plain data; an unknown standard error is None."""
         record: dict[str, Any] = {"policy": self.policy, "episodes": self.episodes}
         for name, label in SHOWN.items():
             mean, error = getattr(self, name)

@@ -1,4 +1,4 @@
-"""One episode to look at: what came of it with help, and what without."""
+"""One episode for illustration, with help and without."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .simulate import simulate
 
 @dataclass(frozen=True)
 class Illustration:
-    """An episode with every action of everybody.
+    """An episode with all actions of all people.
 
     Attributes
     ----------
     episode : Episode
     trace : list
-        As `simulate` gives it.
+        Trace of `simulate`.
     alone : list
-        The same of the same episode without a robot.
+        Trace of the same episode without a robot.
     """
 
     episode: Episode
@@ -40,7 +40,7 @@ class Illustration:
         seed: int,
         travel: Travel | None = None,
     ) -> Illustration:
-        """Choose one of a policy's episodes, and look closer; the parameters are those of `simulate`."""
+        """Select one of a policy's episodes and simulate it with a trace; other parameters as in `simulate`."""
         alone = simulate(pool, "none", humans=humans, episodes=helped.episode, seed=seed, travel=travel)
         shown = typical(helped, alone)
         traces: tuple[Trace, Trace] = ([], [])
@@ -50,7 +50,7 @@ class Illustration:
 
 
 def typical(helped: Episodes, alone: Episodes) -> Episode:
-    """Choose an episode: of those in which help saved actions, the one of median saving.
+    """Return the episode with the median saving among those in which help saved actions.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The people from whom teams are drawn, and what the robot has worked out about each of them."""
+"""Pools of people from whom teams are drawn, with the robot's policy for each person."""
 
 from __future__ import annotations
 
@@ -27,34 +27,33 @@ from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from ..team.travel import Travel
 
-LARGEST = 200_000
-"""The largest task that is looked at whole because something is asked for that needs it."""
+MAX_ENUMERATED = 200_000
+"""Largest number of states of a task that is enumerated because a requested option requires it."""
 
 MEMORY_LIMIT_MB = 4000.0
-"""What people's policies may take, unless more is allowed."""
-
-OF_THE_TEAM = ("gamma", "c_move", "travel_time", "max_steps")
-"""Fields of a setting that all people of a team share."""
-
-PERSON = 2000
-"""Bytes that a person takes at least, with their policy."""
+"""Default limit of the memory of all people's policies, and of all records of a simulation, in MB."""
 
 ONE_FOR_ALL = "a smaller pool, one policy for all (knowledge 'exact'), or "
 
 
 @dataclass(frozen=True)
 class Pool:
-    """The people from whom teams are drawn, and what the robot has worked out about them.
+    """The people from whom teams are drawn, with the robot's policy for each of them.
 
     Attributes
     ----------
     setting : Setting
     people : tuple of Human
     policies : tuple of Policy
-        For a person by themselves. People whom the robot cannot tell apart beforehand share one. Each
-        works on the task of their policy. Those of `sample` are worked out when they are first needed.
+        Policies for single people. People whom the robot cannot distinguish beforehand share one. Each person works on
+        the task of their policy. The policies of `sample` are solved on first use.
     model : int array, shape (people,)
-        Which policy is each person's.
+        Index of each person's policy.
+
+    Raises
+    ------
+    ValueError
+        The parts do not match: numbers of people, grids, discount factors, or numbers of states.
     """
 
     setting: Setting
@@ -101,45 +100,45 @@ class Pool:
         region: int | None = None,
         progress: Wanted = None,
     ) -> Pool:
-        """Draw people from a population, and set the POMDP of each up.
+        """Draw people from a population, and build the POMDP of each.
 
-        It is solved when a team policy first needs it, so that whoever is in no team costs no time. Of a task with many
-        states, or one that is asked on demand, only those are looked at to which people come (`TruncatedPolicy`).
+        A POMDP is solved when a team policy first needs it, so that people who are in no team cost no time. Tasks that
+        are too large are not enumerated: policies are then solved on truncated tasks (`TruncatedPolicy`).
 
         Parameters
         ----------
         table : CostToGo or Choices
-            The cost-to-go of their task, as a table or on demand; choices are looked at whole, however many.
+            Cost-to-go of the people's task, as a table or on demand. `Choices` are enumerated, whatever their number.
         size : int
+            Number of people.
         seed : int or Generator
         setting : Setting, optional
-            The paper's unless given.
+            By default the paper's.
         population : Population or Mixture, optional
-            From whom they are drawn; the paper's unless given. Where terms have weights, each state is divided by what
-            people remember (`remembered`).
+            Population from which the people are drawn; by default the paper's. If it has weights of terms, each task
+            state is split by the memory of people (`remembered`).
         prior : Population or Mixture, optional
-            From whom the robot takes them to be drawn; `population` unless given. A robot whose prior has no weights
-            believes that people choose by cost-to-go alone.
+            The robot's prior; by default `population`. A robot whose prior has no weights assumes that people choose by
+            cost-to-go alone.
         solver : callable
-            Gives the policy for one person's problem.
+            Returns the policy for one person's problem.
         memory_limit_mb : float
-            What QMDP's policies of all may take, in megabytes; it is known before anything is allocated.
+            Memory of all QMDP policies in MB; it is estimated before anything is allocated.
         states : int
-            Tables of at most so many states are looked at whole; of at most `LARGEST` where people remember what they
-            did, actions are executed or a solver is given.
+            Largest number of states of a table that is enumerated. It is `MAX_ENUMERATED` if people have a memory, if
+            actions are executed, or if a solver is given.
         region : int, optional
-            States that policies are worked out on where the task is not; `assist.large_tasks.truncated_policy.REGION`
-            unless given.
+            Number of states of a policy's truncated task; by default `assist.large_tasks.truncated_policy.REGION`.
         progress : callable or bool, optional
-            Who is told how far it is, as in `planner.system.progress`: how many people's POMDPs have been set up.
+            Receives progress reports, as `planner.system.progress` describes: the number of POMDPs that have been
+            built.
 
         Raises
         ------
         ValueError
-            What cannot be, such as a task whose goal cannot be reached, or one that would have to be looked at whole
-            and is too large.
+            A parameter is out of its range, the goal is unreachable, or a task must be enumerated and is too large.
         LimitError
-            People's policies would take more memory than is allowed.
+            The policies would exceed the memory limit.
         """
         assert callable(progress)
         size, states = whole("size", size, 1), whole("states", states)
@@ -150,20 +149,20 @@ class Pool:
         models = size if setting.knowledge == "own" else 1
         rng = np.random.default_rng(np.random.SeedSequence(entropy(seed), spawn_key=(0,)))
         needed = {"weights": population.weights or prior.weights, "execute": setting.execute, "solver": solver != qmdp}
-        if not isinstance(table, Choices) and not is_whole(table, LARGEST if any(needed.values()) else states):
+        if not isinstance(table, Choices) and not is_whole(table, MAX_ENUMERATED if any(needed.values()) else states):
             for name, given in needed.items():
                 if given:
-                    raise ValueError(f"{name}: expected a task that is looked at whole, of at most {LARGEST:,} states")
+                    raise ValueError(f"{name}: expected an enumerated task, of at most {MAX_ENUMERATED:,} states")
             require_goal(float(table.lookup([table.initial])[0]))
             _allow_people(size, 0, memory_limit_mb)
-            everybody = population.sample(None, size, rng)
-            ground = SharedTask(table, prior, region)
-            anybody = TruncatedPolicy(ground, setting)
-            own = tuple(TruncatedPolicy(ground, setting, human, anybody) for human in everybody)
+            people = population.sample(None, size, rng)
+            shared = SharedTask(table, prior, region)
+            of_task = TruncatedPolicy(shared, setting)
+            own = tuple(TruncatedPolicy(shared, setting, human, of_task) for human in people)
             if setting.knowledge == "exact":
-                own = (anybody,)
-            return cls(setting, tuple(everybody), own, np.arange(size) if models > 1 else np.zeros(size, np.int64))
-        _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # before choices are made
+                own = (of_task,)
+            return cls(setting, tuple(people), own, np.arange(size) if models > 1 else np.zeros(size, np.int64))
+        _allow(policy_bytes(len(table)), len(table), models, memory_limit_mb)  # checked before the choices are built
         choices = choices_of(table, (*population.weights, *prior.weights))
         require_goal(choices.h[choices.initial])
         offered = choices.optimal if setting.suggestions == "optimal" else choices.applicable
@@ -173,7 +172,7 @@ class Pool:
         _allow_people(size, choices.h.nbytes, memory_limit_mb)
         people = population.sample(choices, size, rng)
         known: Sequence[Human | None] = people if setting.knowledge == "own" else [None]
-        advance = adding(progress, "setting people's POMDPs up", len(known))
+        advance = adding(progress, "setting up people's POMDPs", len(known))
         policies = []
         for human in known:
             policies.append(Later(setting.problem(choices, human, prior), solver))
@@ -183,19 +182,19 @@ class Pool:
 
     @classmethod
     def joined(cls, pools: Sequence[Pool]) -> Pool:
-        """Join pools of different tasks, models or costs of suggestions; the setting is that of the first.
+        """Return the union of pools with different tasks, models or costs of suggestions.
 
-        What a setting says of one person's problem is part of their policy, and may differ. What it says of the whole
-        team (`OF_THE_TEAM`) has to be the same.
+        The setting is that of the first pool. Fields that concern one person only are part of the policies and may
+        differ. Fields of the whole team (`gamma`, `c_move`, `travel_time` and `max_steps`) must be the same.
 
         Raises
         ------
         ValueError
-            There is no pool, or their settings differ in that.
+            There is no pool, or these fields differ.
         """
         if not pools:
             raise ValueError("joined: expected one pool or more")
-        for name in OF_THE_TEAM:
+        for name in ("gamma", "c_move", "travel_time", "max_steps"):
             values = [getattr(pool.setting, name) for pool in pools]
             if len(set(values)) > 1:
                 raise ValueError(f"joined: {name} is {values} in these pools; expected the same in all")
@@ -208,7 +207,7 @@ class Pool:
         )
 
     def priced(self, c_suggest: float) -> Pool:
-        """Return the same people where a suggestion costs something else, on tasks that are looked at whole."""
+        """Return the same people with another cost of a suggestion; the task must be enumerated."""
         policies = tuple(
             Later(policy.pomdp.priced(c_suggest), getattr(policy, "solver", qmdp)) for policy in self.policies
         )
@@ -216,33 +215,33 @@ class Pool:
 
     @property
     def truncated(self) -> bool:
-        """Whether policies are for truncated tasks, in place of enumerated ones."""
+        """Whether the policies are for truncated tasks, in place of enumerated ones."""
         kinds = {is_on_part(policy) for policy in self.policies}
         if len(kinds) > 1:
             raise ValueError("pools of enumerated tasks and of truncated ones: expected one kind")
         return kinds.pop()
 
     def choices(self, person: int) -> Choices:
-        """Give the task of a person."""
+        """Return the choices of a person's task."""
         return self.policies[self.model[person]].pomdp.model.choices
 
     def policy(self, name: str, travel: Travel | None = None) -> TeamPolicy:
-        """Make a team policy by its name; people's problems are solved when it first needs it.
+        """Return a team policy by its name; people's problems are solved on its first use.
 
         Parameters
         ----------
         name : str
             One of `POLICIES`.
         travel : Travel, optional
-            The way between people, if it is not that of the setting.
+            Travel between the places; by default that of the setting.
         """
-        # As all places are equally far, two stand for any number.
+        # All distances are equal, so that travel between two places has the same costs as between more.
         return named(name, self.policies, travel or self.setting.travel(2))
 
 
 def _allow(one: int, states: int, models: int, limit_mb: float) -> None:
-    """Refuse policies, each of so many bytes, that would not fit the memory."""
-    needed = (models + 1) * one / 1e6  # while values are put in order they are there twice
+    """Raise a `LimitError` if the policies of `one` bytes each would exceed the memory limit."""
+    needed = (models + 1) * one / 1e6  # a sorted copy of one policy's values exists temporarily
     if needed > positive("memory_limit_mb", limit_mb):
         who, less = ("one person", "") if models == 1 else (f"{models:,} people", ONE_FOR_ALL)
         raise LimitError(
@@ -252,8 +251,8 @@ def _allow(one: int, states: int, models: int, limit_mb: float) -> None:
 
 
 def _allow_people(size: int, one: int, limit_mb: float) -> None:
-    """Refuse people who would not fit the memory, each with so many bytes for what they take for the cost-to-go."""
-    needed = size * (PERSON + one) / 1e6
+    """Raise a `LimitError` if people with `one` bytes of perceived cost-to-go each would exceed the memory limit."""
+    needed = size * (2000 + one) / 1e6  # a person and their policy take about 2,000 bytes
     if needed > positive("memory_limit_mb", limit_mb):
         raise LimitError(
             f"{size:,} people take about {needed:,.0f} MB of memory, and {limit_mb:,.0f} MB are allowed; expected a "

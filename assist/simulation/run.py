@@ -1,4 +1,4 @@
-"""Episodes in progress: all advance together, one step at a time."""
+"""A chunk of episodes that advance together, one step at a time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..people.decision import NOTHING, Floats
 from ..team.state import BASE, NOBODY, PolicyError, TeamPolicy, TeamState, by_model
 from ..team.travel import Travel
 from .common_random_numbers import CommonRandomNumbers, from_the_prior
-from .dynamics import PeopleArrays, act
+from .dynamics import PeopleArrays
 from .episodes import Episodes, Trace
 from .pool import Pool
 from .schedule import Schedule
@@ -21,7 +21,7 @@ from .task_view import Ints, StepView, TaskView, World
 
 
 class Run:
-    """A chunk of episodes in progress; all arrays have the episodes as their first axis."""
+    """A chunk of episodes in progress; the episodes are the first axis of all arrays."""
 
     def __init__(
         self,
@@ -37,27 +37,28 @@ class Run:
         world: World,
         trace: Trace | None,
         progress: Callable[[int], None],
-        ground: Callable[[Ints, Ints, Ints], TaskView],
+        view_of: Callable[[Ints, Ints, Ints], TaskView],
     ) -> None:
         self.pool, self.policy, self.numbers, self.name = pool, policy, numbers, name
         self.travel, self.presence, self.trace, self.progress = travel, presence, trace, progress
         shape = (len(numbers), len(travel))
-        self.luck, self.on_grid = CommonRandomNumbers(seed, numbers, len(travel)), world == "model"
-        # In C order, which all arrays made from it inherit: people are changed in place through flat views of them.
-        self.people = np.ascontiguousarray(self.luck.team(len(pool.people)) if teams is None else teams)
+        self.random_numbers, self.on_grid = CommonRandomNumbers(seed, numbers, len(travel)), world == "model"
+        # The array is in C order, and all arrays derived from it are, too. They are changed in place through flat
+        # views.
+        self.people = np.ascontiguousarray(self.random_numbers.team(len(pool.people)) if teams is None else teams)
         self.model = pool.model[self.people]
         self.mind = np.zeros(shape, dtype=np.int64)
         self.beta = np.array([human.beta for human in pool.people])[self.people]
         self.theta = np.array([human.theta for human in pool.people])[self.people]
         if self.on_grid:
-            drawn = self.luck.draw(0, np.arange(len(numbers)))
+            drawn = self.random_numbers.draw(0, np.arange(len(numbers)))
             pomdps = [solved.pomdp for solved in pool.policies]
             self.mind, self.beta, self.theta = from_the_prior(pomdps, self.model, drawn)
         self.sigma = np.array([human.sigma for human in pool.people])[self.people]
         self.first_theta = self.theta.copy()
 
-        self.ground = ground(self.model, self.people, self.mind)
-        self.x = self.ground.initial.copy()
+        self.task_view = view_of(self.model, self.people, self.mind)
+        self.x = self.task_view.initial.copy()
         at_goal = np.array([pool.choices(n).goal[pool.choices(n).initial] for n in range(len(pool.people))])
         self.finished = at_goal[self.people]
         self.erred = np.zeros(shape, dtype=bool)
@@ -75,7 +76,7 @@ class Run:
         self.discounted = np.zeros(len(numbers))
 
     def run(self) -> Episodes:
-        """Step until all have finished or the limit is reached."""
+        """Simulate steps until all people have finished or the limit is reached; return the records."""
         ended = 0
         for step in range(self.pool.setting.max_steps):
             to_come = ~self.finished & (step < self.presence.leaves)
@@ -98,18 +99,18 @@ class Run:
 
     def _step(self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_]) -> None:
         flat = np.flatnonzero(active)
-        view = self.ground.view(self.x, flat, deep=self.belief is not None)
+        view = self.task_view.view(self.x, flat, deep=self.belief is not None)
         robot, charged = self._robot(step, running, active, view)
-        view = self.ground.heard(view, robot)
+        view = self.task_view.after_suggestions(view, robot)
         before = view.x.copy() if self.trace is not None else view.x
         theta_before = self.theta.copy() if self.trace is not None else self.theta
-        luck = np.empty((*self.x.shape, 2))
+        uniform = np.empty((*self.x.shape, 2))
         for kind in (1, 2) if self.on_grid else (1,):
-            luck[running, :, kind - 1] = self.luck.draw(kind, running)
-        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, luck, self.belief, self.erred)
+            uniform[running, :, kind - 1] = self.random_numbers.draw(kind, running)
+        people = PeopleArrays.of_teams(view.x, robot, view.who, self.theta, uniform, self.belief, self.erred)
         for number, rows in by_model(view.model.reshape(-1), flat, len(view.policies)):
             group = view.groups[number]
-            act(rows, people, group.minds, group.arrays)
+            group.act(rows, people)
             to = people.x[rows]
             self.finished.reshape(-1)[rows] = group.ends[to]
             self.x.reshape(-1)[rows] = to if group.states is None else group.states[to]
@@ -125,7 +126,7 @@ class Run:
     def _robot(
         self, step: int, running: NDArray[np.int64], active: NDArray[np.bool_], view: StepView
     ) -> tuple[NDArray[np.int64], Floats]:
-        """Ask the policy, and give what the robot does to each person and what that costs, both of shape (N, K)."""
+        """Return the robot's action towards each person and its cost, both of shape (N, K), as chosen by the policy."""
         robot, charged = np.zeros_like(self.x), np.zeros(self.x.shape)
         free = running[(self.busy_until[running] <= step) & active[running].any(axis=1)]
         if not len(free):
@@ -197,5 +198,5 @@ class Run:
 
 
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
-    """Some rows of a large array, copied only if they must be, and then a row at a time."""
+    """Return some rows of a large array; a slice returns a view, and `take` copies a row at a time."""
     return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)

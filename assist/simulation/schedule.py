@@ -1,4 +1,4 @@
-"""When people are there."""
+"""The steps in which people are present."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ from ..people.arguments import wholes
 
 @dataclass(frozen=True)
 class Schedule:
-    """When people are there.
+    """The steps in which people are present.
 
     Attributes
     ----------
     joins : int array, shape (K,)
-        The step in which the person at each place begins.
+        First step of the person at each place.
     leaves : int array, shape (K,)
-        The step in which they are gone, finished or not.
+        Step before which the person leaves, whether or not they have finished.
+
+    Raises
+    ------
+    ValueError
+        A person joins before step 0, or leaves before they join.
     """
 
     joins: NDArray[np.int64]
@@ -27,7 +32,7 @@ class Schedule:
 
     @classmethod
     def of(cls, humans: int, joins: ArrayLike = 0, leaves: ArrayLike | None = None) -> Schedule:
-        """Describe so many people: all from the beginning until they have finished, unless given."""
+        """Return a schedule for `humans` people; by default all are present from the beginning until they finish."""
         never = np.iinfo(np.int64).max
         return cls(
             np.broadcast_to(wholes("joins", joins), (humans,)),

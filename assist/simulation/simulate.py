@@ -1,10 +1,10 @@
-"""Episodes of a team: several people at work, one robot.
+"""Simulation of episodes of a team: several people at work, and one robot.
 
-Only the problems of people who are in a team are solved, and only if the policy needs that.
+Only the problems of people who are in a team are solved, and only if the policy needs them.
 
-Episodes are numbered, and their random numbers are drawn for a block of them at a time from the seed and the block's
-number alone: policies meet the same people with the same luck (common random numbers), and results do not depend on
-how episodes are divided among processes.
+Episodes are numbered. Their random numbers are drawn in blocks, from the seed and the number of the block alone. So all
+policies are simulated with the same people and the same random numbers (common random numbers). The results do not
+depend on how episodes are divided among processes.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from planner import LimitError
 from planner.system.progress import Wanted, adding, shows_progress
 
 from ..people.arguments import Seed, entropy, positive, whole, wholes
-from ..person.suggestion_threshold import LARGEST, search_threshold
+from ..person.suggestion_threshold import SEARCHED_STATES, search_threshold
 from ..team.attention import NoAssistance
 from ..team.policies import prepare
 from ..team.state import TeamAction, TeamPolicy, TeamState
@@ -36,9 +36,8 @@ from .task_view import ModelGroup, TaskView, WholeTaskView, World
 from .truncated_view import TruncatedTaskView
 
 SOLVING = "solving people's POMDPs"
-
-TOGETHER = 16_384
-"""People who are simulated at a time: what is known of them should stay in the processor's cache."""
+PEOPLE_AT_A_TIME = 16_384
+"""Number of people who are simulated together, so that their data fit into the processor's cache."""
 
 
 @shows_progress
@@ -67,43 +66,47 @@ def simulate(
     policy : str or callable
         A team policy, or the name of one (`assist.team.policies.POLICIES`).
     humans : int, or int array, shape (K,) or (N, K)
-        People per team, drawn from the pool without replacement; or who is in the team, at which place, in every
-        episode or in each.
+        Number of people per team, drawn from the pool without replacement. An array holds the person at each place, in
+        all episodes or in each.
     episodes : int or sequence of int
-        How many episodes, or their numbers.
+        Number of episodes, or their numbers.
     seed : int or Generator
     name : str, optional
-        What the policy is called in the records; its own name, or else "policy", unless given.
+        Name of the policy in the records; by default its own name, or else "policy".
     travel : Travel, optional
-        The way between the places; that of the setting unless given.
+        Travel between the places; by default that of the setting.
     presence : Schedule, optional
-        When people are there; all from the beginning unless given.
+        Steps in which people are present; by default all from the beginning.
     world : "people" or "model"
-        Whether the pool's people act, or others as the robot's models have them: beta and theta drawn from
-        the prior, on its grid, with lapses. In the second world a model's bounds hold.
+        Whether the people of the pool act, or people of the robot's model: beta and theta are then drawn from the
+        prior, on its grid, and people have lapses. A model's bounds hold in the second world.
     trace : list, optional
-        Every action of every person is appended to it, one dictionary each.
+        A dictionary is appended for every action of every person.
     jobs : int
-        Threads that simulate at a time. The policy is then called by several; results do not depend on it.
+        Number of threads. They call the policy concurrently; the results do not depend on their number.
     memory_limit_mb : float
-        What the records of all episodes may take, in megabytes.
+        Memory of the records of all episodes, in MB.
     explain : bool
-        Whether to find out, where a policy that weighs costs makes no suggestion, from which cost of suggestions on it
-        does (`Episodes.suggestion_threshold`). That takes a few times as long as the simulation, or some seconds.
+        Whether to search for the largest cost of suggestions at which the policy makes one, if it weighs costs and
+        makes none (`Episodes.suggestion_threshold`). This takes some times as long as the simulation, or some seconds.
     progress : callable or bool, optional
-        Who is told how far it is, as in `planner.system.progress`: people's problems are solved, then episodes are
-        simulated.
+        Receives progress reports, as `planner.system.progress` describes. The stages are the solution of people's
+        problems and the simulation of episodes.
+
+    Returns
+    -------
+    Episodes
 
     Raises
     ------
     TypeError
-        Without a pool, as with a task alone.
+        `pool` is no pool, but for instance a task.
     ValueError
-        What cannot be.
+        A parameter is out of its range.
     PolicyError
-        The policy chooses what cannot be, such as a person who has finished.
+        The policy chooses an impossible action, such as going to a person who has finished.
     LimitError
-        More episodes than fit the memory.
+        The episodes would exceed the memory limit.
     """
     if not isinstance(pool, Pool):
         raise TypeError(f"pool: expected people at a task, a Pool, not what is a {type(pool).__name__}")
@@ -125,63 +128,64 @@ def simulate(
         raise ValueError(f"travel for {len(travel)}, presence for {len(presence.joins)}: expected {places} people")
     called = name or (policy if isinstance(policy, str) else str(getattr(policy, "__name__", "policy")))
     policy = pool.policy(policy, travel) if isinstance(policy, str) else policy
-    together = max(1, TOGETHER // (places * BLOCK)) * BLOCK
-    jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace is in order
-    luck = entropy(seed)
+    together = max(1, PEOPLE_AT_A_TIME // (places * BLOCK)) * BLOCK
+    jobs = 1 if trace is not None else whole("jobs", jobs, 1)  # a trace has the order of the episodes
+    seed_number = entropy(seed)
     if pool.truncated:
-        jobs = 1  # what has been met grows under one hand
-        ground: Callable[..., TaskView] = partial(TruncatedTaskView, pool, world, {})
+        jobs = 1  # the cache of truncated problems is not thread-safe
+        view_of: Callable[..., TaskView] = partial(TruncatedTaskView, pool, world, {})
     else:
-        ground = partial(WholeTaskView, pool, cache(lambda number: ModelGroup.of_model(pool, number, world)), world)
+        view_of = partial(WholeTaskView, pool, cache(lambda number: ModelGroup.of_model(pool, number, world)), world)
 
     assert callable(progress)
     chunks = [slice(start, start + together) for start in range(0, count, together)]
     if hasattr(policy, "prepare"):
-        drawn = _drawn(pool, luck, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
+        drawn = _drawn(pool, seed_number, [numbers[chunk] for chunk in chunks], places) if teams is None else teams
         models = np.unique(pool.model[drawn]).tolist()
         prepare(policy, [pool.policies[model] for model in models], progress=partial(progress, SOLVING))
     advance = adding(progress, f"simulating {called}", count)
 
     def run(chunk: slice) -> Episodes:
         return Run(
-            pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=luck, name=called,
-            travel=travel, presence=presence, world=world, trace=trace, progress=advance, ground=ground,
+            pool, policy, teams=None if teams is None else teams[chunk], numbers=numbers[chunk], seed=seed_number,
+            name=called, travel=travel, presence=presence, world=world, trace=trace, progress=advance, view_of=view_of,
         ).run()  # fmt: skip
 
     with ThreadPoolExecutor(jobs) as workers:
         found = Episodes.joined(list(map(run, chunks) if jobs == 1 else workers.map(run, chunks)))
-    remade = getattr(policy, "with_policies", None)  # of policies that weigh costs
-    if not explain or remade is None or found.interventions.any() or not found.actions.any():
+    with_policies = getattr(policy, "with_policies", None)  # policies that weigh costs have this method
+    if not explain or with_policies is None or found.interventions.any() or not found.actions.any():
         return found
     few = _few(pool, found)
 
     def suggests(c_suggest: float) -> bool:
         progress(f"trying c_suggest {c_suggest:g}", 0, None)
         other = pool.priced(c_suggest)
-        once = _UntilFirstSuggestion(remade(other.policies, travel))
+        until_first = _UntilFirstSuggestion(with_policies(other.policies, travel))
         simulate(
-            other, once, humans=found.people[:few], episodes=numbers[:few], seed=luck, travel=travel,
+            other, until_first, humans=found.people[:few], episodes=numbers[:few], seed=seed_number, travel=travel,
             presence=presence, world=world, explain=False,
         )  # fmt: skip
-        return once.suggested
+        return until_first.suggested
 
     return replace(found, suggestion_threshold=search_threshold(pool.setting.c_suggest, suggests if few else None))
 
 
 class _UntilFirstSuggestion:
-    """A policy that makes no more suggestions after its first one: whether there is one is then known."""
+    """A policy that makes no suggestion after its first one, and records whether it has made one."""
 
     def __init__(self, policy: TeamPolicy) -> None:
         self._policy, self.suggested = policy, False
 
     def __call__(self, team: TeamState, /) -> TeamAction:
+        """Return the policy's action, or none after the first suggestion."""
         action = NoAssistance()(team) if self.suggested else self._policy(team)
         self.suggested = self.suggested or bool(action.robot.any())
         return action
 
 
 def _few(pool: Pool, episodes: Episodes) -> int:
-    """Return how many of the first episodes have people whose problems have at most `LARGEST` states in all."""
+    """Return the number of first episodes whose people's problems have at most `SEARCHED_STATES` states in total."""
     count = min(len(episodes), BLOCK)
     if pool.truncated:
         return 0
@@ -191,25 +195,25 @@ def _few(pool: Pool, episodes: Episodes) -> int:
             len(pool.policies[model].pomdp.robot_actions)
             for model in np.unique(pool.model[episodes.people[:count]]).tolist()
         )
-        > LARGEST
+        > SEARCHED_STATES
     ):
         count //= 2
     return count
 
 
-def _drawn(pool: Pool, luck: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:
-    """Give who is in a team in any of some episodes, in chunks."""
+def _drawn(pool: Pool, seed_number: int, numbers: Sequence[NDArray[np.int64]], places: int) -> NDArray[np.int64]:
+    """Return the people who are in a team in any of some episodes, given in chunks."""
     size = len(pool.people)
     drawn = np.arange(size if places == size else 0)
     for chunk in numbers:
         if len(drawn) == size:
             break
-        drawn = np.union1d(drawn, CommonRandomNumbers(luck, chunk, places).team(size))
+        drawn = np.union1d(drawn, CommonRandomNumbers(seed_number, chunk, places).team(size))
     return drawn
 
 
 def _count(episodes: ArrayLike) -> int:
-    """Give how many episodes are asked for."""
+    """Return the number of requested episodes."""
     if np.ndim(episodes) == 0:
         return whole("episodes", episodes, 1)
     if np.ndim(episodes) != 1 or not np.size(episodes):
@@ -218,7 +222,7 @@ def _count(episodes: ArrayLike) -> int:
 
 
 def _team(humans: ArrayLike, size: int, episodes: int) -> tuple[int, NDArray[np.int64] | None]:
-    """Give how many places a team has and, where that is given, who is at each."""
+    """Return the number of places of a team and, if they are given, the people at each."""
     if np.ndim(humans) == 0:
         places = whole("humans", humans, 1)
         if places > size:

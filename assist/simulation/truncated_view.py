@@ -1,4 +1,4 @@
-"""A task of any size as a step of a simulation sees it: the states in which people are, and the next ones."""
+"""The view of a truncated task in one step of a simulation: the people's states and their successors."""
 
 from __future__ import annotations
 
@@ -12,28 +12,22 @@ from ..team.state import by_model
 from .pool import Pool
 from .task_view import Ints, ModelGroup, StepView, World
 
-MORE = 4
-"""Problems are made around at most so many times the states that are wanted, to be kept."""
-
-LARGEST = 20_000
-"""Rows of all problems that are kept, about: each takes some kilobytes."""
-
 
 class TruncatedTaskView:
-    """Tasks that are not looked at whole.
+    """The view of tasks that are not enumerated.
 
-    What has been made around some states is kept in `kept` and serves again where nobody is elsewhere: in a small task
-    people soon come to no others. It is made anew with more states where they are not many more than are wanted, or as
-    much has been made for once meanwhile.
+    Local problems are cached in `kept`, and are used again while all people are in their states. In a small task,
+    people soon visit no new states. A local problem is rebuilt with more states if these are not many more than are
+    needed, or if as many have been built for single steps since.
 
     Parameters
     ----------
     pool : Pool
     world : World
     kept : dict
-        By the policy's number: empty at first, and for all chunks of one policy's episodes the same.
+        Cached problems by the index of the policy; empty at first, and shared by all chunks of one policy's episodes.
     model, people, mind : int arrays, shape (N, K)
-        As of `WholeTaskView`.
+        As in `WholeTaskView`.
     """
 
     def __init__(
@@ -45,30 +39,34 @@ class TruncatedTaskView:
         self.initial = np.array([policy.ground.known.initial for policy in self.policies])[model]
 
     def view(self, x: Ints, active: Ints, *, deep: bool) -> StepView:
-        """Look at the problem around everybody who acts."""
-        arounds: list[LocalProblem] = []
+        """Return the view with a local problem for the states of all active people."""
+        local_problems: list[LocalProblem] = []
         groups: dict[int, ModelGroup] = {}
         rows, models, who = np.zeros((3, x.size), dtype=np.int64)
         for number, flat in by_model(self.model.reshape(-1), active, len(self.policies)):
             states, people = x.reshape(-1)[flat], self.people.reshape(-1)[flat]
             part = self._part(number, np.unique(states), np.unique(people), deep)
             rows[flat] = part.rows(states)
-            models[flat] = len(arounds)
+            models[flat] = len(local_problems)
             who[flat] = self.mind.reshape(-1)[flat] if self.world == "model" else part.group.row[people]
-            groups[len(arounds)] = part.group
-            arounds.append(part.around)
-        return StepView(arounds, groups, rows.reshape(x.shape), models.reshape(x.shape), who.reshape(x.shape))
+            groups[len(local_problems)] = part.group
+            local_problems.append(part.around)
+        return StepView(local_problems, groups, rows.reshape(x.shape), models.reshape(x.shape), who.reshape(x.shape))
 
     def _part(self, number: int, states: Ints, people: Ints, deep: bool) -> CachedProblem:
-        """Give the problem around some states, ascending, for some of the people of a policy."""
+        """Return a local problem for some states, in ascending order, and some of the people of a policy.
+
+        A rebuilt problem has at most four times the needed number of states, unless many were built for single steps.
+        All cached problems together have about 20,000 rows, of some kilobytes each.
+        """
         kept = self.kept.get(number)
         if kept is None:
             return self.kept.setdefault(number, self._made(number, states, people, deep))
         if kept.has(states, people, deep):
             return kept
         more, everybody = np.union1d(kept.states, states), np.union1d(kept.group.people, people)
-        if len(more) <= max(MORE * len(states), kept.spent) and kept.size * len(more) <= (
-            LARGEST // len(self.policies) * len(kept.states)
+        if len(more) <= max(4 * len(states), kept.spent) and kept.size * len(more) <= (
+            20_000 // len(self.policies) * len(kept.states)
         ):
             self.kept[number] = self._made(number, more, everybody, deep)
             return self.kept[number]
@@ -76,13 +74,13 @@ class TruncatedTaskView:
         return self._made(number, states, people, deep)
 
     def _made(self, number: int, states: Ints, people: Ints, deep: bool) -> CachedProblem:
-        # What is looked up is there at once, so that it need not be asked for again for those who are advised.
+        # A table answers at once, so that the states after suggestions are included from the beginning.
         deep = deep or not self.policies[number].ground.known.searches
         around = self.policies[number].around(states, deep=deep)
         return CachedProblem(around, ModelGroup.of(self.pool, around.pomdp, people, self.world, around.region.states))
 
-    def heard(self, view: StepView, robot: Ints) -> StepView:
-        """Look at the states to which people are advised to go."""
+    def after_suggestions(self, view: StepView, robot: Ints) -> StepView:
+        """Return the view with the states to which suggestions lead."""
         groups, policies = dict(view.groups), list(view.policies)
         for number, flat in by_model(view.model.reshape(-1), np.flatnonzero(robot), len(policies)):
             around = policies[number]
@@ -100,14 +98,14 @@ class TruncatedTaskView:
 
 @dataclass(eq=False)
 class CachedProblem:
-    """The problem around some states, and how some people choose there.
+    """A local problem for some states, with the choices of some people there.
 
     Attributes
     ----------
     around : LocalProblem
     group : ModelGroup
     spent : int
-        Around how many other states problems have been made since, for a step each.
+        Number of other states for which problems have been built since, for one step each.
     """
 
     around: LocalProblem
@@ -116,21 +114,21 @@ class CachedProblem:
 
     @property
     def states(self) -> Ints:
-        """Those in which people may be, ascending."""
+        """The states in which people may be, in ascending order."""
         return self.around.region.states[: self.around.count]
 
     @property
     def size(self) -> int:
-        """How many rows it has, those of next states included."""
+        """The number of rows, including those of successors."""
         return len(self.around.region.states)
 
     def has(self, states: Ints, people: Ints, deep: bool) -> bool:
-        """Tell whether it serves people in these states."""
+        """Return whether the problem covers these states and people."""
         if deep and not self.around.deep:
             return False
         place = np.minimum(np.searchsorted(self.states, states), self.around.count - 1)
         return bool((self.states[place] == states).all()) and bool(np.isin(people, self.group.people).all())
 
     def rows(self, states: Ints) -> Ints:
-        """Give the rows of states, shape (N,), that it has."""
+        """Return the rows of states, shape (N,), that it covers."""
         return np.searchsorted(self.states, states)

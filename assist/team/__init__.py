@@ -1,4 +1,4 @@
-"""Several people and one robot: what a policy is given, and the policies."""
+"""A team of several people and one robot: the state that a policy receives, and the policies."""
 
 from planner.system.lazy_imports import lazy_exports
 

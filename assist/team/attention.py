@@ -1,7 +1,4 @@
-"""Whom to help: the paper's team policies.
-
-No assistance, reactive assistance, and attention switching (its Algorithm 1).
-"""
+"""The team policies of the paper: no assistance, reactive assistance, and attention switching (Algorithm 1)."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ class NoAssistance:
     uses_belief = False
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose nothing for every team."""
+        """Return no action for every team."""
         nobody = np.full(len(team.x), NOBODY, dtype=np.int64)
         return TeamAction(nobody, np.zeros_like(nobody))
 
@@ -34,15 +31,16 @@ class NoAssistance:
 class Reactive:
     """Go to a person whose last action was a mistake, and suggest an optimal action.
 
-    A mistake is an action that is not an optimal choice: no cheapest way to the goal begins with it. (That h* did not
-    fall is another thing, where actions differ in cost or are free.) Where several have erred the robot stays with the
-    person it is with, if that is one of them, and takes the first otherwise. In a dead end there is nothing to suggest.
+    A mistake is an action that is not an optimal choice, that is, no optimal plan from the state begins with it.
+    (Whether h* decreased is another question, because costs differ between actions and may be 0.) If several people
+    have erred, the robot stays with the present person if possible; otherwise it goes to the first of them. In a dead
+    end no action is optimal, so that nothing is suggested.
     """
 
     uses_belief = False
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose a person who has erred, in every team that has one."""
+        """Return an action for a person who has erred, in every team that has one."""
         robot = np.where(team.erred, team.first_optimal(), 0)
         wanted = robot > 0
         teams = np.arange(len(team.x))
@@ -55,19 +53,19 @@ class Reactive:
 class AttentionSwitching:
     """The paper's Algorithm 1.
 
-    For each person k the action of their own policy is scored by what it is worth more than a reference,
-    minus what going there costs:
+    For each person k, the action of their own policy is scored by its advantage over a reference, minus the cost of
+    moving there:
 
         score_k = Q^k(b^k, a^k) - reference_k - c_move * distance(location, k)
 
-    The largest score is acted on, and nothing is done where none is positive. The paper's text can be read
-    in two ways. The reference is the value of doing nothing *once* and following the person's policy from the
-    next step on (`AttentionSwitching()`), or that of *never* helping this person again (`against_never`).
+    The robot acts on the largest score; it does nothing if no score is positive. The paper's text allows two readings.
+    The reference is the value of doing nothing *once* and following the person's policy from the next step on
+    (`AttentionSwitching()`), or that of *never* helping this person again (`against_never`).
 
     Attributes
     ----------
     never : ByPolicy of float arrays, shape (n, B, T), or None
-        The value of never helping; None to refer to doing nothing once.
+        Value of never helping; None for the first reading.
     """
 
     never: ByPolicy[Floats] | None = None
@@ -75,7 +73,7 @@ class AttentionSwitching:
 
     @classmethod
     def against_never(cls, policies: Sequence[Policy]) -> AttentionSwitching:
-        """Refer to never helping again."""
+        """Return the policy whose reference is the value of never helping again."""
 
         def never(policy: Policy) -> Floats:
             return evaluate(policy.pomdp, np.zeros(len(policy.pomdp.robot_actions), dtype=np.int64))
@@ -83,31 +81,31 @@ class AttentionSwitching:
         return cls(ByPolicy(policies, never))
 
     def with_policies(self, policies: Sequence[Policy], _travel: Travel) -> AttentionSwitching:
-        """Return the same team policy for other policies of the people by themselves."""
+        """Return the same team policy with other policies for single people."""
         return self if self.never is None else self.against_never(policies)
 
     def prepare(self, policy: Policy) -> None:
-        """Work out now what it takes to help the people of a policy."""
+        """Compute now the data about the people of a policy."""
         work_out(policy)
         if self.never is not None:
             self.never[policy]
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose the person with the largest positive score, in every team that has one."""
+        """Return an action for the person with the largest positive score, in every team that has one."""
         robot, score = self.scores(team)
         teams = np.arange(len(team.x))
         best = score.argmax(axis=1)
         return team.act(np.where(score[teams, best] > 0, best, NOBODY), robot)
 
     def scores(self, team: TeamState) -> tuple[NDArray[np.int64], Floats]:
-        """Give each person's robot action and its score, both of shape (N, K)."""
+        """Return each person's robot action and its score, both of shape (N, K)."""
         q = team.q_values()
         robot = q.argmax(axis=2)
         reference = q[:, :, 0] if self.never is None else team.of_each(self._if_never)[:, :, 0]
-        worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # a maximum over so few takes numpy longer
-        # Nothing is worth infinitely little to those who are not there.
+        worth = np.take_along_axis(q, robot[:, :, None], axis=2)[:, :, 0]  # faster than a maximum over so few entries
+        # People who are not active score minus infinity.
         score = np.subtract(worth, reference, out=np.full(team.x.shape, -np.inf), where=team.active)
-        # Doing nothing is no reason to go anywhere, however much better than never helping again it is.
+        # Doing nothing is no reason to move, even if its value exceeds that of never helping again.
         score[robot == 0] = -np.inf
         return robot, score - team.to()
 

@@ -1,14 +1,14 @@
-"""One person's problem as part of a team's: the robot comes, stays and leaves, and its attention has a price.
+"""One person's problem within a team: the robot comes, stays and leaves, and its attention has a price.
 
-A robot that serves K people is with one of them at a time. To give each of them a problem of their own, the price
-`price[t]` is put on every step t in which the robot is with them or on its way (Lagrangian relaxation of a weakly
-coupled problem: Hawkins, "A Lagrangian decomposition approach to weakly coupled dynamic optimization problems", 2003).
-Coming costs what coming from the nearest other place does, and takes as long; leaving is free. From the end of
-the prices on attention is free.
+A robot that serves K people is with one of them at a time. The Lagrangian relaxation of this constraint gives each
+person a problem of their own (Hawkins, "A Lagrangian decomposition approach to weakly coupled dynamic optimization
+problems", 2003). The price `price[t]`, a dual variable, is charged in every step t in which the robot is with the
+person or on its way to them. Coming costs as much, and takes as long, as from the nearest other place. Leaving is free.
+After the last price attention is free.
 
-`AttentionSubproblem.of` writes that as an `AssistPOMDP` again, whose observed state is the task's, the step as long as
-the price depends on it, and the robot's position (`TimeExpansion`). What the robot can do depends on its position alone
-(`RobotMoves`). So every solver and bound there is serves here too.
+`AttentionSubproblem.of` builds this problem as an `AssistPOMDP`. Its observed state consists of the task state, the
+step as long as the price depends on it, and the robot's position (`TimeExpansion`). The robot's possible moves depend
+on its position only (`RobotMoves`). So every solver and bound for an `AssistPOMDP` applies.
 """
 
 from __future__ import annotations
@@ -28,27 +28,24 @@ from ..person.pomdp import AssistPOMDP, LeafBounds
 from ..person.qmdp import QMDP, qmdp
 
 AWAY, HERE = 0, 1
-"""Positions of the robot. At HERE + s it is on its way, and here after s more steps."""
-
-SMALL = 100e6
-"""Bytes for which no machine is asked whether it has them."""
+"""Positions of the robot. At HERE + s it is on its way and arrives after s more steps."""
 
 
 @dataclass(frozen=True)
 class TimeExpansion:
-    """The states of a problem of visits: by step, then by the robot's position, then by the task's state.
+    """The states of an attention subproblem, ordered by step, then by robot position, then by task state.
 
     Attributes
     ----------
     states : int
-        How many states the task has.
+        Number of task states.
     positions : int
-        How many the robot has.
+        Number of robot positions.
     layers : tuple of int arrays
-        The task's states that are there at each step, ascending; the last for all later steps.
+        Task states that exist at each step, in ascending order; the last layer is for all later steps.
     kept : bool array, shape (len(layers), states), or None
-        Where the problem goes on at each step, if it breaks off at other states. These are there, too, if they can be
-        reached.
+        States in which the problem continues at each step, if it is truncated at the others. Those exist as well if
+        they are reachable.
     """
 
     states: int
@@ -58,12 +55,12 @@ class TimeExpansion:
 
     @classmethod
     def of(cls, alone: AssistPOMDP, positions: int, steps: int, kept: NDArray[np.bool_] | None = None) -> TimeExpansion:
-        """Keep what can be reached at each of so many steps; with none, every state of the task.
+        """Return the expansion with the states that are reachable at each step.
 
-        Nothing follows a state in which the problem ends.
+        With 0 steps it has all task states. A state in which the problem ends has no successors.
         """
         choices = alone.model.choices
-        leads = choices.applicable & ~alone.final[:, None]  # in empty slots a state is its own target
+        leads = choices.applicable & ~alone.final[:, None]  # in unused slots a state is its own target
         if not steps:
             return cls(len(choices), positions, (np.arange(len(choices)),))
 
@@ -78,7 +75,7 @@ class TimeExpansion:
         for step in range(steps):
             layers.append(and_executed(after(step, layers[-1])))
         known = 0
-        while len(layers[-1]) > known:  # all later steps are in the last layer
+        while len(layers[-1]) > known:  # the last layer collects the states of all later steps
             known = len(layers[-1])
             layers[-1] = and_executed(np.union1d(layers[-1], after(steps, layers[-1])))
         return cls(len(choices), positions, tuple(layers), kept)
@@ -88,7 +85,7 @@ class TimeExpansion:
 
     @cached_property
     def step(self) -> NDArray[np.int64]:
-        """The step of each state, shape (m,); the last is any later one, too."""
+        """The step of each state, shape (m,); the last value stands for all later steps."""
         return np.repeat(np.arange(len(self.layers)), [self.positions * len(layer) for layer in self.layers])
 
     @cached_property
@@ -98,17 +95,17 @@ class TimeExpansion:
 
     @cached_property
     def x(self) -> NDArray[np.int64]:
-        """The task's state in each state, shape (m,)."""
+        """The task state of each state, shape (m,)."""
         return np.concatenate([np.tile(layer, self.positions) for layer in self.layers])
 
     @cached_property
     def cut(self) -> NDArray[np.bool_]:
-        """Where the problem breaks off though the task's does not, shape (m,)."""
+        """Whether the problem is truncated at each state by `kept`, shape (m,)."""
         return np.zeros(len(self), dtype=bool) if self.kept is None else ~self.kept[self.step, self.x]
 
     @cached_property
     def _first(self) -> NDArray[np.int64]:
-        """The number of each task state at each step, with the robot away; -1 where it is not there."""
+        """The number of each task state at each step with the robot away; -1 where it does not exist."""
         first = np.full((len(self.layers), self.states), -1)
         before = 0
         for row, layer in zip(first, self.layers, strict=True):
@@ -117,9 +114,9 @@ class TimeExpansion:
         return first
 
     def number(self, step: ArrayLike, position: ArrayLike, x: ArrayLike) -> NDArray[np.int64]:
-        """Number states of a step, a position and a state of the task, in arrays that fit; -1 where one is not there.
+        """Return the numbers of states, given by their step, position and task state; -1 where one does not exist.
 
-        Steps beyond the last are the last.
+        The arguments are broadcast against each other. Steps beyond the last one count as the last.
         """
         step = np.minimum(step, len(self.layers) - 1)
         sizes = np.array([len(layer) for layer in self.layers])
@@ -129,20 +126,23 @@ class TimeExpansion:
 
 @dataclass(frozen=True)
 class RobotMoves:
-    """What the robot can do, by its position and the number of the robot action: arrays of shape (P, R + 1).
+    """The robot's moves, by its position and the number of the robot action: arrays of shape (P, R + 1).
 
-    Away: to stay away (0), and to come, saying nothing (1, if the way takes time) or saying each thing there is to
-    say (1 and up, if it takes none). Here: to leave (0), and to stay and say nothing (1) or anything there is to
-    say (2 and up). On its way: to go on (0).
+    - Away: stay away (0). If coming takes time, come without a suggestion (1); otherwise come and make any of the
+      suggestions, or none (1 and up).
+    - Here: leave (0), stay without a suggestion (1), or make any of the suggestions (2 and up).
+    - On its way: continue (0).
 
     Attributes
     ----------
     meant : int array
-        The action of a robot that is always there for which each stands.
+        The corresponding action of a robot that is always present.
     then : int array
-        Where the robot is when the person acts.
+        Position of the robot when the person acts.
     comes : bool array
-        Which are to come, and cost that.
+        Whether the move is to come, which has a cost.
+    entry_steps : int
+        Number of steps of coming.
     """
 
     meant: NDArray[np.int64]
@@ -152,7 +152,7 @@ class RobotMoves:
 
     @classmethod
     def of(cls, positions: int, actions: int, entry_steps: int) -> RobotMoves:
-        """List them, where a robot that is always there has at most so many actions."""
+        """Return the moves, where a robot that is always present has at most `actions` actions."""
         number = np.arange(actions + 1)
         meant = np.zeros((positions, actions + 1), dtype=np.int64)
         meant[AWAY] = 0 if entry_steps else number.clip(max=actions - 1)
@@ -167,7 +167,7 @@ class RobotMoves:
         return cls(meant, then, comes, entry_steps)
 
     def count(self, position: NDArray[np.int64], alone: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Give how many there are, shape (m,), at positions and where a robot that is always there has so many."""
+        """Return the number of moves, shape (m,), where a robot that is always present has `alone` actions."""
         away = np.full_like(alone, 2) if self.entry_steps else alone
         return np.select([position == AWAY, position == HERE], [away, alone + 1], 1)
 
@@ -179,17 +179,17 @@ class AttentionSubproblem:
     Attributes
     ----------
     pomdp : AssistPOMDP
-        Over m states.
+        The problem over m states.
     alone : AssistPOMDP
-        The same person's problem with a robot that is always there.
+        The same person's problem with a robot that is always present.
     price : float array, shape (W,)
-        What a step of attention costs, in cost units, for the steps from 0 on; then nothing.
+        Price of attention at the steps from 0 on, in cost units; later attention is free.
     entry : float
-        What coming costs, in cost units.
+        Cost of coming, in cost units.
     entry_steps : int
-        How many steps it takes.
+        Number of steps of coming.
     layout : TimeExpansion
-        What each state stands for.
+        Meaning of each state.
     """
 
     pomdp: AssistPOMDP
@@ -210,22 +210,26 @@ class AttentionSubproblem:
         longest: int | None = None,
         kept: NDArray[np.bool_] | None = None,
     ) -> AttentionSubproblem:
-        """Set the problem up; it begins with the robot away, at step 0.
+        """Build the subproblem; it begins with the robot away, at step 0.
 
-        Where there is a price, only states that can be reached at each step are there.
+        If there are prices, only states that are reachable at each step exist.
 
         Parameters
         ----------
+        alone : AssistPOMDP
+        entry, entry_steps, price
+            As in the attributes of the class.
         longest : int, optional
-            So many steps away there are states, though nothing leads to them if that is more than `entry_steps`.
+            Number of positions on the way, if more than `entry_steps`; the additional ones are not reachable within the
+            subproblem.
         kept : bool array, shape (W + 1, n), optional
-            Where the problem goes on at each step; elsewhere it breaks off, with an upper bound of 0. Only where that
-            of the person alone breaks off as well, and it is known what a robot gets there that is away.
+            States in which the problem continues at each step. It is truncated at all others, with an upper bound of 0.
+            This requires a truncated problem `alone` with bounds for a robot that is away.
 
         Raises
         ------
         LimitError
-            There are so many states that the machine has no memory for them: on a way of many steps.
+            The states of a long way would exceed the available memory.
         """
         price = np.array(price, dtype=float)
         positions = 2 + max(entry_steps, longest or 0)
@@ -251,6 +255,8 @@ class AttentionSubproblem:
             unsuggested=alone.unsuggested[row, meant],
             low=alone.low[row, meant],
             weight=alone.weight[row, meant],
+            followed_low=None if alone.followed_low is None else alone.followed_low[row, meant],
+            followed_weight=None if alone.followed_weight is None else alone.followed_weight[row, meant],
             order=_order(choices, layout, final),
             frontier=_frontier(alone, layout, price, entry),
         )
@@ -258,48 +264,51 @@ class AttentionSubproblem:
         return free.priced(price) if len(price) else free
 
     def priced(self, price: Floats) -> AttentionSubproblem:
-        """Give the same problem with other prices, of the same steps."""
+        """Return the same subproblem with other prices of the same steps."""
         more = np.append(price - self.price, 0.0)[self.layout.step]
         costs = self.pomdp.robot_costs + np.where(self.attended(), more[:, None], 0.0)
         frontier = _frontier(self.alone, self.layout, price, self.entry)
         return replace(self, pomdp=replace(self.pomdp, robot_costs=costs, frontier=frontier), price=price)
 
     def at_price(self, price: float) -> AssistPOMDP:
-        """Give the problem with a price that is the same at all steps, on top of others."""
+        """Return the problem with an additional price that is the same at all steps."""
         return replace(self.pomdp, robot_costs=self.pomdp.robot_costs + price * self.attended())
 
     def attended(self) -> NDArray[np.bool_]:
-        """Tell which robot actions take its attention, shape (m, R)."""
+        """Return which robot actions take the robot's attention, shape (m, R)."""
         number = np.arange(self.pomdp.robot_costs.shape[1])
         under_way = self.layout.position[:, None] > HERE
         attended = ((number > 0) | under_way) & (number < self.pomdp.robot_actions[:, None])
         return attended & ~self.pomdp.final[:, None]
 
     def states(self, step: int, position: int) -> NDArray[np.int64]:
-        """Number the states, shape (n,), of a step and a position; -1 where one is not there."""
+        """Return the numbers of the states, shape (n,), of a step and a position; -1 where one does not exist."""
         return self.layout.number(step, position, np.arange(self.layout.states))
 
 
 def policy_bytes(states: int, *, slots: int = 1, robots: int = 2, betas: int = 6, thetas: int = 10) -> int:
-    """Return how many bytes a person's problem and its QMDP policy take; at least, where only its states are known.
+    """Return the memory of a person's problem and its QMDP policy in bytes; a lower bound if only `states` is given.
 
     Parameters
     ----------
+    states : int
     slots, robots : int
-        The most choices of a person, and of the robot, in any state.
+        Largest numbers of choices of the person, and of the robot, in a state.
     betas, thetas : int
-        The grid's, as `Grid.regular` has it unless given.
+        Size of the grid; by default that of `Grid.regular`.
     """
-    hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas  # cost, afterstate, slot; unsuggested; theta's moves
+    # cost, afterstate and slot; `unsuggested`; the trust update
+    hidden, of_a_robot = betas * thetas, 3 + betas + 2 * thetas
     return 8 * states * (1 + slots * (1 + betas) + robots * of_a_robot + (1 + robots) * hidden)
 
 
 def _require_room(alone: AssistPOMDP, layout: TimeExpansion) -> None:
-    """Refuse a problem for which the machine has no memory left."""
+    """Raise a `LimitError` if a problem exceeds the available memory."""
     betas, thetas = alone.grid.shape
     slots, robots = alone.model.choices.applicable.shape[1], 1 + alone.suggested.shape[1]
     needed = policy_bytes(len(layout), slots=slots, robots=robots, betas=betas, thetas=thetas)
-    if needed > SMALL and needed > (free := available_memory()):
+    small = 100e6  # bytes; below this, the available memory is not queried
+    if needed > small and needed > (free := available_memory()):
         raise LimitError(
             f"a person's problem with a robot that comes and goes has {len(layout):,} states, with ways of up to "
             f"{layout.positions - 2:,} steps, and takes about {needed / 1e6:,.0f} MB of memory; {free / 1e6:,.0f} MB "
@@ -308,12 +317,13 @@ def _require_room(alone: AssistPOMDP, layout: TimeExpansion) -> None:
 
 
 def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
-    """Solve a problem with beta and theta seen, from the steps on at which attention is free back to the first.
+    """Solve a subproblem with observed beta and theta, from the steps with free attention back to the first one.
 
     Parameters
     ----------
+    visits : AttentionSubproblem
     tail : float array, shape (P * n, B, T)
-        What it is worth from then on, by position and the task's state; at least that.
+        Upper bound on the value with free attention, by position and task state.
     """
     layout = visits.layout
     above = np.zeros((len(layout), *visits.pomdp.grid.shape))
@@ -323,7 +333,7 @@ def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
 
 
 def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> Choices:
-    """Return the person's choices: the same, while the step passes and the robot that is on its way comes nearer."""
+    """Return the person's choices: the same as alone, while the step advances and a robot on its way comes nearer."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
     targets = layout.number(layout.step[:, None] + 1, position[:, None], choices.targets[x])
@@ -346,20 +356,20 @@ def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) 
 
 
 def _order(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Order the states that are not final: what comes later is worked out first, then what is nearer to the goal."""
+    """Return the states that are not final, ordered from the last step to the first, then by the cost-to-go."""
     order = np.lexsort((choices.h, -layout.step))
     return order[~final[order]]
 
 
 def _frontier(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry: float) -> LeafBounds | None:
-    """Give the frontier of a problem of visits where that of the person alone has one: at every step and position.
+    """Return the frontier bounds of a subproblem whose person alone has a frontier: at every step and position.
 
-    Above: no policy gets more than with a robot that is always there, whose presence costs nothing. Where it is known
-    what a robot that is away gets, the problem ends with that, and with the other's value wherever it has set out.
+    Upper bound: no policy exceeds the value of a robot that is always present without a price. If the value of a robot
+    that is away is known, the subproblem ends with it. A robot on its way then counts as present.
 
-    Else, below: a robot that is here can stay and do as the one that is always there does, at no more than what all
-    prices to come add up to; one that is away can come first, if that takes no time. Otherwise it can leave when it is
-    there, and stay away, and the worst happens.
+    Lower bound (otherwise): a robot that is here can stay, and act like one that is always present, for at most the sum
+    of all later prices. A robot that is away can come first, if that takes no time. A robot on a longer way can leave
+    on arrival and stay away; then the worst case is assumed.
     """
     if alone.frontier is None:
         return None
@@ -369,7 +379,7 @@ def _frontier(alone: AssistPOMDP, layout: TimeExpansion, price: Floats, entry: f
         ends = place[layout.x] >= 0
         states = np.flatnonzero(ends | (layout.cut & ~alone.model.choices.goal[layout.x]))
         known = np.stack([alone.frontier.away, alone.frontier.upper])
-        upper = np.zeros((len(states), *known.shape[2:]))  # no more than that, as costs are positive
+        upper = np.zeros((len(states), *known.shape[2:]))  # 0 is an upper bound, as costs are positive
         upper[ends[states]] = known[np.minimum(layout.position[states], HERE), place[layout.x[states]]][ends[states]]
         return LeafBounds(states, upper, upper)
     assert layout.kept is None

@@ -1,7 +1,7 @@
-"""Team policies by name: those that come with the package, and one's own in a file.
+"""Team policies by name: those of the package, and those of the user in a file.
 
-`named` makes the paper's and ours. `UserPolicy` is a function in a Python file, written `FILE.py:FUNCTION`; what goes
-wrong in it is reported as a `PolicyError` with its file and line, since it is not the caller's to mend.
+`named` returns the paper's policies and ours. `UserPolicy` is a function in a Python file, written as
+`FILE.py:FUNCTION`. An error in it is reported as a `PolicyError` with its file and line.
 """
 
 from __future__ import annotations
@@ -21,28 +21,27 @@ from .state import PolicyError, TeamAction, TeamPolicy, TeamState
 from .travel import Travel
 
 POLICIES = ("none", "reactive", "attention", "attention-never", "priority")
-"""The names that `named` knows."""
+"""The names that `named` accepts."""
 
 
 def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
-    """Make a team policy by its name.
+    """Return a team policy by its name.
 
-    What it takes to help somebody is worked out when that is first asked for, or by `prepare`.
+    The data that it needs about each person are computed on first use, or by `prepare`.
 
     Parameters
     ----------
     name : str
-        The paper's "none", "reactive" and "attention", "attention-never" for the other reading of its
-        Algorithm 1, and our own "priority".
+        The paper's "none", "reactive" and "attention"; "attention-never" for the other reading of its Algorithm 1; or
+        our "priority".
     policies : sequence of Policy
-        For the people by themselves.
+        Policies for single people.
     travel : Travel
-        The way between them.
 
     Raises
     ------
     ValueError
-        Another name, or one that needs to look at the whole task.
+        The name is unknown, or the policy needs to enumerate a task that is too large.
     """
     if name == "none":
         return NoAssistance()
@@ -54,7 +53,7 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
         on_part = on_parts(policies)
         if on_part:
             raise ValueError(
-                f"policy {name!r}: expected a task that is looked at whole, and this one is too large: it has "
+                f"policy {name!r}: expected an enumerated task, and this one is too large: it has "
                 f"{len(on_part[0].known):,} states or more"
             )
         return AttentionSwitching.against_never(policies)
@@ -66,15 +65,15 @@ def named(name: str, policies: Sequence[Policy], travel: Travel) -> TeamPolicy:
 def prepare(
     policy: TeamPolicy, policies: Sequence[Policy], *, progress: Callable[[int, int], None] | None = None
 ) -> None:
-    """Work out now what a team policy needs to know of the people of some policies, if it says what that is.
+    """Compute now the data that a team policy needs about the people of some policies.
 
     Parameters
     ----------
     policy : TeamPolicy
-        Its method `prepare`, if it has one, is called with each of the others.
+        Its method `prepare`, if it has one, is called with each of the policies.
     policies : sequence of Policy
     progress : callable, optional
-        Called with how many have been worked out, and of how many, at the beginning and after each.
+        Called with the numbers of finished and of all policies, at the beginning and after each.
     """
     work = getattr(policy, "prepare", None)
     if work is None:
@@ -89,13 +88,13 @@ def prepare(
 
 @dataclass(frozen=True)
 class UserPolicy:
-    """A team policy of the user's own.
+    """A team policy of the user.
 
     Attributes
     ----------
     file : Path
     name : str
-        Of the function in that file.
+        Name of the function in that file.
     function : callable
     """
 
@@ -110,7 +109,7 @@ class UserPolicy:
         Raises
         ------
         PolicyError
-            There is no such file or function, or the file cannot be run.
+            The file or the function does not exist, or the file cannot be run.
         """
         file = Path(file)
         try:
@@ -120,17 +119,17 @@ class UserPolicy:
 
     @property
     def uses_belief(self) -> bool:
-        """Whether it wants beliefs; yes unless the function says no."""
+        """Whether the function needs beliefs; true unless its attribute `uses_belief` is false."""
         return bool(getattr(self.function, "uses_belief", True))
 
     @property
     def place(self) -> str:
-        """File and line in which the function begins."""
+        """File and line at which the function begins."""
         code = getattr(self.function, "__code__", None)
         return f"{self.file}:{code.co_firstlineno}" if code else f"{self.file}:{self.name}"
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose as the function does."""
+        """Return the function's choice."""
         try:
             return self.function(team)
         except (Exception, SystemExit) as error:

@@ -1,7 +1,7 @@
-"""Policies of people on tasks that are too large to enumerate, as team policies see them.
+"""Policies for people on truncated tasks, as team policies see them.
 
-Such a policy covers a part of a task and is solved when it is first needed. Team policies ask it to prepare itself, and
-do not know how.
+Such a policy covers a truncated task and is solved on first use. A team policy asks it to prepare itself and does not
+depend on how it does so.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from .attention_subproblem import AttentionSubproblem
 
 
 class PolicyOnPart(Policy, Protocol):
-    """A person's policy on a part of a task, which is solved when it is first needed.
+    """A person's policy on a truncated task, which is solved on first use.
 
-    The class attribute `on_part` marks such a policy: reading its `pomdp` would already solve the person's problem.
+    The class attribute `on_part` marks such a policy, because reading its `pomdp` would already solve the problem.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class PolicyOnPart(Policy, Protocol):
         ...
 
     def prepare(self) -> Any:
-        """Solve the person's problem with a robot that is always there; once."""
+        """Solve the person's problem with a robot that is always present; the result is cached."""
         ...
 
     def prepare_visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> Any:
@@ -44,7 +44,7 @@ class PolicyOnPart(Policy, Protocol):
 
 
 class LocalPolicy(Policy, Protocol):
-    """What a `PolicyOnPart` gives for one step: a policy on the states in which people are and those that come next.
+    """The policy of a `PolicyOnPart` for one step: on the people's states and their successors.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class LocalPolicy(Policy, Protocol):
 
 
 def is_on_part(policy: Policy) -> TypeGuard[PolicyOnPart]:
-    """Return whether a policy is on a part of a task."""
+    """Return whether a policy is one for a truncated task."""
     return getattr(type(policy), "on_part", False)
 
 
 def is_for_one_step(policy: Policy) -> TypeGuard[LocalPolicy]:
-    """Return whether a policy holds for one step only."""
+    """Return whether a policy is valid for one step only."""
     return getattr(type(policy), "for_one_step", False)
 
 
 def on_parts(policies: Iterable[Policy]) -> list[PolicyOnPart]:
-    """Return those of some policies that are on a part of a task."""
+    """Return those of the policies that are for truncated tasks."""
     return [policy for policy in policies if is_on_part(policy)]

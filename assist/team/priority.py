@@ -1,10 +1,10 @@
-"""A team policy of our own: be where the robot's presence is worth most.
+"""Our team policy: go where the robot's presence has the largest value.
 
-Algorithm 1 scores a suggestion to a person as if the way to them were to be paid for this suggestion alone, and
-as if they were always within reach afterwards. Here each person's problem knows whether the robot is with them
-(`assist.team.attention_subproblem`), so that coming is worth what can be said later without coming again, staying
-silently has a worth of its own, and a way that takes time is looked at to its end. What the robot's attention is worth
-to others is one price at all steps, or one for each, as a bound on the team has them.
+Algorithm 1 scores a suggestion as if it had to pay for the move alone, and as if the robot were always within reach
+afterwards. Here each person's problem contains the robot's position (`assist.team.attention_subproblem`). So the value
+of coming includes later suggestions without another move. Staying without a suggestion has a value of its own, and
+travel time is planned through to the arrival. The value of the robot's attention to other people is a price: one for
+all steps, or one for each step, as a bound on the team determines them.
 """
 
 from __future__ import annotations
@@ -24,12 +24,9 @@ from .policy_on_part import is_for_one_step, is_on_part, on_parts
 from .state import BASE, NOBODY, Ask, ByPolicy, TeamAction, TeamState
 from .travel import Travel
 
-PRICE = 0.15
-"""What a step of the robot's attention will be worth to others: this share of the cheapest action's cost."""
-
 
 def coming(travel: Travel) -> tuple[float, int, int]:
-    """Give what coming costs on average, how many steps it takes, and how many from the farthest place."""
+    """Return the mean cost of coming, its mean number of steps, and the number of steps from the farthest place."""
     way = ~np.eye(len(travel.distance), dtype=bool)[:, :-1]
     entry = travel.c_move * float(travel.distance[:, :-1][way].mean())
     return entry, round(float(travel.steps[:, :-1][way].mean())), int(travel.steps.max())
@@ -37,16 +34,15 @@ def coming(travel: Travel) -> tuple[float, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class SolvedSubproblem:
-    """One person's problem with a robot that comes and goes, solved.
+    """One person's problem with a robot that comes and goes, with its solution.
 
     Attributes
     ----------
     visits : AttentionSubproblem
     policy : QMDP
-        Its policy.
     states : int array, shape (W + 1, P, n)
-        Its states, by the step, the robot's position and the state of the person's own problem; -1 where that cannot be
-        reached at that step.
+        Number of each state of the subproblem, by step, robot position and task state; -1 where the task state is not
+        reachable at that step.
     """
 
     visits: AttentionSubproblem
@@ -55,31 +51,31 @@ class SolvedSubproblem:
 
     @classmethod
     def of(cls, visits: AttentionSubproblem, policy: QMDP) -> SolvedSubproblem:
-        """Number the states."""
+        """Return the solution with its state numbers."""
         steps, positions = range(len(visits.layout.layers)), range(visits.layout.positions)
         return cls(visits, policy, np.array([[visits.states(t, position) for position in positions] for t in steps]))
 
 
 @dataclass(frozen=True, eq=False)
 class Priority:
-    """Go where the robot's presence is worth most.
+    """Go where the robot's presence has the largest value.
 
-    For each person, what they get with the robot there, less what they get without it in this step, is what its
-    presence is worth: saying something where it is, holding its place silently, or arriving after the way and going on
-    from there; less what the way costs. The largest worth is acted on. On tasks that are not looked at whole
-    (`PolicyOnPart`) what follows is looked up in a region, one step ahead of it.
+    The value of presence for a person is the Q-value with the robot there, minus that without it in this step. Presence
+    means to make a suggestion, to stay without one, or to arrive after the travel and continue from there. The cost of
+    moving is subtracted. The robot acts on the largest difference. On truncated tasks (`PolicyOnPart`), the values of
+    the next states are those of the truncated task, by one Bellman backup.
 
     Attributes
     ----------
     entry : float
-        What coming costs.
+        Cost of coming, in cost units.
     entry_steps, longest : int
-        How many steps it takes, and how many at most.
+        Mean and largest number of steps of coming.
     price : float array, shape (W + 1,)
-        What each step of the robot's attention is worth to others, the last also at any later one. It counts from the
-        next step on, since what others need in this one is seen.
+        Price of the robot's attention at each step, in cost units; the last applies to all later steps. It counts from
+        the next step on, since the needs of the present step are observed.
     known : ByPolicy of SolvedSubproblem
-        For people on tasks that are looked at whole.
+        Solutions for people on enumerated tasks.
     """
 
     entry: float
@@ -96,36 +92,37 @@ class Priority:
         travel: Travel,
         price: ArrayLike | None = None,
     ) -> Priority:
-        """Make the policy for people, each by themselves, and the way between them.
+        """Return the policy for people with the given policies and travel.
 
-        What it takes to help each of them is worked out when they are first met, or by `prepare`. Where places are not
-        equally far, coming back counts as far as it is on average.
+        The data about each of them are computed on first use, or by `prepare`. If distances differ, a return counts
+        with the mean distance.
 
         Parameters
         ----------
         policies : sequence of Policy
         travel : Travel
         price : float or float array, shape (W,), optional
-            What a step of the robot's attention is worth to others, in cost units: at every step, where values from
-            0.1 to 0.2 of the cheapest action's cost were about equally good for teams of 2 to 100; or at each of the
-            steps from 0 on, and then nothing, for people on tasks that are looked at whole who all begin at step 0.
-            The policy then knows the states that can be reached by each step, and refuses a person in another one.
+            Price of a step of attention, in cost units. A number applies to every step; by default it is 0.15 times the
+            cost of the cheapest action. Values from 0.1 to 0.2 times that cost were about equally good for teams of 2
+            to 100 people. An array holds prices of the steps from 0 on, followed by 0. It needs enumerated tasks, and
+            people who all begin at step 0. The policy then knows the states that are reachable by each step, and
+            refuses a person in another state.
 
         Raises
         ------
         ValueError
-            Prices of several steps for tasks that are not looked at whole.
+            Prices of several steps are given for truncated tasks.
         """
         on_part = on_parts(policies)
         whole = [policy for policy in policies if not is_on_part(policy)]
         if price is None:
             tasks = [policy.pomdp.model.choices for policy in whole]
             cheapest = [float(task.costs[task.applicable].min()) for task in tasks]
-            price = PRICE * min(cheapest + [min(policy.known.task.costs, default=1) for policy in on_part])
+            price = 0.15 * min(cheapest + [min(policy.known.task.costs, default=1) for policy in on_part])
         entry, steps, longest = coming(travel)
         each = np.asarray(price, dtype=float)
         if each.ndim and on_part:
-            raise ValueError(f"prices of {each.size} steps: expected one price where tasks are not looked at whole")
+            raise ValueError(f"prices of {each.size} steps: expected one price where tasks are truncated")
 
         def presence(policy: Policy) -> SolvedSubproblem:
             free = AttentionSubproblem.of(policy.pomdp, entry, steps, longest=longest)
@@ -138,25 +135,25 @@ class Priority:
         return cls(entry, steps, longest, prices, ByPolicy(whole, presence))
 
     def with_policies(self, policies: Sequence[Policy], travel: Travel) -> Priority:
-        """Return the same team policy, at the same prices, for other policies of the people by themselves."""
+        """Return the same team policy, at the same prices, with other policies for single people."""
         return Priority.of(policies, travel, self.price[:-1] if len(self.price) > 1 else self.price[0])
 
     def prepare(self, policy: Policy) -> None:
-        """Work out now what it takes to help the people of a policy."""
+        """Compute now the data about the people of a policy."""
         if is_on_part(policy):
             policy.prepare_visits(self.entry, self.entry_steps, self.longest, float(self.price[0]))
         else:
             self.presence(policy)
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose the person with whom to be, in every team."""
+        """Return the action of going to the best person, or of staying, in every team."""
         robot, going, holding = self.worth(team)
         teams = np.arange(len(team.x))
         best = going.argmax(axis=1)
         return team.act(np.where(going[teams, best] > np.maximum(holding, 0), best, NOBODY), robot)
 
     def worth(self, team: TeamState) -> tuple[NDArray[np.int64], Floats, Floats]:
-        """Give each person's robot action, what going to them is worth, both (N, K), and what holding on is, (N,)."""
+        """Return each person's robot action and the value of going there, (N, K), and that of staying, (N,)."""
         robot, going, holding = np.zeros_like(team.x), np.full(team.x.shape, -np.inf), np.zeros(len(team.x))
         steps = team.travel.steps[team.location][:, :-1]
         if steps.max(initial=0) > self.longest:
@@ -166,10 +163,10 @@ class Priority:
             )
         if not team.active.any():
             return robot, going, holding
-        step = min(team.step, len(self.price) - 1)  # all later ones are alike
+        step = min(team.step, len(self.price) - 1)  # all later steps have the same price
         price, values = self.price[step], team.of_each(self._asks[step])
         arriving, q = values[:, :, : self.longest], values[:, :, self.longest :]
-        # Nothing is worth infinitely little to those who are not there.
+        # People who are not active score minus infinity.
         gain = np.full(q.shape, -np.inf)
         np.subtract(q[:, :, 1:] + price, q[:, :, :1], out=gain[:, :, 1:], where=team.active[:, :, None])
         if q.shape[2] > 2:
@@ -184,17 +181,17 @@ class Priority:
 
     @cached_property
     def _asks(self) -> tuple[Ask, ...]:
-        """What is asked about people, by the step: one object each, as a live team keeps answers by what was asked."""
+        """The question about people at each step; one object each, as a live team caches answers by the question."""
         return tuple(partial(self._values, step) for step in range(len(self.price)))
 
     def presence(self, policy: Policy) -> SolvedSubproblem:
-        """Give the problem of the people of a policy with a robot that comes and goes."""
+        """Return the solved problem of the people of a policy with a robot that comes and goes."""
         if is_for_one_step(policy):
             return SolvedSubproblem.of(*policy.visits(self.entry, self.entry_steps, self.longest, float(self.price[0])))
         return self.known[policy]
 
     def _values(self, step: int, policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-        """Give what it is worth that the robot is on its way, by how long, then what each of its actions is there."""
+        """Return the values of an arrival in 1, 2, ... steps, followed by the Q-values with the robot present."""
         solved = self.presence(policy)
         states = solved.states[step][:, x]
         if (states < 0).any():

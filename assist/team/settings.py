@@ -1,9 +1,10 @@
-"""What a simulation takes for granted: costs, time, trust, and what the robot knows and may say."""
+"""The parameters of a simulation: costs, time, trust, the robot's knowledge and its suggestions."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,40 +14,55 @@ from ..people.belief import Grid
 from ..people.choice_model import ChoiceModel
 from ..people.choices import Choices
 from ..people.human import Human, HumanModel, Mixture, Population
+from ..people.trust_rules import LogitSteps, TrustRule, trust_rule
 from ..person.pomdp import AssistPOMDP, LeafBounds, Suggestions
 from .travel import Travel
 
 Knowledge = Literal["own", "exact"]
 
+RULES_OF = ("trust", "believed_trust")
+"""Fields of a setting that are trust rules: of people, and of the robot's model of them."""
+
 
 @dataclass(frozen=True)
 class Setting:
-    """What a simulation takes for granted.
+    """The parameters of a simulation.
 
     Attributes
     ----------
     gamma : float
-        Discount factor per step.
+        Discount factor per step, in (0, 1).
     c_suggest, c_move : float
-        Cost of a suggestion, and of moving by a distance of 1, in cost units.
+        Costs of a suggestion, and of moving by a distance of 1, in cost units.
     travel_time : float
-        Steps that moving by a distance of 1 takes.
+        Steps for moving by a distance of 1.
     eta : float
-        Rate of the trust update.
+        Rate of the trust update (equation 7).
     utility_scale : float
-        The unit of value in the trust update, in cost units.
+        Unit of value in the trust update, in cost units.
     lapse : float
-        Weight of a uniform choice in the robot's model of people.
+        Probability of a uniform choice in the robot's model of people.
     knowledge : "own" or "exact"
-        Whether the robot knows each person's perceived costs (as in the paper) or only h*.
+        Whether the robot knows each person's perceived costs (as in the paper), or only h*.
     suggestions : "optimal" or "all"
-        Which actions the robot may suggest: those that a cheapest way begins with, or any.
+        Whether the robot suggests optimal actions only, or any applicable action.
     execute : bool
         Whether the robot can also execute an action itself.
     c_execute : float
-        What that costs, in cost units.
+        Cost of an action executed by the robot, in cost units.
     max_steps : int
-        An episode is cut off after this many steps.
+        Largest number of steps of an episode.
+    trust : str or TrustRule, optional
+        How theta moves, for people and in the robot's model of them: "paper" (equation 7 with `eta` and
+        `utility_scale`), "constant", "outcome", "outcome-at-disagreement", or a rule. Unless given it is the paper's
+        for simulated people, and constant for real people (`live`), as data of real people support.
+    believed_trust : str or TrustRule, optional
+        How the robot believes that theta moves; the rule of `trust` unless given. Bounds hold for the robot's model.
+
+    Raises
+    ------
+    ValueError
+        A parameter is out of its range.
     """
 
     gamma: float = 0.99
@@ -61,6 +77,8 @@ class Setting:
     execute: bool = False
     c_execute: float = 1.0
     max_steps: int = 500
+    trust: str | TrustRule | None = None
+    believed_trust: str | TrustRule | None = None
 
     def __post_init__(self) -> None:
         for name in ("gamma", "c_suggest", "c_move", "travel_time", "eta", "utility_scale", "lapse", "c_execute"):
@@ -81,14 +99,54 @@ class Setting:
             raise ValueError(f"execute {self.execute!r}: expected True or False")  # noqa: TRY004
         object.__setattr__(self, "execute", bool(self.execute))
         object.__setattr__(self, "max_steps", whole("max_steps", self.max_steps, 1))
-        self.travel(1)  # refuses a way that cannot be
+        for name in RULES_OF:
+            plain: object = getattr(self, name)
+            if isinstance(plain, Mapping):  # as `as_dict` writes a rule
+                try:
+                    object.__setattr__(self, name, LogitSteps(**plain))
+                except TypeError:
+                    names = ", ".join(field.name for field in fields(LogitSteps))
+                    raise ValueError(f"{name} {dict(plain)}: expected some of {names}") from None
+        self.travel(1)  # raises an error for impossible travel
+        self.trust_rule()  # raises an error for an unknown rule
+        self.believed_rule()
+
+    def trust_rule(self) -> TrustRule:
+        """Return the trust rule of people."""
+        return trust_rule(self.trust, self.eta, self.utility_scale)
+
+    def believed_rule(self) -> TrustRule:
+        """Return the trust rule of the robot's model of people."""
+        believed = self.trust if self.believed_trust is None else self.believed_trust
+        return trust_rule(believed, self.eta, self.utility_scale)
+
+    def for_real_people(self) -> Setting:
+        """Return the setting with a constant theta, unless it has a trust rule already."""
+        return replace(self, trust="constant") if self.trust is None else self
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields as plain data, from which `Setting` makes an equal one; trust rules only if they are given.
+
+        Raises
+        ------
+        ValueError
+            The trust rule is the user's own, which is not saved.
+        """
+        plain = asdict(self)
+        for name in RULES_OF:
+            rule = getattr(self, name)
+            if rule is None:
+                del plain[name]
+            elif not isinstance(rule, str | LogitSteps):
+                raise ValueError(f"{name} {rule!r}: a rule that is not saved; expected a name or LogitSteps")
+        return plain
 
     def travel(self, places: int, distance: ArrayLike | None = None) -> Travel:
-        """Give the way between so many people; `distance` as in `Travel.of`."""
+        """Return the travel between `places` people; `distance` as in `Travel.of`."""
         return Travel.of(places, c_move=self.c_move, travel_time=self.travel_time, distance=distance)
 
     def chooses(self, human: Human | None, population: Population | Mixture) -> ChoiceModel:
-        """Give how the robot takes somebody of a population to choose, knowing who they are or not."""
+        """Return the robot's model of a person's choices; `human` is None if the person is unknown to the robot."""
         return human.chooses if human is not None and human.weights and population.weights else population.typical
 
     def problem(
@@ -99,15 +157,24 @@ class Setting:
         *,
         frontier: LeafBounds | None = None,
     ) -> AssistPOMDP:
-        """Set up the problem of assisting one person of a population; None: of whom the robot knows only the task.
+        """Return the problem of assisting one person of a population.
 
-        With a frontier the choices are a part of a task's, and break off there. Of somebody whose perceived costs are
-        known, the weights are, too, if people of that population have any.
+        Parameters
+        ----------
+        choices : Choices
+            Choices of the task, or of a truncated task with a frontier.
+        human : Human or None
+            The person, if the robot knows their perceived costs; None if it knows the task only. The weights of a known
+            person are known, too, if the population has weights.
+        population : Population or Mixture
+            The robot's prior.
+        frontier : LeafBounds, optional
+            Bounds at the frontier of a truncated task.
         """
         known = {"eta": self.eta, "lapse": self.lapse, "utility_scale": self.utility_scale}
         model = HumanModel.exact(choices, **known) if human is None else HumanModel.own(choices, human, **known)
         return AssistPOMDP.of(
             model, chooses=self.chooses(human, population), grid=Grid.regular(population),
             population=population, gamma=self.gamma, c_suggest=self.c_suggest, suggestions=self.suggestions,
-            execute=self.execute, c_execute=self.c_execute, frontier=frontier,
+            execute=self.execute, c_execute=self.c_execute, frontier=frontier, trust=self.believed_rule(),
         )  # fmt: skip

@@ -1,8 +1,8 @@
-"""What a team is to its robot: the people's tasks, the way between them, and what a policy for them looks like.
+"""The state of a team as its robot knows it, and the form of a team policy.
 
-A team policy is a function of what the robot knows (`TeamState`, many teams at a time) that returns where
-the robot goes and what it says there (`TeamAction`). `assist.team.attention` has the paper's; any callable of
-the same form will do.
+A team policy is a function of the robot's knowledge of many teams at a time (`TeamState`). It returns where the robot
+goes and what it suggests (`TeamAction`). `assist.team.attention` has the policies of the paper; any callable of the
+same form can be used.
 """
 
 from __future__ import annotations
@@ -24,30 +24,31 @@ from .travel import Travel
 T = TypeVar("T")
 
 BASE = -1
-"""The robot's place before it has gone to anybody; also the last row of a distance matrix."""
+"""The robot's place before it has gone to a person; also the index of the base in a distance matrix."""
 
 NOBODY = -1
 
 
 Ask = Callable[[Policy, NDArray[np.int64], Floats], Floats]
-"""Gives numbers, shape (m, W), for people of one policy, by their states, shape (m,), and beliefs, shape (m, B, T)."""
+"""A function of a policy, states, shape (m,), and beliefs, shape (m, B, T), that returns numbers, shape (m, W)."""
 
 
 class PolicyError(ValueError):
-    """A team policy that fails, or chooses what cannot be."""
+    """A team policy fails, or chooses an impossible action."""
 
 
 class ByPolicy(Generic[T]):
-    """What is worked out for each of some policies for one person, when it is first asked for; any thread may ask.
+    """Data for each of some policies for single people, computed on first use. Access is thread-safe.
 
     Parameters
     ----------
     policies : iterable of Policy
     work_out : callable
+        Returns the data for a policy.
     """
 
     def __init__(self, policies: Iterable[Policy], work_out: Callable[[Policy], T]) -> None:
-        # By identity: policies are told apart as objects, whatever they hold. Each is kept as long as its number.
+        # Policies are distinguished by identity. Keeping the object guarantees that its id is not reused.
         self._policies = {id(policy): (policy, threading.Lock()) for policy in policies}
         self._known: dict[int, T] = {}
         self._work_out = work_out
@@ -65,15 +66,14 @@ class ByPolicy(Generic[T]):
 
 @dataclass(frozen=True)
 class TeamAction:
-    """What the robot does in each of N teams.
+    """The robot's action in each of N teams.
 
     Attributes
     ----------
     person : int array, shape (N,)
-        To whom it goes, or `NOBODY`: then it stays where it is and says nothing.
+        The person to whom the robot goes, or `NOBODY`: then it stays where it is and makes no suggestion.
     robot : int array, shape (N,)
-        The robot action in that person's POMDP; 0 is to say nothing, which is all that is possible where
-        the way there takes time.
+        Robot action in that person's POMDP; 0 makes no suggestion. It must be 0 if the travel takes time.
     """
 
     person: NDArray[np.int64]
@@ -81,22 +81,23 @@ class TeamAction:
 
 
 def worth_of_actions(policy: Policy, x: NDArray[np.int64], belief: Floats) -> Floats:
-    """Give what each robot action is worth, shape (m, R): an `Ask`."""
+    """Return the Q-values of all robot actions, shape (m, R); this function is an `Ask`."""
     return policy.q_values(x, belief)
 
 
 def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> list[tuple[int, NDArray[np.int64]]]:
-    """Return each model that some of the people have, of so many, and who they are; nothing where there are none.
+    """Return each model that occurs among some people, with the indices of its people.
 
     Parameters
     ----------
     model : int array, shape (N,)
-        Everybody's.
+        Model of each person.
     rows : int array, shape (m,)
-        Who is asked about.
+        Indices of the people to consider.
     models : int
+        Number of models.
     """
-    if models == 1:  # nothing to sort
+    if models == 1:  # no sorting is necessary
         return [(0, rows)] if len(rows) else []
     own = model[rows]
     return [(number, rows[own == number]) for number in np.unique(own).tolist()]
@@ -104,28 +105,28 @@ def by_model(model: NDArray[np.int64], rows: NDArray[np.int64], models: int) -> 
 
 @dataclass(frozen=True)
 class TeamState:
-    """What the robot knows about N teams of K people each, where it is free to choose.
+    """The robot's knowledge of N teams of K people each, when it chooses its next action.
 
-    All arrays are read-only, and so are those of the policies and the way: who chooses changes nothing by looking.
+    All arrays are read-only, including those of the policies and of the travel.
 
     Attributes
     ----------
     step : int
-        How many steps the episodes have had.
+        Number of steps since the beginning of the episodes.
     x : int array, shape (N, K)
-        State of each person's task.
+        Task state of each person.
     active : bool array, shape (N, K)
-        Who is there and has not finished.
+        Whether the person is present and has not finished.
     erred : bool array, shape (N, K)
-        Whose last action was not an optimal choice.
+        Whether the person's last action was not an optimal choice.
     location : int array, shape (N,)
-        Whom the robot is with, or `BASE`.
+        The person at whose place the robot is, or `BASE`.
     model : int array, shape (N, K)
-        Which of the policies models each person.
+        Index of the policy that models each person.
     belief : float array, shape (N, K, B, T), or None
-        None where the policy has said that it does not use it (`uses_belief = False`).
+        None if the policy has declared that it does not use beliefs (`uses_belief = False`).
     policies : sequence of Policy
-        What the robot has worked out about the people, each by themselves.
+        Policies for single people.
     travel : Travel
     """
 
@@ -144,31 +145,31 @@ class TeamState:
     def __post_init__(self) -> None:
         for name in ("x", "active", "erred", "location", "model", "belief"):
             array = getattr(self, name)
-            if array is not None and array.flags.writeable:  # whoever made it can go on writing into it
+            if array is not None and array.flags.writeable:  # the owner of the array may still write to it
                 view = array.view()
                 view.flags.writeable = False
                 object.__setattr__(self, name, view)
 
     def groups(self) -> list[tuple[int, NDArray[np.int64]]]:
-        """Give each model that somebody active has, and who that is: places in the arrays if they were flat."""
+        """Return each model that an active person has, with the indices of its people in the flattened arrays."""
         return by_model(self.model.ravel(), np.flatnonzero(self.active), len(self.policies))
 
     def known_of(self, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Floats]:
-        """Give state, shape (m,), and belief, shape (m, B, T), of people, as `groups` names them."""
+        """Return the states, shape (m,), and beliefs, shape (m, B, T), of people with indices as in `groups`."""
         if self.belief is None:
             raise ValueError("the policy has said that it uses no beliefs")
         return self.x.ravel()[rows], self.belief.reshape(-1, *self.belief.shape[2:]).take(rows, axis=0)
 
     def of_each(self, ask: Ask) -> Floats:
-        """Ask something about everybody who is active, shape (N, K, W).
+        """Return the answer to a question about every active person, shape (N, K, W).
 
-        Minus infinity in padding, and for those who are not active. In a live team only those are asked about of whom
-        something has changed since, so that the answer should depend on nothing else.
+        It is minus infinity in padding, and for people who are not active. A live team asks only about people whose
+        state or belief has changed. So the answer must depend on nothing else.
 
         Parameters
         ----------
         ask : Ask
-            A function that stays the same from step to step.
+            The same function object in every step, as answers are cached by it.
         """
         found = [(rows, ask(self.policies[group], *self.known_of(rows))) for group, rows in self.groups()]
         values = np.full((self.x.size, max((each.shape[1] for _, each in found), default=1)), -np.inf)
@@ -177,46 +178,47 @@ class TeamState:
         return values.reshape(*self.x.shape, -1)
 
     def q_values(self) -> Floats:
-        """Give what each robot action is worth for each person, were they alone, shape (N, K, R).
+        """Return the Q-values of all robot actions in each person's own problem, shape (N, K, R).
 
-        Minus infinity in padding, and for those who are not active.
+        They are minus infinity in padding, and for people who are not active.
         """
         return self.of_each(worth_of_actions)
 
     def first_optimal(self) -> NDArray[np.int64]:
-        """Give each person's first robot action that suggests an optimal action, shape (N, K); 0: there is none."""
+        """Return each person's first robot action that suggests an optimal action, shape (N, K); 0 if there is none."""
         robot = np.zeros(self.x.size, dtype=np.int64)
         for group, rows in self.groups():
             robot[rows] = self.policies[group].pomdp.first_optimal[self.x.ravel()[rows]]
         return robot.reshape(self.x.shape)
 
     def cost_to_go(self) -> Floats:
-        """Give each person's exact cost-to-go, shape (N, K); 0 for those who are not active."""
+        """Return each person's exact cost-to-go, shape (N, K); 0 for people who are not active."""
         h = np.zeros(self.x.size)
         for group, rows in self.groups():
             h[rows] = self.policies[group].pomdp.model.choices.h[self.x.ravel()[rows]]
         return h.reshape(self.x.shape)
 
     def to(self) -> Floats:
-        """Give what it costs to go to each person from where the robot is, shape (N, K)."""
+        """Return the cost of moving to each person from the robot's place, shape (N, K)."""
         return self.travel.c_move * self.travel.distance[self.location][:, :-1]
 
     def act(self, person: NDArray[np.int64], robot: NDArray[np.int64]) -> TeamAction:
-        """Go to a person of each team, shape (N,), with each person's robot action, shape (N, K).
+        """Return the action of going to a person in each team.
 
-        Where the way takes time nothing is said before the robot has arrived and has chosen again.
+        `person` has the shape (N,), and `robot` holds the robot actions of all people, shape (N, K). If the travel
+        takes time, the robot makes no suggestion; it chooses again after its arrival.
         """
         teams = np.arange(len(self.x))
         speaks = (person != NOBODY) & (self.travel.steps[self.location, person] == 0)
         return TeamAction(person, np.where(speaks, robot[teams, person], 0))
 
     def check(self, action: TeamAction) -> None:
-        """Refuse what no policy may do, instead of letting it silently do nothing.
+        """Raise an error for an action that no policy may choose.
 
         Raises
         ------
         PolicyError
-            What the policy did, and in which step.
+            It names the fault and the step.
         """
         shape, people = (len(self.x),), self.x.shape[1]
 
@@ -245,8 +247,8 @@ class TeamState:
 
 
 class TeamPolicy(Protocol):
-    """Any callable of this form; an attribute `uses_belief = False` saves the filtering."""
+    """Any callable of this form. An attribute `uses_belief = False` turns the belief filter off."""
 
     def __call__(self, team: TeamState, /) -> TeamAction:
-        """Choose for N teams at a time."""
+        """Return the actions for N teams."""
         ...

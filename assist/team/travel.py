@@ -1,4 +1,4 @@
-"""The way between the people's places: how far it is, how long it takes, what it costs."""
+"""Travel between the people's places: distances, travel times and costs."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from planner.system.arrays import frozen
 from ..people.arguments import MOST, number, whole
 from ..people.decision import Floats
 
-PLACES = 1_000_000
-"""People whom a robot may be with."""
-
-LONGEST = 1_000_000_000
-"""Steps that a way takes are fewer than these."""
-
 
 @dataclass(frozen=True)
 class Travel:
-    """The way between K people's places and the base, which comes last.
+    """Travel between the places of K people and the base, which comes last.
 
     Attributes
     ----------
     distance : float array, shape (K + 1, K + 1)
     steps : int array, shape (K + 1, K + 1)
-        How many steps the robot is under way. With 0 it speaks in the step in which it leaves.
+        Travel time between two places in steps. With 0 the robot makes its suggestion in the step of its departure.
     c_move : float
-        Cost of moving by a distance of 1, in cost units; paid on leaving.
+        Cost of moving by a distance of 1, in cost units; it is paid at the departure.
+
+    Raises
+    ------
+    ValueError
+        A number is out of its range, or the matrices are not square with a diagonal of 0.
     """
 
     distance: Floats
@@ -46,7 +45,7 @@ class Travel:
             raise ValueError(
                 f"distance, shape {self.distance.shape}: expected a square, one row for each place and base"
             )
-        # No arrays of the matrix's size are made, which for 10,000 people would take a second.
+        # No temporary array of the matrix's size is created, which for 10,000 people would take a second.
         least, most = self.distance.min(), self.distance.max()
         if not (least >= 0 and most <= MOST) or self.distance.diagonal().any():
             raise ValueError(f"distance: expected 0 from each place to itself, and from 0 to {MOST:g} to the others")
@@ -59,20 +58,22 @@ class Travel:
     def of(
         cls, places: int, *, c_move: float = 0.5, travel_time: float = 0.0, distance: ArrayLike | None = None
     ) -> Travel:
-        """Describe the way between so many people.
+        """Return the travel between `places` people and the base.
 
         Parameters
         ----------
         places : int
-            K.
+            Number of people, K; at most 1,000,000.
+        c_move : float
+            Cost of moving by a distance of 1, in cost units.
         travel_time : float
-            Steps that a distance of 1 takes; what is left over counts as a whole step.
+            Steps for a distance of 1; fractions are rounded up to whole steps.
         distance : array, shape (K + 1, K + 1), optional
-            1 between any two places unless given.
+            Distances; by default 1 between any two places.
         """
         places = whole("places", places, 1)
-        if places > PLACES:
-            raise ValueError(f"places {places:,}: expected at most {PLACES:,}")
+        if places > 1_000_000:
+            raise ValueError(f"places {places:,}: expected at most 1,000,000")
         travel_time = number("travel_time", travel_time)
         if not 0 <= travel_time <= MOST:
             raise ValueError(f"travel_time {travel_time:g}: expected a number from 0 to {MOST:g}")
@@ -95,25 +96,26 @@ class Travel:
 
     @property
     def entry(self) -> Floats:
-        """The least that it costs to come to each person from anywhere else, shape (K,)."""
+        """The smallest cost of coming to each person from any other place, shape (K,)."""
         return self.c_move * np.array([np.delete(column, k).min() for k, column in enumerate(self.distance.T[:-1])])
 
     @property
     def entry_steps(self) -> NDArray[np.int64]:
-        """The least number of steps that it takes to come to each person from anywhere else, shape (K,)."""
+        """The smallest number of steps for coming to each person from any other place, shape (K,)."""
         return np.array([np.delete(column, k).min() for k, column in enumerate(self.steps.T[:-1])], dtype=np.int64)
 
 
 def _whole_steps(steps: Floats) -> NDArray[np.int64]:
-    if steps.max() >= LONGEST:
-        raise ValueError(f"travel_time: the longest way takes {steps.max():g} steps; expected less than {LONGEST:,}")
-    # 3 times a distance of 0.1 is a little more than 0.3 and yet no further step.
+    longest = 1_000_000_000  # steps; far beyond the length of any episode
+    if steps.max() >= longest:
+        raise ValueError(f"travel_time: the longest way takes {steps.max():g} steps; expected less than {longest:,}")
+    # For example, 3 * 0.1 is slightly larger than 0.3 in floating-point arithmetic; that must not add a step.
     return np.ceil(steps - 1e-9).clip(0).astype(np.int64)
 
 
 def _windows(row: NDArray[Any]) -> NDArray[Any]:
-    """Give the square matrix of which each row is the one before, one place further: without room of its own.
+    """Return a square matrix whose rows are shifts of one vector, as a view without memory of its own.
 
-    For 10,000 people it would take 800 MB.
+    For 10,000 people the matrix would take 800 MB.
     """
     return np.asarray(sliding_window_view(row, len(row) // 2 + 1)[::-1])

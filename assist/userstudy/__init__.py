@@ -1,4 +1,4 @@
-"""Experiments with people: conditions, assignment, procedure, questionnaires, tables."""
+"""User studies: conditions, assignment, procedure, questionnaires and tables."""
 
 from planner.system.lazy_imports import lazy_exports
 

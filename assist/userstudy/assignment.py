@@ -1,8 +1,8 @@
-"""Which condition, or order of conditions, who begins next gets: one of those that fewest have, by lot.
+"""Assignment of participants to conditions, or to orders of conditions: a random one among the least frequent ones.
 
-So the numbers of any two differ by at most one whenever somebody has begun, whoever comes and goes before; with as many
-as there are (a block) each has had its turn. The lot follows from the study's seed and from how many have begun: it is
-the same every time.
+The counts of any two conditions differ by at most one after each assignment, whoever drops out before it. Each block of
+as many participants as conditions contains each condition once. The assignment depends only on the study's seed and the
+number of previous assignments, so it is reproducible.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 
 
 def assign(counts: Mapping[str, int], seed: int, begun: int) -> str:
-    """Give the condition of who begins next.
+    """Return the condition of the next participant.
 
     Parameters
     ----------
     counts : mapping of str to int
-        How many count in each condition, or order of conditions.
+        Number of participants that count in each condition or order.
     seed : int
     begun : int
-        How many have begun, those who do not count any more included.
+        Number of previous assignments, including participants who no longer count.
     """
     fewest = min(counts.values())
     free = [name for name, count in counts.items() if count == fewest]
@@ -29,9 +29,9 @@ def assign(counts: Mapping[str, int], seed: int, begun: int) -> str:
 
 
 def balanced_orders(conditions: Sequence[str]) -> list[tuple[str, ...]]:
-    """Give orders in which each condition comes equally often at each place, and directly after each other one.
+    """Return orders in which each condition is equally often at each position and directly after each other condition.
 
-    Of an even number of conditions there are as many, a Latin square; of an odd one twice as many (E. J. Williams,
+    An even number n of conditions gives n orders, a Latin square; an odd n gives 2 n orders (E. J. Williams,
     "Experimental designs balanced for the estimation of residual effects of treatments", 1949).
     """
     n = len(conditions)

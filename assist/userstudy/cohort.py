@@ -1,9 +1,10 @@
-"""All participants of a user study: who is where in the procedure, in which condition, and what may happen next.
+"""The participants of a user study: their stages and conditions, and the events that are possible.
 
-A place is taken by whoever is on their way or done, and by whoever's task has begun; one that is left before that is
-free again. The condition is drawn when the first task begins, not before (`assignment`).
+A place is taken by participants who are taking part or have completed the study. It is also taken by those whose task
+has begun, unless the study replaces dropouts. The place of a participant who leaves before is free again. The condition
+is assigned when the first task begins, not before (`assignment`).
 
-An event that has happened is a record from which the same can happen again, draws and decisions included.
+Every event is recorded such that it can be replayed, including random draws and decisions.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from planner import CostToGo
 
+from ..explain.explanation import Explanation
 from ..live.advice import Advice
 from ..live.course import NOTHING, AbsentError, Course, Event
 from ..live.live_task import InapplicableError, UnknownError
@@ -30,28 +32,28 @@ from .plan import Stage, UserStudy
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
 
 KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned"}
-"""What may happen."""
+"""Kinds of events."""
 
 LETTERS = "23456789BCDFGHJKLMNPQRSTVWXYZ"
-"""Of completion codes: no vowels, and nothing that looks like something else."""
+"""Characters of completion codes: no vowels, and none that resembles another."""
 
 
 class FullError(InapplicableError):
-    """There is no place left."""
+    """The study is full."""
 
 
 @dataclass(frozen=True)
 class StudyEvent(Event):
-    """Something that is reported of a participant.
+    """An event of a participant.
 
     Attributes
     ----------
     stage : str or None
-        The one that they go on from.
+        The stage that the participant completes.
     answers : mapping of str, or None
-        To the questionnaire that this is.
+        Answers, if the stage is a questionnaire.
     simulated : bool
-        Whether whoever comes is.
+        Whether a new participant is simulated.
     """
 
     stage: str | None = None
@@ -61,30 +63,30 @@ class StudyEvent(Event):
 
 @dataclass
 class Participant:
-    """Somebody who takes part, or did.
+    """A present or former participant.
 
     Attributes
     ----------
     code : str
-        By which alone they are known.
+        The participant's pseudonym, the only identifier.
     simulated : bool
     status : str
     at : int
-        The stage.
+        Number of the present stage.
     seq : int
-        The number of the last event that changed what they see.
+        Number of the last event that changed the participant's view.
     entered : float
-        When they came to the stage, in seconds since the study began.
+        Time at which the present stage began, in seconds since the study began.
     acted : float
-        When something last happened in their task.
+        Time of the last event in the participant's task.
     expired : bool
-        Whether the time for the task is up.
+        Whether the task's time limit was reached.
     condition : str or None
-        Which was drawn; where each participant has all, the name of their order (`UserStudy.orders`).
+        The assigned condition; in a within-participants design, the name of the order (`UserStudy.orders`).
     completion : str or None
-        What they are given at the end.
+        Completion code.
     groups : dict of ParticipantTeam
-        By kind of stage and period: in practice, and in the tasks of each condition.
+        Teams, keyed by kind of stage and period: one for practice, and one for the tasks of each condition.
     """
 
     code: str
@@ -100,7 +102,7 @@ class Participant:
     groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 
     def at_tasks(self) -> list[ParticipantTeam]:
-        """Give their teams at the tasks that they have begun, in the order of their conditions."""
+        """Return the teams of the tasks that have begun, in the order of conditions."""
         return [group for (kind, _), group in self.groups.items() if kind == "task"]
 
 
@@ -111,14 +113,14 @@ class Cohort:
     ----------
     study : UserStudy
     tasks : mapping of str to CostToGo
-        By name, that of the practice among them.
+        Tasks by name, including the practice task.
     course : callable
-        Gives the course of a team in a condition, None for practice, in which nothing has happened yet.
+        Returns a new course, without events, of a team in a condition (None: practice).
 
     Attributes
     ----------
     fault : str or None
-        Why the policy of a condition could not decide, the last time that one could not.
+        The latest error message of a condition's policy.
     """
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], course: Callable[[str | None], Course]) -> None:
@@ -129,15 +131,15 @@ class Cohort:
         self.participants: dict[str, Participant] = {}
         self.fault: str | None = None
 
-    # What happens.
+    # Events.
 
     def happen(self, event: Event, time: float) -> dict[str, Any] | None:
-        """Let something happen; give the record, None for time that has elapsed without anything coming of it.
+        """Apply an event; return its record, or None if the passing of time had no effect.
 
         Raises
         ------
         AbsentError, FullError, InapplicableError, ValueError
-            It cannot be. Nothing has changed.
+            The event is impossible. Nothing has changed.
         """
         n, time = self.count + 1, round(time, 3)
         record: dict[str, Any] = {"n": n, "time": time, "event": event.kind, "person": event.person}
@@ -146,7 +148,7 @@ class Cohort:
         if event.kind == "visited":
             record |= self._visits(event)
         elif event.kind not in KINDS:
-            raise InapplicableError("this cannot be done within a user study")
+            raise InapplicableError("not possible within a user study")
         else:
             person = self.known(event.person)
             facts = self._facts(person, event, n, time)
@@ -159,15 +161,15 @@ class Cohort:
         return record
 
     def again(self, record: Mapping[str, Any]) -> None:
-        """Let happen again what has been recorded.
+        """Replay a recorded event.
 
         Raises
         ------
         ValueError
-            It cannot have happened.
+            The record is impossible in the present state.
         """
         if record["event"] not in KINDS or not isinstance(record["time"], int | float):
-            raise ValueError("no event of a study")
+            raise ValueError("not an event of a study")
         if record["event"] != "visited":
             person = self.known(record["person"])
             at = person.at + (record["event"] == "onward")
@@ -181,15 +183,14 @@ class Cohort:
 
     def _visits(self, event: Event) -> dict[str, Any]:
         if event.person is None or event.person in self.participants:
-            raise InapplicableError("somebody has this code already; to be tried again")
+            raise InapplicableError("this code is taken; try again")
         if not self._room():
-            raise FullError("there is no place left at the moment")
+            raise FullError("the study is full at the moment")
         simulated = isinstance(event, StudyEvent) and event.simulated
-        at = datetime.now(UTC).isoformat(timespec="seconds")
-        return {"at": at, **({"simulated": True} if simulated else {})}
+        return {"at": _now(), **({"simulated": True} if simulated else {})}
 
     def _facts(self, person: Participant, event: Event, n: int, time: float) -> dict[str, Any] | None:
-        """Give what a record says of an event; what happens in the participant's team has happened then."""
+        """Return the event's part of the record; the participant's team has been updated then."""
         stage, kind = self.stages[person.at], event.kind
         if kind == "returned" and person.status in (GONE, FULL):
             return {"status": HERE if self._room(person) else FULL}
@@ -199,15 +200,17 @@ class Cohort:
             return {"team": team} if team else None
         if kind == "left":
             if person.status != HERE:
-                raise InapplicableError(f"{person.code} is not under way")
+                raise InapplicableError(f"{person.code} is not taking part")
             return {"status": GONE}
+        if kind == "withdrew" and person.status in (GONE, FULL, DONE):
+            return {"status": DECLINED if stage.kind == "consent" else WITHDREW}
         facts: dict[str, Any] = {}
-        if person.status == GONE and kind in ("acted", "onward", "withdrew"):
+        if person.status == GONE and kind in ("acted", "onward"):
             if not self._room(person):
-                raise FullError("there is no place left at the moment")
+                raise FullError("the study is full at the moment")
             facts["returned"] = True
         elif person.status != HERE:
-            raise InapplicableError(f"{person.code} is not under way")
+            raise InapplicableError(f"{person.code} is not taking part")
         if kind == "withdrew":
             return facts | {"status": DECLINED if stage.kind == "consent" else WITHDREW}
         if kind == "expired" and stage.kind == "task" and not self._over(person):
@@ -226,7 +229,7 @@ class Cohort:
         if event.stage != stage.name:
             raise InapplicableError(f"{person.code} is at {stage.name}, not at {(event.stage or '')[:80]!r}")
         if stage.kind == "thanks":
-            raise InapplicableError("this is the end")
+            raise InapplicableError("the study is complete")
         if stage.kind in ("practice", "task") and not self._over(person):
             raise InapplicableError("the task is not finished")
         facts: dict[str, Any] = {"stage": stage.name}
@@ -234,6 +237,8 @@ class Cohort:
             facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {})
         elif event.answers:
             raise ValueError(f"answers: expected none at {stage.name}")
+        if stage.kind == "consent":
+            facts["at"] = _now()
         to = self.stages[person.at + 1]
         condition = None
         if to.kind == "task" and person.condition is None:
@@ -251,7 +256,7 @@ class Cohort:
         return facts
 
     def _note(self, record: Mapping[str, Any]) -> None:
-        """Keep what follows from an event."""
+        """Update the participants by a record."""
         self.count, time = record["n"], record["time"]
         if record["event"] == "visited":
             self.participants[record["person"]] = Participant(record["person"], bool(record.get("simulated")))
@@ -275,14 +280,11 @@ class Cohort:
             practice = stage.kind == "practice"
             own = None if practice else self.study.orders[condition or person.condition or ""][stage.period - 1]
             count = 0 if practice else self.study.simulated
-            setting = self.study.setting
 
             def mates() -> list[SimulatedPerson]:
                 seeds = np.random.SeedSequence([self.study.seed, number]).generate_state(count, np.uint64).tolist()
                 return [
-                    SimulatedPerson(
-                        self.study.population, eta=setting.eta, utility_scale=setting.utility_scale, seed=seed
-                    )
+                    SimulatedPerson(self.study.population, trust=self.study.setting.trust_rule(), seed=seed)
                     for seed in seeds
                 ]
 
@@ -291,10 +293,10 @@ class Cohort:
             )
         return person.groups[key]
 
-    # What is so.
+    # State.
 
     def known(self, person: str | None) -> Participant:
-        """Give a participant.
+        """Return a participant.
 
         Raises
         ------
@@ -305,7 +307,7 @@ class Cohort:
         return self.participants[person]
 
     def counts(self) -> dict[str, int]:
-        """Count the participants of each condition, or order; those who are gone only if they are not replaced."""
+        """Return the number of participants that count in each condition or order."""
         counts = dict.fromkeys(self.study.orders, 0)
         for person in self.participants.values():
             if person.condition is not None:
@@ -313,58 +315,58 @@ class Cohort:
         return counts
 
     def _counts(self, person: Participant) -> bool:
-        """Whether somebody has a place."""
+        """Whether a participant takes a place."""
         if person.status in (HERE, DONE):
             return True
         return person.condition is not None and not self.study.replace
 
     @property
     def taken(self) -> int:
-        """How many places are taken."""
+        """Number of places taken."""
         return sum(map(self._counts, self.participants.values()))
 
     def _room(self, person: Participant | None = None) -> bool:
-        """Whether there is a place, for somebody new, or who comes back and may have theirs."""
+        """Whether there is a free place, or the returning participant still has one."""
         most = self.study.participants
         return most is None or (person is not None and self._counts(person)) or self.taken < most
 
     def _at_task(self, person: Participant) -> ParticipantTeam:
         stage = self.stages[person.at]
         if stage.kind not in ("practice", "task"):
-            raise InapplicableError(f"{person.code} is at {stage.name}; nothing can be done there")
+            raise InapplicableError(f"{person.code} is at {stage.name}; no action is possible there")
         return person.groups[stage.kind, stage.period]
 
     def _over(self, person: Participant) -> bool:
-        """Whether somebody's task is: finished, impossible by now, or its time is up."""
+        """Whether the participant's task is over: finished, unsolvable, or beyond the time limit."""
         seen = self._at_task(person).seen()
         return bool(seen["finished"]) or seen["cost_to_go"] is None or person.expired
 
-    # What is seen.
+    # Views.
 
     def touched(self, record: Mapping[str, Any]) -> set[str]:
-        """Name those for whom something has changed with an event."""
+        """Return the participants whose views an event has changed."""
         return {record["person"]}
 
     def require(self, person: str) -> None:
-        """Refuse whoever does not take part."""
+        """Raise `AbsentError` for an unknown participant."""
         self.known(person)
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Who has come, in that order."""
+        """Codes of all participants, in order of arrival."""
         return tuple(self.participants)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
-        """Give somebody's task, and the state in which it is."""
+        """Return a participant's task and its present state."""
         return self._at_task(self.known(person)).place()
 
     def person(self, person: str) -> dict[str, Any]:
-        """Give what somebody sees, as JSON has it: their task as elsewhere, and where in the study they are."""
+        """Return a participant's view as JSON data: the task, and the progress in the study."""
         who = self.known(person)
         stage = self.stages[who.at]
         seen: dict[str, Any] = {
             "person": person, "task": "", "present": True, "paused": False, "applicable": [], "suggestion": None,
-            "reason": None, "cost_to_go": None, "steps": 0, "finished": False,
+            "reason": None, "cost_to_go": None, "steps": 0, "finished": False, "explained": False,
         }  # fmt: skip
         over = False
         if stage.kind in ("practice", "task"):
@@ -373,6 +375,8 @@ class Cohort:
                 seen |= {"applicable": [], "suggestion": None, "reason": None}
             if not self.study.reasons:
                 seen["reason"] = None
+            # Why nothing is suggested would reveal the condition.
+            seen["explained"] = self.study.reasons and seen["suggestion"] is not None
         kind = stage.kind if who.status in (HERE, DONE) else who.status
         study = {
             "kind": kind, "stage": stage.name, "what": stage.what, "number": who.at + 1, "of": len(self.stages),
@@ -380,23 +384,35 @@ class Cohort:
         }  # fmt: skip
         return seen | {"seq": who.seq, "study": study}
 
+    def explain_later(self, person: str, against: str | None = None) -> Callable[[], Explanation]:
+        """Return a function that explains a participant's suggestion, as `Course.explain_later` does.
+
+        Raises
+        ------
+        InapplicableError
+            The participant sees no reasons in this study, or is not at a task.
+        """
+        if not self.person(person)["explained"]:
+            raise InapplicableError("explanations are not shown here")
+        return self._at_task(self.known(person)).course.explain_later(person, against)
+
     def entry(self, person: str) -> dict[str, Any]:
-        """Give what the operator sees of somebody."""
+        """Return the operator's view of a participant."""
         who = self.known(person)
         return self.person(person) | {"condition": who.condition, "status": who.status, "simulated": who.simulated}
 
     def beliefs(self) -> dict[str, bytes]:
-        """Give what is believed of everybody in a team that has begun a task, simulated people included, to the bit."""
+        """Return the beliefs about all members of teams that have begun a task, as exact bytes."""
         groups = (group for who in self.participants.values() for group in who.at_tasks())
         return {person: belief for group in groups for person, belief in group.course.beliefs().items()}
 
     @property
     def advice(self) -> Advice:
-        """Every team has a robot: there is nothing that one of them is to do for all."""
+        """No advice: each team has a robot of its own."""
         return NOTHING
 
     def robot(self) -> dict[str, Any]:
-        """Every team has one: there is nothing to be said of all of them."""
+        """Return an empty instruction, since each team has a robot of its own."""
         return {
             "person": None,
             "suggestion": None,
@@ -407,7 +423,7 @@ class Cohort:
         }
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Give the actions of all participants at their tasks, as `fit` reads them; those in one, if it is named."""
+        """Return all actions in tasks, in the format of `fit`; with `task`, only those in this task."""
         if task is not None and task not in dict(self.study.tasks):
             raise UnknownError(f"task {task[:80]!r}: expected one of {', '.join(dict(self.study.tasks))}")
         rows = []
@@ -420,3 +436,8 @@ class Cohort:
                 ]
                 before += len({row["episode"] for row in own})
         return rows
+
+
+def _now() -> str:
+    """Return the present time, UTC, in ISO format."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,4 +1,4 @@
-"""All that a study has recorded as one ZIP file: tables, what their columns mean, logs for `fit`, the study's file."""
+"""Export of a study's data as a ZIP file: tables, a data dictionary, logs for `fit`, and the study's file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .tables import COLUMNS, tables, written
 
 
 def files(folder: Path) -> Iterator[tuple[str, str]]:
-    """Give the name and content of every file of an export."""
+    """Yield the name and content of every file of an export."""
     study = read(folder / PLAN, carried_out=True)
     found = tables(study, folder / JOURNAL)
     for name in COLUMNS:
@@ -36,7 +36,7 @@ def files(folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def archive(folder: Path) -> bytes:
-    """Give an export as a ZIP file."""
+    """Return an export as a ZIP file."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as packed:
         for name, text in files(folder):

@@ -1,8 +1,8 @@
-"""A participant's team: simulated people beside them, with whom they share the robot, in step.
+"""A participant's team: the participant and simulated people, who share a robot and act in step.
 
-Each simulated person acts once after each action of the participant, as in the model (design of the simulations): how
-much the robot has to do elsewhere does not depend on how fast a participant is, and no clock decides a result. What all
-of them do is one event: it is on the disk as a whole or has not happened.
+Each simulated person acts once after each action of the participant, as in the simulations. The robot's workload
+therefore does not depend on the participant's speed, and results do not depend on a clock. The actions of the whole
+team are one event, which is saved as a whole or not at all.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class ParticipantTeam:
     person : str
     tasks : mapping of str to CostToGo
     course : callable
-        Gives a course of the team in which nothing has happened yet.
+        Returns a new course of the team, without events.
     mates : callable
-        Gives the simulated people, as they are at the beginning.
+        Returns the simulated people in their initial states.
     again : bool
-        Whether those begin anew when they have finished.
+        Whether simulated people begin their task again when they have finished.
     """
 
     def __init__(
@@ -53,15 +53,18 @@ class ParticipantTeam:
         self.course = self._course_anew()
         self._mates = {f"{self.name}-{number}": mate for number, mate in enumerate(self._mates_anew(), start=1)}
 
-    # What happens.
+    # Events.
 
     def begin(self, task: str, n: int, time: float) -> list[Sub]:
-        """Let everybody begin a task."""
+        """Start a task for the whole team; return the records."""
         kind = "began" if self._past else "joined"
         return self._all([Event(kind, name, task=task) for name in (self.name, *self._mates)], n, time)
 
     def act(self, event: Event, n: int, time: float) -> dict[str, Any]:
-        """Let the participant act, then everybody else once; give that, and what there was to see of it (`seen`)."""
+        """Record the participant's action, then one action of each simulated person.
+
+        Return the records (`team`) and what the participant saw (`seen`).
+        """
         before = self.course.person(self.name)
         subs = self._all([event], n, time, mates=True)
         after = self.course.person(self.name)
@@ -73,11 +76,11 @@ class ParticipantTeam:
         return {"team": subs, "seen": seen}
 
     def elapse(self, n: int, time: float) -> list[Sub]:
-        """Let the robot decide once more; nothing may come of it."""
+        """Let the robot decide again; return the records, which may be empty."""
         return self._all([Event("elapsed")], n, time)
 
     def _all(self, events: Sequence[Event], n: int, time: float, *, mates: bool = False) -> list[Sub]:
-        """Let events happen, all or none."""
+        """Apply events, all of them or none."""
         subs: list[Sub] = []
         try:
             for event in events:
@@ -109,10 +112,12 @@ class ParticipantTeam:
         return mate.act(task, state, seen["applicable"], seen["suggestion"])
 
     def again(self, subs: Sequence[Sub]) -> None:
-        """Let happen again what has been recorded."""
+        """Replay recorded events."""
         for sub in subs:
             if sub["event"] == "acted" and sub["person"] in self._mates:
-                self._chosen(sub["person"], self._mates[sub["person"]])  # who then is as they were
+                self._chosen(
+                    sub["person"], self._mates[sub["person"]]
+                )  # advances the simulated person's random numbers
             self.course.count = sub["n"] - 1
             self.course.again(sub)
         self._keep(subs)
@@ -123,12 +128,12 @@ class ParticipantTeam:
             if sub.get("task") and sub["person"] == self.name:
                 self.task = sub["task"]
 
-    # What is seen.
+    # Views.
 
     def seen(self) -> dict[str, Any]:
-        """Give what the participant sees of the task."""
+        """Return the participant's view of the task."""
         return self.course.person(self.name)
 
     def place(self) -> tuple[CostToGo, int]:
-        """Give the participant's task, and the state in which it is."""
+        """Return the participant's task and its present state."""
         return self._tasks[self.task], self.course.place(self.name)[1]

@@ -1,6 +1,6 @@
-"""A user study as its file plans it: tasks, conditions, texts, questionnaires, and the stages of the procedure.
+"""The plan of a user study: tasks, conditions, texts, questionnaires, and the stages of the procedure.
 
-`docs/userstudy.md` describes the form; every fault is named with its line and place.
+`docs/userstudy.md` describes the file format. Every error names the line and the place in the file.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from planner.system.typed_toml import (
     partial_of,
 )
 
-from ..people.human import Population
+from ..people.human import Mixture, Population, advice_takers
 from ..people.user_code import parse
 from ..team.policies import POLICIES
 from ..team.settings import Setting
 from .assignment import balanced_orders
 from .questionnaires import FORMS, Item, Questionnaire
 
-MOST_MATES = 20
 BETWEEN, WITHIN = "between", "within"
-"""Designs: each participant has one condition, or all of them, in an order that is balanced over participants."""
+"""Kinds of design: a participant has one condition, or all of them in a counterbalanced order."""
 
 Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minutes above 0")]
-Mates = Annotated[int, Meta(ge=0, le=MOST_MATES, description=f"a whole number from 0 to {MOST_MATES}")]
+# More simulated people would keep the robot away from the participant.
+Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
 Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 
@@ -115,18 +115,18 @@ class FileTable(Struct, forbid_unknown_fields=True):
     questionnaires: list[QuestionnaireTable] = []
 
 
-SettingTable = partial_of(Setting)
+SettingTable = partial_of(Setting, trust=str | AnyTable, believed_trust=str | AnyTable)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What is varied, between participants or within each.
+    """A condition, varied between participants or within each.
 
     Attributes
     ----------
     name : str
     policy : str
-        A team policy's name, or FILE.py:FUNCTION.
+        Name of a team policy, or FILE.py:FUNCTION.
     """
 
     name: str
@@ -135,18 +135,18 @@ class Condition:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of the procedure.
+    """A stage of the procedure.
 
     Attributes
     ----------
     name : str
-        As in results: "consent", "instructions", "practice", "task ...", "questionnaire ...", "thanks".
+        Name in results: "consent", "instructions", "practice", "task ...", "questionnaire ...", "thanks".
     kind : str
         The first word of the name.
     what : str
-        Which task or questionnaire; empty for others.
+        The task or questionnaire; empty for other stages.
     period : int
-        Of tasks and questionnaires: 1 in a participant's first condition; 0 for others.
+        For tasks and questionnaires, 1 in the participant's first condition; 0 for other stages.
     """
 
     name: str
@@ -157,18 +157,18 @@ class Stage:
 
 @dataclass(frozen=True)
 class UserStudy:
-    """What is to be done with whom.
+    """The plan of a user study.
 
     Attributes
     ----------
     file : Path
     digest : str
-        Of the file's content.
+        Digest of the file's content.
     title : str
     seed : int
-        From which the order of conditions and simulated people are drawn.
+        Seed of the assignment and of the simulated people.
     tasks : tuple of (str, Instance)
-        By name, in the order in which everybody gets them.
+        Tasks by name, in the order in which all participants do them.
     practice : Instance or None
     conditions : tuple of Condition
     design : str
@@ -176,28 +176,28 @@ class UserStudy:
     reference : str
         The condition with which the others are compared.
     participants : int or None
-        How many places there are; None for any number.
+        Number of places; None: unlimited.
     simulated : int
-        Simulated people in each participant's team.
+        Number of simulated people in each participant's team.
     again : bool
-        Whether those begin anew when they have finished, so that the robot remains in demand.
+        Whether simulated people begin again when they have finished, so that the robot stays in demand.
     reasons : bool
-        Whether participants see why something is suggested.
+        Whether participants see the reasons of suggestions.
     replace : bool
-        Whether those who leave after their task began are replaced.
+        Whether participants who leave after their task began are replaced.
     away : float
-        Minutes without a connection after which somebody counts as gone.
+        Minutes without a connection after which a participant counts as dropped out.
     minutes : float or None
-        After which a task may be left unfinished.
+        Time limit of a task in minutes, after which participants may proceed.
     tick : float
-        Seconds without an action after which the robot decides once more.
+        Seconds without an action after which the robot decides again.
     code : str or None
-        What participants are given at the end; None for a code of each one's own.
+        Completion code of all participants; None: a code of their own.
     setting : Setting
-    population : Population
-        Of whom the robot takes people to be, and simulated ones are drawn.
+    population : Population or Mixture
+        The robot's prior over people, from which simulated people are drawn too.
     texts : dict of str
-        The consent, the instructions and the thanks, in Markdown.
+        Consent, instructions and thanks, in Markdown.
     questionnaires : tuple of Questionnaire
     """
 
@@ -220,13 +220,13 @@ class UserStudy:
     tick: float
     code: str | None
     setting: Setting
-    population: Population
+    population: Population | Mixture
     texts: dict[str, str]
     questionnaires: tuple[Questionnaire, ...]
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """What everybody goes through, in this order."""
+        """Stages of the procedure, in order."""
         practice = [] if self.practice is None else [Stage("practice", "practice", "practice")]
         parts = [("task", name) for name, _ in self.tasks]
         parts += [("questionnaire", one.name) for one in self.questionnaires]
@@ -247,34 +247,34 @@ class UserStudy:
 
     @property
     def periods(self) -> int:
-        """How many conditions each participant has."""
+        """Number of conditions of each participant."""
         return len(self.conditions) if self.is_within else 1
 
     @cached_property
     def orders(self) -> dict[str, tuple[str, ...]]:
-        """The orders of conditions of which each participant gets one, by name; that of one condition is its own."""
+        """Orders of conditions to which participants are assigned, by name; between participants, single ones."""
         names = [condition.name for condition in self.conditions]
         orders = balanced_orders(names) if self.is_within else [(name,) for name in names]
         return {" > ".join(order): order for order in orders}
 
     def questionnaire(self, name: str) -> Questionnaire:
-        """Give a questionnaire by its name."""
+        """Return the questionnaire of this name."""
         return next(one for one in self.questionnaires if one.name == name)
 
 
 def read(file: str | Path, *, carried_out: bool = False) -> UserStudy:
-    """Read the file of a user study; files that it names are sought beside it.
+    """Read the file of a user study. Paths in the file are relative to its folder.
 
     Parameters
     ----------
     file : path
     carried_out : bool
-        Whether this is the copy that a study's folder has, which the files that it names need not lie beside.
+        Whether this is the copy in a study's folder. The files that it names may then be missing.
 
     Raises
     ------
     InputFileError
-        What is wrong, in which line and place, and what would be right.
+        The file is invalid; the message names the line, the place and the expected value.
     """
     file = Path(file)
     with located(file):
@@ -294,9 +294,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
     tasks = [found(f"tasks[{number}]", task) for number, task in enumerate(table.tasks, start=1)]
     stems = [task.problem.stem for task in tasks]
     if len(set(stems)) < len(stems):
-        raise fault(
-            file, "tasks", "two of them have the same file name; expected different ones, by which they are told apart"
-        )
+        raise fault(file, "tasks", "two tasks have the same file name; expected different names")
     questionnaires = tuple(
         _questionnaire(file, f"questionnaires[{number}]", own)
         for number, own in enumerate(table.questionnaires, start=1)
@@ -348,29 +346,30 @@ def _instance(file: Path, place: str, name: str, *, carried_out: bool) -> Instan
     except InstanceError as error:
         raise fault(file, place, str(error)) from None
     if len(found) != 1 or (not known and found[0].problem.name != problem.name):
-        raise fault(file, place, f"'{name}' stands for {len(found)} problems; expected the file of one")
+        raise fault(file, place, f"'{name}' matches {len(found)} problems; expected the file of one")
     return found[0]
 
 
 def _setting(file: Path, content: dict[str, Any]) -> Setting:
     try:
-        setting = replace(Setting(), **given(convert(content, SettingTable, file, "setting")))
+        setting = replace(Setting(), **given(convert(content, SettingTable, file, "setting"))).for_real_people()
     except ValueError as error:
         if isinstance(error, InputFileError):
             raise
         raise fault(file, "setting", str(error)) from None
     if setting.travel_time:
-        message = f"{setting.travel_time:g}; expected 0, since the robot of a study is nowhere"
+        message = f"{setting.travel_time:g}; expected 0, since the robot of a user study does not move"
         raise fault(file, "setting.travel_time", message)
     if setting.execute:
         raise fault(file, "setting.execute", "true; expected a robot that suggests")
     return setting
 
 
-def _population(file: Path, table: PopulationTable) -> Population:
+def _population(file: Path, table: PopulationTable) -> Population | Mixture:
     ranges = {name: getattr(table, name) for name in ("beta", "theta", "sigma")}
     try:
-        return Population(**{name: value for name, value in ranges.items() if value is not None})
+        given = {name: value for name, value in ranges.items() if value is not None}
+        return Population(**given) if "theta" in given else advice_takers(**given)
     except ValueError as error:
         raise fault(file, "population", str(error)) from None
 
@@ -381,17 +380,17 @@ def _questionnaire(file: Path, place: str, table: QuestionnaireTable) -> Questio
     base = FORMS[table.form]
     name = table.name or base.name
     if not NAME.fullmatch(name):
-        raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits and signs of _ -")
+        raise fault(file, f"{place}.name", f"'{name}'; expected a letter, then letters, digits, _ or -")
     items = base.items
     if base.items and table.items is not None:
-        raise fault(file, f"{place}.items", f"the form {table.form} has its own; expected none")
+        raise fault(file, f"{place}.items", f"the form {table.form} has fixed items; expected none")
     if not base.items:
         if not table.items:
             raise fault(file, place, "items: is missing; expected a list of tables with name and text")
         items = tuple(Item(own.name, own.text, reversed=own.reversed) for own in table.items)
     for number, item in enumerate(items):
         if not NAME.fullmatch(item.name) or item.name in {other.name for other in items[:number]}:
-            message = f"'{item.name}'; expected a name of its own: a letter, then letters, digits and signs of _ -"
+            message = f"'{item.name}'; expected a unique name: a letter, then letters, digits, _ or -"
             raise fault(file, f"{place}.items[{number + 1}].name", message)
     if table.form == "likert":
         base = replace(base, points=table.points, low=table.low, high=table.high)

@@ -1,7 +1,7 @@
-"""Questionnaires: their items, which answers are valid, and scores.
+"""Questionnaires: items, valid answers and scores.
 
-NASA-TLX is the six scales of Hart and Staveland, "Development of NASA-TLX" (1988), a work of the United States
-government in the public domain, from 0 to 100 in steps of 5, without weights ("raw").
+NASA-TLX consists of the six scales of Hart and Staveland, "Development of NASA-TLX" (1988), a work of the United States
+government in the public domain. Answers range from 0 to 100 in steps of 5 and are not weighted ("raw TLX").
 """
 
 from __future__ import annotations
@@ -10,11 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-LONGEST = 4000
-"""Signs of an answer in words."""
-
 STEP = 5
-"""Of NASA-TLX."""
+"""Step of the scales of NASA-TLX."""
 
 
 @dataclass(frozen=True)
@@ -24,12 +21,12 @@ class Item:
     Attributes
     ----------
     name : str
-        As in results.
+        Name in results.
     text : str
     low, high : str
-        What the ends of its scale are called, where they are its own.
+        Labels of the ends of the item's own scale; empty: those of the questionnaire.
     reversed : bool
-        Whether a high answer stands for a low score.
+        Whether a high answer means a low score.
     """
 
     name: str
@@ -41,20 +38,20 @@ class Item:
 
 @dataclass(frozen=True)
 class Questionnaire:
-    """Questions that are asked together.
+    """A group of questions on one page.
 
     Attributes
     ----------
     name : str
-        As in results.
+        Name in results.
     form : str
         "nasa-tlx", "likert" or "text".
     title, introduction : str
     items : tuple of Item
     points : int
-        Of a Likert scale, which begins at 1.
+        Number of points of a Likert scale, which begins at 1.
     low, high : str
-        What the ends of the scale are called.
+        Labels of the ends of the scale.
     """
 
     name: str
@@ -67,14 +64,14 @@ class Questionnaire:
     high: str = ""
 
     def check(self, answers: Mapping[str, Any]) -> dict[str, int | str]:
-        """Give the answers in the order of the items.
+        """Return the answers in the order of the items.
 
         Raises
         ------
         ValueError
-            An answer is missing, unknown or not valid.
+            An answer is missing, unknown or invalid.
         """
-        known = {item.name for item in self.items}
+        known, most = {item.name for item in self.items}, 4000  # characters of a text, as in the page
         for name in answers:
             if name not in known:
                 raise ValueError(f"answers.{name[:40]}: unknown; expected {', '.join(sorted(known))}")
@@ -82,8 +79,8 @@ class Questionnaire:
         for item in self.items:
             answer = answers.get(item.name)
             if self.form == "text":
-                if not isinstance(answer, str | None) or len(answer or "") > LONGEST:
-                    raise ValueError(f"answers.{item.name}: expected a text of up to {LONGEST} signs")
+                if not isinstance(answer, str | None) or len(answer or "") > most:
+                    raise ValueError(f"answers.{item.name}: expected a text of at most {most:,} characters")
                 found[item.name] = answer or ""
                 continue
             low, high, step = (0, 100, STEP) if self.form == "nasa-tlx" else (1, self.points, 1)
@@ -94,7 +91,7 @@ class Questionnaire:
         return found
 
     def score(self, item: Item, answer: float) -> float:
-        """Give what an answer counts, reversed items turned round."""
+        """Return the score of an answer; reversed items are recoded."""
         if not item.reversed:
             return answer
         return (100 if self.form == "nasa-tlx" else self.points + 1) - answer
@@ -113,10 +110,10 @@ _TLX = (
 
 FORMS = {
     "nasa-tlx": Questionnaire(
-        "nasa-tlx", "nasa-tlx", "How the task was",
-        "Mark the point on each scale that fits the task you have just done.", _TLX,
+        "nasa-tlx", "nasa-tlx", "Workload",
+        "On each scale, mark the point that describes the task you have just done.", _TLX,
     ),
     "likert": Questionnaire("likert", "likert", "Your view", "How much do you agree with each statement?"),
     "text": Questionnaire("text", "text", "In your own words", "You may leave a field empty."),
 }  # fmt: skip
-"""What a file can name; forms without items have those of the file."""
+"""Available forms. Forms without items take them from the study's file."""

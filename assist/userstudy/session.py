@@ -1,6 +1,6 @@
-"""A user study as a live session: every event on the disk before it is acknowledged, and where it was when it goes on.
+"""A user study as a live session: events are saved before they are acknowledged, and a session can be resumed.
 
-The folder has the journal, a copy of the study's file, and the secret from which the links follow.
+The folder contains the journal, a copy of the study's file, and the secret of the links.
 """
 
 from __future__ import annotations
@@ -25,33 +25,33 @@ from .cohort import Cohort
 from .plan import UserStudy
 
 FORMAT = "kitassist user study 1"
-"""Of journals."""
+"""Format of journals."""
 
 JOURNAL, PLAN = "journal.jsonl", "study.toml"
 
 
 class StudySession(Session):
-    """A study that is carried out.
+    """A running user study.
 
     Parameters
     ----------
     study : UserStudy
     tasks : mapping of str to CostToGo
-        By name; that of the practice is "practice".
+        Tasks by name; the practice task is "practice".
     folder : Path
 
     Raises
     ------
     ResultsExistError
-        The folder is of a study that runs, or of another one, or of this one before its file was changed.
+        The folder belongs to a running study, to another study, or to this one before its file changed.
     DamagedFileError, OSError
-        As `Session`.
+        As in `Session`.
     """
 
     def __init__(self, study: UserStudy, tasks: Mapping[str, CostToGo], folder: str | Path) -> None:
         self.study = study
         self._policies = {one.name: _policy(study, one.policy) for one in study.conditions}
-        # Worked out once, for all teams.
+        # Solved once, for all teams.
         self._worked_out: dict[str, Any] = {name: self._once(task) for name, task in tasks.items()}
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
@@ -74,7 +74,7 @@ class StudySession(Session):
     def _check(self, header: dict[str, Any]) -> None:
         if header.get("format") == FORMAT and header.get("study") != self.study.digest:
             raise ResultsExistError(
-                f"{self._plan}: the study there is not that of {self.study.file}; expected the same, or another folder"
+                f"{self._plan}: the folder belongs to another study than {self.study.file}; expected another folder"
             )
         super()._check(header)
 
@@ -87,12 +87,12 @@ class StudySession(Session):
 
     @property
     def cohort(self) -> Cohort:
-        """The participants; to be looked at under the lock."""
+        """The participants. Callers must hold the lock."""
         assert isinstance(self._course, Cohort)
         return self._course
 
     def see(self, look: Callable[[Cohort], Any]) -> Any:
-        """Give what a function finds out about the participants as they are."""
+        """Return the result of a function of the participants, called under the lock."""
         with self.lock:
             return look(self.cohort)
 

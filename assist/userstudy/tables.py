@@ -1,6 +1,6 @@
-"""What a study has recorded as tidy tables, one row for each observation, from its journal alone.
+"""Tidy tables of a study's data, one row for each observation, derived from the journal alone.
 
-They are written as CSV, with a table that says what each column means, and read again by whoever analyses them.
+The tables are exported as CSV with a data dictionary. Reports read them too.
 """
 
 from __future__ import annotations
@@ -23,64 +23,65 @@ Row = dict[str, Any]
 COLUMNS: dict[str, dict[str, str]] = {
     "participants": {
         "participant": "code of a participant",
-        "simulated": "true in a rehearsal: nobody real",
-        "arrived": "when they came, UTC",
-        "status": "done; here: under way; gone: not connected for long; withdrew; declined: no consent; full: no place "
-        "when they came back",
-        "stage": "the last stage that they reached",
-        "condition": "drawn when their first task began; empty before; where everybody has all, their order",
-        "completion_code": "what they were given at the end",
+        "simulated": "whether the participant is simulated (in a rehearsal)",
+        "arrived": "time of arrival, UTC",
+        "consented": "time of consent, UTC; empty before",
+        "status": "done; here: taking part; gone: disconnected for too long; withdrew: no other table has their data; "
+        "declined: no consent; full: the study was full on return",
+        "stage": "the last stage reached",
+        "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
+        "completion_code": "code shown at the end",
     },
     "tasks": {
         "participant": "code of a participant",
-        "condition": "their condition",
-        "period": "1 for their first condition",
+        "condition": "the condition",
+        "period": "1 for the participant's first condition",
         "task": "the task's file name without its ending",
         "position": "1 for the first task in this condition",
         "finished": "whether the goal was reached",
         "actions": "actions taken",
-        "optimal_cost": "cost of a cheapest plan from the beginning; the number of actions where each costs 1",
-        "suboptimal_actions": "actions that no cheapest plan begins with",
-        "suggestions": "suggestions that were answered by an action",
+        "optimal_cost": "cost of an optimal plan from the initial state; its length if every action costs 1",
+        "suboptimal_actions": "actions that begin no optimal plan",
+        "suggestions": "suggestions shown when an action was taken",
         "followed": "of these, followed",
-        "seconds": "from the beginning to the last action, without those in which the service did not run",
+        "seconds": "seconds from the beginning to the last action, without interruptions of the service",
     },
     "actions": {
         "participant": "code of a participant",
-        "condition": "their condition; empty in practice",
-        "period": "1 for their first condition; 0 in practice",
-        "task": "the task; practice",
+        "condition": "the condition; empty in practice",
+        "period": "1 for the participant's first condition; 0 in practice",
+        "task": "the task, or practice",
         "step": "0 for the first action of the task",
-        "time": "seconds since the study began, without those in which the service did not run",
-        "action": "in PDDL",
-        "suggestion": "what was suggested at that moment, if anything",
-        "followed": "whether the action is the suggestion; empty without one",
-        "cost_before": "cheapest way to the goal before the action; empty in a dead end",
-        "cost_after": "the same after it",
-        "optimal": "whether a cheapest plan begins with it",
+        "time": "seconds since the study began, without interruptions of the service",
+        "action": "the action in PDDL",
+        "suggestion": "the suggestion shown at that moment, if any",
+        "followed": "whether the action is the suggestion; empty without a suggestion",
+        "cost_before": "cost-to-go before the action; empty in a dead end",
+        "cost_after": "cost-to-go after the action; empty in a dead end",
+        "optimal": "whether an optimal plan begins with the action",
     },
     "answers": {
         "participant": "code of a participant",
-        "condition": "their condition",
-        "period": "1 for their first condition",
-        "questionnaire": "its name",
-        "item": "the question's name",
-        "answer": "as given",
-        "score": "a number, reversed items turned round; empty for answers in words",
+        "condition": "the condition",
+        "period": "1 for the participant's first condition",
+        "questionnaire": "name of the questionnaire",
+        "item": "name of the question",
+        "answer": "the answer as given",
+        "score": "the score, with reversed items recoded; empty for answers in words",
     },
     "events": {
         "participant": "code of a participant",
-        "time": "seconds since the study began, without those in which the service did not run",
-        "event": "visited; onward: a stage was left for the next; withdrew; left: gone; returned; expired: the task's "
-        "time was up",
-        "stage": "in which it happened",
+        "time": "seconds since the study began, without interruptions of the service",
+        "event": "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
+        "task's time limit was reached",
+        "stage": "the stage at the event",
     },
 }
-"""What there is in each table."""
+"""Columns of each table, with their meanings."""
 
 
 EVENTS = {"visited", "onward", "withdrew", "left", "returned", "expired"}
-"""Those that the table of events has; actions have their own."""
+"""Events of the table `events`. Actions have a table of their own."""
 
 
 @dataclass
@@ -90,7 +91,7 @@ class Tables:
     Attributes
     ----------
     participants, tasks, actions, answers, events : list of dict
-        A row each, with the keys of `COLUMNS`.
+        One dictionary for each row, with the keys of `COLUMNS`.
     """
 
     participants: list[Row] = field(default_factory=list)
@@ -100,11 +101,11 @@ class Tables:
     events: list[Row] = field(default_factory=list)
 
     def csv(self, name: str) -> str:
-        """Write a table."""
+        """Return a table as CSV."""
         return written(COLUMNS[name], getattr(self, name))
 
     def logs(self) -> Iterator[tuple[str, str]]:
-        """Give for each task its name and everybody's actions at it, as JSON Lines that `fit` reads."""
+        """Yield each task's name and the actions of all participants in it, as JSON Lines for `fit`."""
         for task in dict.fromkeys(row["task"] for row in self.tasks):
             rows = (
                 {
@@ -117,31 +118,34 @@ class Tables:
 
 
 def written(columns: Iterable[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """Write rows as CSV: nothing for None, true and false in small letters."""
+    """Return rows as CSV. None is an empty cell; truth values are `true` and `false`."""
     content = io.StringIO()
     writer = csv.writer(content, lineterminator="\n")
     columns = list(columns)
     writer.writerow(columns)
     for row in rows:
-        writer.writerow([_plain(name, row[name]) for name in columns])
+        writer.writerow([_plain(row[name]) for name in columns])
     return content.getvalue()
 
 
-def _plain(name: str, cell: Any) -> Any:
+def _plain(cell: Any) -> Any:
     if isinstance(cell, bool):
         return str(cell).lower()
-    if name == "answer" and isinstance(cell, str) and cell[:1] in ("=", "+", "-", "@"):
-        return f"'{cell}"  # which a spreadsheet would take for a formula
+    if isinstance(cell, str):
+        # Spreadsheets evaluate such cells as formulas, unless an apostrophe precedes them.
+        safe = f"'{cell}" if cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
+        # Some readers take a carriage return for the end of a row.
+        return safe.replace("\r\n", "\n").replace("\r", "\n")
     return cell
 
 
 def records(journal: Path) -> Iterator[dict[str, Any]]:
-    """Give the records of a journal, which may be written to meanwhile; an unfinished last line is left out.
+    """Yield the records of a journal, which may grow at the same time. An incomplete last line is skipped.
 
     Raises
     ------
     DamagedFileError
-        It is not the journal of a user study.
+        The file is not the journal of a user study.
     """
     with journal.open("rb") as stream:
         for number, line in enumerate(stream, start=1):
@@ -152,13 +156,13 @@ def records(journal: Path) -> Iterator[dict[str, Any]]:
             except ValueError:
                 record = None
             if not isinstance(record, dict) or (number == 1 and record.get("format") != FORMAT):
-                raise DamagedFileError(journal, number, "is not of a user study; expected its journal")
+                raise DamagedFileError(journal, number, "not the journal of a user study")
             if number > 1:
                 yield record
 
 
 def tables(study: UserStudy, journal: Path) -> Tables:
-    """Give what a journal says.
+    """Return the tables of a journal. Of participants who withdrew, only the row in `participants` remains.
 
     Parameters
     ----------
@@ -176,7 +180,8 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         if event == "visited":
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record["at"],
-                "status": "here", "stage": stages[0].name, "condition": None, "completion_code": None,
+                "consented": None, "status": "here", "stage": stages[0].name, "condition": None,
+                "completion_code": None,
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
@@ -187,6 +192,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             for item, answer in record.get("answers", {}).items():
                 found.answers.append(_where(study, person, stage) | _answer(study, stage, item, answer))
             person["condition"] = record.get("condition", person["condition"])
+            person["consented"] = record["at"] if stage.kind == "consent" and "at" in record else person["consented"]
             at[code] += 1
             stage = stages[at[code]]
             person["stage"] = stage.name
@@ -207,12 +213,18 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             found.actions.append(row)
             if code in current:
                 _count(current[code], row, record["seen"]["finished"], record["time"] - began[code])
+    withdrawn = {code for code, person in people.items() if person["status"] == "withdrew"}
+    for person in people.values():
+        if person["status"] == "withdrew":
+            person["completion_code"] = None
+    for name in ("tasks", "actions", "answers", "events"):
+        setattr(found, name, [row for row in getattr(found, name) if row["participant"] not in withdrawn])
     found.participants = list(people.values())
     return found
 
 
 def _where(study: UserStudy, person: Row, stage: Stage) -> Row:
-    """Say who somebody is, and in which condition at a stage."""
+    """Return a participant's code, and the condition and period of a stage."""
     condition = study.orders[person["condition"]][stage.period - 1] if stage.period else None
     return {"participant": person["participant"], "condition": condition, "period": stage.period}
 

@@ -1,7 +1,7 @@
-"""The live assistant over HTTP and WebSocket: for pages, robots, and systems that observe.
+"""The live assistant's web application, for pages, robots and observing systems.
 
-`make_app` gives the application of a `Service`. Every answer is JSON; what is refused says why as `{"detail": "..."}`,
-one sentence. A person's token opens what is theirs, the operator's everything.
+`make_app` returns the application of a `Service`. Every answer is JSON; a refusal is `{"detail": "..."}` with one
+sentence. A person's token gives access to what concerns this person, the operator's token to everything.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from .task_drawings import Pictures
 
 
 def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequence[APIRouter] = ()) -> FastAPI:
-    """Give the application of a service, which it starts and stops.
+    """Return the application of a service. The application starts and stops the service.
 
     Parameters
     ----------
     service : Service
     allowance : Allowance, optional
-        How many requests there may be.
+        Limit on the rate of requests.
     more : sequence of APIRouter
-        Further requests and pages; they have the service as `Desk`, and let people in as `Own` and `Operator` do.
+        Further requests and pages. They use the dependencies `Desk`, `Own` and `Operator`.
     """
 
     @asynccontextmanager
@@ -69,11 +69,16 @@ def _says_what_is_wrong(app: FastAPI) -> None:
     async def invalid(_: Request, error: RequestValidationError) -> Response:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"] if part != "body")
-        return says(422, f"{where}: {first['msg']}" if where else f"the body: {first['msg']}")
+        return says(422, f"{where}: {first['msg']}" if where else f"request body: {first['msg']}")
 
     statuses = {
         AbsentError: 404, InapplicableError: 409, ValueError: 422, LimitError: 503, BusyError: 503, JournalError: 507,
     }  # fmt: skip
+
+    @app.exception_handler(Exception)
+    async def failed(_: Request, error: Exception) -> Response:
+        return says(500, f"the service failed at this request ({type(error).__name__}); see its log")
+
     for kind, status in statuses.items():
 
         async def cannot(_: Request, error: Exception, status: int = status) -> Response:

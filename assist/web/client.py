@@ -1,7 +1,7 @@
-"""A client of the live assistant, for programs: a system that observes people, a robot, a warehouse.
+"""A Python client of the live assistant, for robots and for systems that observe people.
 
-What is reported is reported until it is acknowledged, under one id, so that it happens once, whatever the network or a
-restart of the service does in between.
+A report is sent again under the same id until the service acknowledges it. It is therefore recorded exactly once, even
+if the network fails or the service restarts.
 """
 
 from __future__ import annotations
@@ -14,28 +14,27 @@ import urllib.request
 import uuid
 from collections.abc import Iterator
 from typing import Any
-from urllib.parse import quote, unquote, urlsplit
+from urllib.parse import quote, unquote, urlencode, urlsplit
 
 from planner.system.errors import MissingExtraError
 
-AGAIN = {429, 503, 507}
-"""What passes by itself: too much at once, or a disk that is full."""
+AGAIN = {408, 425, 429, 502, 503, 504, 507}
+"""Status codes of temporary failures: too many requests, an overloaded service, a full disk, or a proxy that does not
+reach the service.
+"""
 
 LINK = re.compile(r"(?P<root>(/[^/]+)*?)/(join/(?P<name>[^/]+)|(study/)?operator)/(?P<token>[^/]+)/?")
-"""The path of a link, with that under which the service is, which has none of these names."""
-
-BETWEEN = 0.2
-"""Seconds between two attempts."""
+"""Pattern of a link's path. The path of the service (`root`) contains none of these names."""
 
 
 class RefusedError(ValueError):
-    """The service refuses a request; says why.
+    """The service refused a request; the message is the service's reason.
 
     Attributes
     ----------
     status : int
-        Of HTTP: 401 and 403 for a link that is not valid there, 404 for a person who is not there, 409 for what cannot
-        be done now, 422 for what is not valid.
+        HTTP status code: 401 or 403 for an invalid link, 404 for an absent person, 409 for a request that the present
+        state does not allow, 422 for an invalid request.
     """
 
     def __init__(self, status: int, detail: str) -> None:
@@ -44,36 +43,39 @@ class RefusedError(ValueError):
 
 
 class Client:
-    """What can be said to a service, and asked of it, with one link.
+    """Connection to a service with the rights of one link.
 
-    All answers are what the service sends, as dictionaries.
+    All answers are the service's JSON objects, as dictionaries.
 
     Parameters
     ----------
     link : str
-        A join link, or the operator's, as `kitassist serve` prints them; the service may be under a path.
+        A join link or the operator's link, as `kitassist serve` prints them. The service may be under a path.
     patience : float
-        Seconds for which a service that does not answer is tried again.
+        Seconds for which requests to a service that does not answer are repeated.
+    pause : float
+        Seconds between two attempts. Fewer add load to a service that restarts, more add delay.
     """
 
-    def __init__(self, link: str, *, patience: float = 30.0) -> None:
+    def __init__(self, link: str, *, patience: float = 30.0, pause: float = 0.2) -> None:
         parts = urlsplit(link)
         found = LINK.fullmatch(parts.path)
         if found is None or parts.scheme not in ("http", "https") or not parts.netloc:
-            raise ValueError(f"{link[:40]!r}: expected the address of a join link or of the operator's")
+            raise ValueError(f"{link[:40]!r}: expected a join link or the operator's link")
         self.url = f"{parts.scheme}://{parts.netloc}{found['root']}"
         self.name = None if found["name"] is None else unquote(found["name"])
         self._token = found["token"]
-        self.patience = patience
+        self.patience, self._pause = patience, pause
 
     def ask(self, method: str, path: str, body: Any = None) -> Any:
-        """Ask until there is an answer.
+        """Send a request, repeatedly until it is answered, and return the answer.
 
         Raises
         ------
         RefusedError
+            The service refused the request.
         OSError
-            There was none in time.
+            No answer arrived within `patience`.
         """
         headers = {"Authorization": f"Bearer {self._token}", "Content-Type": "application/json"}
         data = None if body is None else json.dumps(body).encode()
@@ -86,92 +88,108 @@ class Client:
                     return content if path.startswith("/api/log") else json.loads(content)
             except urllib.error.HTTPError as error:
                 if error.code not in AGAIN or time.monotonic() > given_up:
-                    raise RefusedError(error.code, json.loads(error.read())["detail"]) from None
-            except (OSError, ValueError):  # it has gone, perhaps in the middle of an answer
+                    raise RefusedError(error.code, _detail(error)) from None
+            except (OSError, ValueError):  # the connection was lost, perhaps within an answer
                 if time.monotonic() > given_up:
                     raise
-            time.sleep(BETWEEN)
+            time.sleep(self._pause)
 
     def _path(self, person: str | None) -> str:
         name = person or self.name
         if name is None:
-            raise ValueError("expected a person, as the link is the operator's")
+            raise ValueError("expected the name of a person, since the link is the operator's")
         return f"/api/people/{quote(name, safe='')}"
 
     def see(self, person: str | None = None) -> dict[str, Any]:
-        """Give what somebody sees: what they can do, what is suggested to them, and why."""
+        """Return a person's view: the applicable actions, the suggestion and its reasons."""
         seen: dict[str, Any] = self.ask("GET", self._path(person))
         return seen
 
     def act(
         self, action: str, person: str | None = None, *, followed: bool | None = None, seq: int | None = None
     ) -> dict[str, Any]:
-        """Report what somebody did; give what they see then."""
+        """Report a person's action; return the person's new view."""
         body = {"action": action, "id": uuid.uuid4().hex, "followed": followed, "seq": seq}
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/actions", body)
         return seen
 
     def undo(self, person: str | None = None) -> dict[str, Any]:
-        """Take somebody's last action back."""
+        """Undo a person's last action; return the person's new view."""
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/undo", {"id": uuid.uuid4().hex})
         return seen
 
     def begin(self, person: str | None = None, task: str | None = None) -> dict[str, Any]:
-        """Let somebody begin the next task, the same again unless named."""
+        """Begin the next task, by default the same task again; return the person's new view."""
         body = {"id": uuid.uuid4().hex, "task": task}
         seen: dict[str, Any] = self.ask("POST", f"{self._path(person)}/begin", body)
         return seen
 
+    def explain(self, person: str | None = None, *, against: str | None = None, language: str = "en") -> dict[str, Any]:
+        """Return why a person has this suggestion now, or none.
+
+        Parameters
+        ----------
+        person : str, optional
+            Needed with the operator's link only.
+        against : str, optional
+            An action with which the suggested step is compared.
+        language : str
+            "en" or "de".
+        """
+        asked = {"language": language} | ({} if against is None else {"against": against})
+        found: dict[str, Any] = self.ask("GET", f"{self._path(person)}/explanation?{urlencode(asked)}")
+        return found
+
     def robot(self) -> dict[str, Any]:
-        """Ask where the robot is to go, and what it is to say there."""
+        """Return where the robot should go and what it should suggest there."""
         errand: dict[str, Any] = self.ask("GET", "/api/robot")
         return errand
 
     def arrived(self, person: str | None) -> dict[str, Any]:
-        """Report where the robot is, None for its base; give what it is to do there, or where to go next."""
+        """Report where the robot is (None: at its base); return the robot's next instruction."""
         errand: dict[str, Any] = self.ask("POST", "/api/robot/arrived", {"person": person, "id": uuid.uuid4().hex})
         return errand
 
     def team(self) -> dict[str, Any]:
-        """Give what the operator sees."""
+        """Return the operator's view of the team."""
         team: dict[str, Any] = self.ask("GET", "/api/team")
         return team
 
     def join(self, person: str, task: str | None = None) -> str:
-        """Let somebody come; give their link."""
+        """Add a person to the team; return the person's link."""
         body = {"person": person, "task": task, "id": uuid.uuid4().hex}
         return str(self.ask("POST", "/api/team/people", body)["join"])
 
     def leave(self, person: str) -> None:
-        """Let somebody go."""
+        """Remove a person from the team."""
         self.ask("DELETE", f"/api/team/people/{quote(person, safe='')}")
 
     def pause(self, paused: bool = True) -> None:
-        """Let the robot say nothing, or speak again."""
+        """Pause the robot's suggestions, or resume them."""
         self.ask("POST", "/api/team/pause", {"paused": paused})
 
     def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Give everybody's actions, as `fit` reads them; those in one task, if it is named."""
+        """Return all recorded actions, in the format of `fit`; with `task`, only those in this task."""
         which = "" if task is None else f"?task={quote(task, safe='')}"
         return [json.loads(line) for line in self.ask("GET", f"/api/log{which}").splitlines()]
 
     def watch(self, person: str | None = None) -> Iterator[dict[str, Any]]:
-        """Give what somebody sees now and whenever it changes; what the operator does, where the link is theirs.
+        """Yield a person's view now and after every change; with the operator's link, the operator's view.
 
-        Connects again by itself.
+        A lost connection is restored.
 
         Raises
         ------
         MissingExtraError
-            Without the extra `web`.
+            The extra `web` is not installed.
         OSError
-            The service cannot be reached for as long as there is patience, or refuses to be watched.
+            The service cannot be reached within `patience`, or refuses the connection.
         """
         try:
             from websockets.exceptions import ConnectionClosed, InvalidHandshake
             from websockets.sync.client import connect
         except ImportError:
-            raise MissingExtraError("to watch needs", "websockets", "web") from None
+            raise MissingExtraError("watching needs", "websockets", "web") from None
         path = "/api/team" if (person or self.name) is None else self._path(person)
         headers = {"Authorization": f"Bearer {self._token}"}
         heard = time.monotonic()
@@ -186,4 +204,12 @@ class Client:
             except (OSError, ConnectionClosed):
                 if time.monotonic() > heard + self.patience:
                     raise
-            time.sleep(BETWEEN)
+            time.sleep(self._pause)
+
+
+def _detail(error: urllib.error.HTTPError) -> str:
+    """Return the service's reason; a proxy's answer has none, so that its status line is returned."""
+    try:
+        return str(json.loads(error.read())["detail"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return f"{error.code} {error.reason}"

@@ -1,4 +1,4 @@
-"""The description of the interface (OpenAPI) as a page that loads nothing: requests, what they take and answer."""
+"""A static page that describes the HTTP interface (OpenAPI): requests, fields and answers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Plain = Mapping[str, Any]
 
 
 def page(described: Plain) -> str:
-    """Give the page, from its title on.
+    """Return the page, from its title element on.
 
     Parameters
     ----------
     described : mapping
-        OpenAPI 3.1, as FastAPI makes it.
+        OpenAPI 3.1 description, as FastAPI generates it.
     """
     schemas = described["components"]["schemas"]
     parts = [
@@ -26,9 +26,9 @@ def page(described: Plain) -> str:
     ]
     title = escape(described["info"]["title"])
     return (
-        f"<title>{title}: the interface</title></head><body><main>"
+        f"<title>{title}: HTTP interface</title></head><body><main>"
         f"<h1>{title}</h1><p>{escape(described['info'].get('summary', ''))}</p>"
-        '<p>A token goes into the header <code>Authorization: Bearer TOKEN</code>: the last part of a link. For '
+        '<p>Send the token, which is the last part of a link, as <code>Authorization: Bearer TOKEN</code>. For '
         f'programs: <a href="/openapi.json">openapi.json</a>.</p>{"".join(parts)}</main></body></html>'
     )  # fmt: skip
 
@@ -42,8 +42,8 @@ def _request(request: Plain, schemas: Plain) -> Iterator[str]:
     for content in request.get("requestBody", {}).get("content", {}).values():
         fields += _fields(content["schema"], schemas)
     if fields:
-        yield f"<h3>Takes</h3><ul>{''.join(fields)}</ul>"
-    yield "<h3>Answers</h3><ul>"
+        yield f"<h3>Request</h3><ul>{''.join(fields)}</ul>"
+    yield "<h3>Responses</h3><ul>"
     for code, answer in sorted(request["responses"].items()):
         models = [content.get("schema", {}) for content in answer.get("content", {}).values()]
         said = answer.get("description", "")

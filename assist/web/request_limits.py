@@ -1,6 +1,7 @@
-"""What every request has to keep to before anybody looks at it: whose it is, its size, and how often they come.
+"""Limits on every request before it is handled: authentication, size and rate.
 
-Pure ASGI. Answers get the headers by which a page loads nothing from elsewhere and tells nobody its address.
+This is pure ASGI middleware. It also adds headers to every answer: pages load nothing from elsewhere and disclose their
+address to no other server.
 """
 
 from __future__ import annotations
@@ -12,27 +13,17 @@ from collections.abc import Callable
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .tokens import AccessTokens
+from .tokens import AccessTokens, Caller
 
 LARGEST = 64 * 1024
-"""Bytes of a request's body."""
-
-RATE, BURST = 100.0, 400.0
-"""Requests a second of one person, and how many at once after a pause."""
-
-OPERATOR = 10.0
-"""How many times as many are the operator's."""
-
-MOST_CALLERS = 20_000
-
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
-    "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
-)
-"""What a page may load: nothing but what this service has."""
+"""Largest request body in bytes. Real requests have less than 1 kB; the limit bounds memory under attack."""
 
 HEADERS = [
-    (b"content-security-policy", POLICY.encode()),
+    (
+        b"content-security-policy",  # pages load nothing from other servers
+        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+        b"form-action 'none'; base-uri 'none'; frame-ancestors 'none'",
+    ),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
     (b"cache-control", b"no-store"),
@@ -40,44 +31,72 @@ HEADERS = [
 
 
 class Allowance:
-    """How many requests of each caller there may be: so many a second, and some more at once (a token bucket)."""
+    """Rate limit of each caller, a token bucket.
 
-    def __init__(self, rate: float = RATE, burst: float = BURST, clock: Callable[[], float] = time.monotonic) -> None:
-        self.rate, self.burst, self._clock = rate, burst, clock
+    Parameters
+    ----------
+    rate : float
+        Requests per second. A page sends a few.
+    burst : float
+        Requests at once after a pause.
+    for_operator : float
+        Factor on both for the operator, whose programs may report for many people.
+    for_pages : float
+        Factor on both for pages, by network address: 100 people in one room who open a page at the same second request
+        some 15 files each.
+    callers : int
+        Callers whose rate is remembered, some hundred bytes each. The limit bounds memory under attack.
+    clock : callable
+        Returns the time in seconds.
+    """
+
+    def __init__(
+        self,
+        rate: float = 100.0,
+        burst: float = 400.0,
+        *,
+        for_operator: float = 10.0,
+        for_pages: float = 20.0,
+        callers: int = 20_000,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.rate, self.burst, self.for_operator, self.for_pages = rate, burst, for_operator, for_pages
+        self._callers, self._clock = callers, clock
         self._left: dict[str, tuple[float, float]] = {}
 
     def wait(self, caller: str, share: float = 1.0) -> float:
-        """Count a request; give the seconds after which it may come again, 0 if it may now."""
+        """Count a request; return the seconds after which it is allowed, 0 if it is allowed now."""
         now = self._clock()
         left, since = self._left.pop(caller, (self.burst * share, now))
         left = min(self.burst * share, left + (now - since) * self.rate * share)
         allowed = left >= 1
-        if len(self._left) >= MOST_CALLERS:
-            del self._left[next(iter(self._left))]  # who has not called for longest
+        if len(self._left) >= self._callers:
+            del self._left[next(iter(self._left))]  # the caller that has been idle longest
         self._left[caller] = (left - allowed, now)
         return 0.0 if allowed else (1 - left) / (self.rate * share)
 
 
 class Guard:
-    """Lets in who has a token, as often and with as much as is allowed, and puts `HEADERS` on every answer.
+    """Middleware that admits authenticated requests within the limits and adds `HEADERS` to every answer.
 
-    What may be seen without a token are the pages, which hold no data, the description of the interface, and whether
-    the service is well. Who calls is in the scope's state as `caller`; the path is that within the service.
+    Pages, which contain no data, the description of the interface and the state of the service need no token. The
+    caller is stored in the scope's state as `caller`; the scope's path is made relative to the service.
     """
 
     def __init__(self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None) -> None:
         self.app, self._access, self._allowance = app, access, allowance or Allowance()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Take a request, or a connection."""
+        """Handle a request or a connection."""
         if "path" in scope:
             scope = {**scope, "path": self._access.within(scope["path"])}
         if scope["type"] == "websocket":
             caller = self._access.whose(token_of(scope))
             scope.setdefault("state", {})["caller"] = caller
-            if caller is None:
+            refused = 1013 if self._wait(scope, caller) else 4401 if caller is None else None
+            if refused is not None:
                 await receive()
-                await send({"type": "websocket.close", "code": 4401})
+                await send({"type": "websocket.close", "code": refused})
             else:
                 await self.app(scope, receive, send)
         elif scope["type"] == "http":
@@ -85,20 +104,34 @@ class Guard:
         else:
             await self.app(scope, receive, send)
 
+    def _wait(self, scope: Scope, caller: Caller | None) -> float:
+        """Count a request or connection; return the seconds after which it is allowed.
+
+        Callers without a valid token share a limit for each network address. For pages it is larger, since a whole
+        waiting room may be behind one address.
+        """
+        if caller is not None:
+            share = self._allowance.for_operator if caller.person is None else 1.0
+            return self._allowance.wait(f"caller {caller.person}", share)
+        address = (scope.get("client") or ("",))[0]
+        if scope["path"].startswith("/api/"):
+            return self._allowance.wait(f"address {address}")
+        return self._allowance.wait(f"pages {address}", self._allowance.for_pages)
+
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         token = token_of(scope)
         caller = self._access.whose(token) if token else None
         scope.setdefault("state", {})["caller"] = caller
-        # Who has no token of this session shares what there is for all of them at that address.
-        who = f"caller {caller.person}" if caller else f"address {(scope.get('client') or ('',))[0]}"
-        wait = self._allowance.wait(who, OPERATOR if caller and caller.person is None else 1.0)
+        wait = self._wait(scope, caller)
         if wait:
-            await refuse(send, 429, "too many requests; to be tried again later", retry_after=math.ceil(wait))
+            await refuse(send, 429, "too many requests; try again later", retry_after=math.ceil(wait))
             return
         if scope["path"].startswith("/api/") and scope["path"] != "/api/health" and caller is None:
-            what = "invalid token" if token else "a token is missing"
+            what = "invalid token" if token else "missing token"
             await refuse(
-                send, 401, f"{what}; expected the header Authorization: Bearer, with the last part of the link"
+                send,
+                401,
+                f"{what}; expected the header 'Authorization: Bearer TOKEN', where TOKEN is the last part of the link",
             )
             return
         length = dict(scope["headers"]).get(b"content-length", b"0")
@@ -115,7 +148,7 @@ class Guard:
 
 
 def token_of(scope: Scope) -> str:
-    """Give the token that a request has, in its header; a page's connection has it among its subprotocols."""
+    """Return the token of a request: from its header, or, for a page's WebSocket, from the subprotocols."""
     for name, value in scope["headers"]:
         if name == b"authorization":
             scheme, _, token = value.decode("latin-1").partition(" ")
@@ -127,7 +160,7 @@ def token_of(scope: Scope) -> str:
 
 
 async def _body(receive: Receive) -> Message | None:
-    """Read a body, which is small; None: it is not."""
+    """Return the request body as one message, or None if it exceeds `LARGEST`."""
     parts, size, more = [], 0, True
     while more:
         message = await receive()
@@ -151,13 +184,13 @@ def _guarded(send: Send) -> Send:
 
 
 async def refuse(send: Send, status: int, detail: str, *, retry_after: int | None = None) -> None:
-    """Answer with what is wrong, as everything here does."""
+    """Send a refusal as JSON, in the form of all refusals."""
     body = json.dumps({"detail": detail}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     if status == 413:
-        headers.append((b"connection", b"close"))  # nobody reads the rest
+        headers.append((b"connection", b"close"))  # the rest of the body is not read
     if retry_after is not None:
         headers.append((b"retry-after", str(retry_after).encode()))
     await send({"type": "http.response.start", "status": status, "headers": headers})

@@ -1,4 +1,4 @@
-"""Requests of the live assistant: what each takes, and how it is answered. Every answer is JSON."""
+"""Requests of the live assistant and their answers, which are JSON."""
 
 from __future__ import annotations
 
@@ -6,37 +6,53 @@ import asyncio
 import json
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 
+from ..explain.catalogue import languages
 from ..live.course import Event
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
-from .schemas import Acted, Arrived, Begun, Drawn, Health, Joined, Me, Once, Paused, Person, Place, Robot, Team
+from .schemas import (
+    Acted,
+    Arrived,
+    Begun,
+    Drawn,
+    Explained,
+    Health,
+    Joined,
+    Me,
+    Once,
+    Paused,
+    Person,
+    Place,
+    Robot,
+    Team,
+)
 from .task_drawings import Pictures
 
 router = APIRouter()
 
 
 def plain(body: bytes | dict[str, Any], media_type: str = "application/json") -> Response:
-    """Answer with JSON that is there already, or with what can be made JSON."""
+    """Return a JSON response; `body` is encoded already, or is a dictionary."""
     return Response(body if isinstance(body, bytes) else json.dumps(body), media_type=media_type)
 
 
 @router.get("/api/health", tags=["service"], response_model=Health, responses=refusals())
 async def health(service: Desk) -> Any:
-    """Whether the service is well; without a token."""
+    """Return the state of the service; needs no token."""
     return {"status": "ok", "people": len(service.views), "events": service.outlook.events}
 
 
 @router.get("/api/me", tags=["service"], response_model=Me, responses=refusals(), dependencies=[Depends(bearer)])
 async def me(request: Request) -> Any:
-    """Whose the token is."""
+    """Return the owner of the token."""
     person = request.state.caller.person
     return {"person": person, "operator": person is None}
 
 
 @router.get("/api/people/{name}", tags=["people"], response_model=Person, responses=READ)
 async def person(name: Own, service: Desk) -> Response:
-    """What somebody sees: what can be done, what is suggested and why."""
+    """Return a person's view: the applicable actions, the suggestion and its reasons."""
     return plain(service.views[name])
 
 
@@ -44,71 +60,97 @@ async def person(name: Own, service: Desk) -> Response:
 async def drawing(
     name: Own, request: Request, service: Desk, width: Annotated[int, Query(ge=240, le=2000)] = 760
 ) -> Response:
-    """Somebody's task as a drawing of about a width in pixels, for pages that bring `/pages/drawing.css`."""
+    """Return a drawing of the person's task, about `width` pixels wide; pages also load `/pages/drawing.css`."""
     pictures: Pictures = request.app.state.pictures
 
     def drawn() -> dict[str, Any]:
-        seen = json.loads(service.views[name])  # before the state is asked for: then never newer than what is drawn
+        seen = json.loads(service.views[name])  # read before the state: `seq` is then never newer than the drawing
         task, state = service.session.place(name)
         return {**pictures.of(task, state, seen["applicable"], width), "seq": seen["seq"]}
 
     return plain(await asyncio.to_thread(drawn))
 
 
+@router.get(
+    "/api/people/{name}/explanation", tags=["people"], response_model=Explained, responses=READ | refusals(409, 422)
+)
+async def explanation(
+    name: Own, request: Request, service: Desk,
+    against: Annotated[str | None, Query(min_length=1, max_length=1000, examples=["(fetch box-b)"])] = None,
+    language: Annotated[str, Query(max_length=35)] = "en",
+) -> Response:  # fmt: skip
+    """Return why the person has this suggestion now, or none; with `against`, the step against another action."""
+    if language not in languages():
+        raise HTTPException(422, f"language: expected one of {', '.join(languages())}")
+    pictures: Pictures = request.app.state.pictures
+    named = request.state.caller.person is None
+
+    def explained() -> dict[str, Any]:
+        seq = json.loads(service.views[name])["seq"]  # read before the state, as above
+        task, _ = service.session.place(name)
+        found = service.explain(name, against)
+        found = found.in_words(pictures.words(task, found.actions))
+        if not named:  # a person learns about others what could be gained, not who they are
+            found = found.without_names()
+        return {"sentences": found.sentences(language), **found.as_dict(), "seq": seq}
+
+    return plain(await asyncio.to_thread(explained))
+
+
 @router.post("/api/people/{name}/actions", tags=["people"], response_model=Person, responses=WRITE)
 async def act(name: Own, acted: Acted, service: Desk) -> Response:
-    """Report what somebody did; 409 if it cannot be done now, 422 if there is no such action."""
+    """Report a person's action; 409 if it is not applicable, 422 if it does not exist."""
     event = Event("acted", name, acted.action, acted.followed, acted.seq, id=acted.id)
     return plain(await service.report(event))
 
 
 @router.post("/api/people/{name}/undo", tags=["people"], response_model=Person, responses=WRITE)
 async def undo(name: Own, service: Desk, once: Once | None = None) -> Response:
-    """Take somebody's last action back, as if it had not been observed."""
+    """Undo the person's last action, as if it had not been observed."""
     return plain(await service.report(Event("undone", name, id=None if once is None else once.id)))
 
 
 @router.post("/api/people/{name}/begin", tags=["people"], response_model=Person, responses=WRITE)
 async def begin(name: Own, service: Desk, begun: Begun | None = None) -> Response:
-    """Begin the next task, finished or not: the same again unless named."""
+    """Begin the next task, even if the present one is unfinished; the same task again unless named."""
     begun = begun or Begun(task=None)
     return plain(await service.report(Event("began", name, task=begun.task, id=begun.id)))
 
 
 @router.get("/api/robot", tags=["robot"], response_model=Robot, responses=refusals(403))
 async def robot(_: Operator, service: Desk) -> Response:
-    """Where the robot is to go, and what it is to say there."""
+    """Return where the robot should go and what it should suggest there."""
     return plain(service.outlook.robot)
 
 
 @router.post("/api/robot/arrived", tags=["robot"], response_model=Robot, responses=WRITE)
 async def arrived(_: Operator, where: Arrived, service: Desk) -> Response:
-    """Report where the robot is."""
+    """Report the robot's location."""
     return plain(await service.report(Event("arrived", where.person, id=where.id)))
 
 
 @router.get("/api/team", tags=["operator"], response_model=Team, responses=refusals(403))
 async def team(_: Operator, service: Desk) -> Response:
-    """Everybody, what is believed of them, the robot, and the last events."""
+    """Return all people with the beliefs about them, the robot, and the latest events."""
     return plain(await service.team())
 
 
 @router.post("/api/team/people", tags=["operator"], response_model=Place, responses=WRITE)
 async def join(_: Operator, joined: Joined, service: Desk) -> Any:
-    """Let somebody come, or come back; give the address of their page."""
+    """Add a person to the team, or readmit one; return the address of the person's page."""
     seen = await service.report(Event("joined", joined.person, task=joined.task, id=joined.id))
     return plain({**seen, "join": service.access.join_url(joined.person)})
 
 
 @router.delete("/api/team/people/{name}", tags=["operator"], response_model=Person, responses=WRITE)
 async def leave(_: Operator, name: Own, service: Desk) -> Response:
-    """Let somebody go; they can come back."""
+    """Remove a person, who may rejoin later."""
     return plain(await service.report(Event("left", name)))
 
 
 @router.post("/api/team/pause", tags=["operator"], response_model=Robot, responses=WRITE)
 async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
-    """Let the robot say nothing, or speak again; people can go on acting."""
+    """Pause the robot's suggestions, or resume them. People can act in the meantime."""
     if service.outlook.paused == paused.paused:
         return plain(service.outlook.robot)
     return plain(await service.report(Event("paused" if paused.paused else "resumed")))
@@ -119,6 +161,6 @@ async def pause(_: Operator, paused: Paused, service: Desk) -> Response:
     responses=refusals(403, 422) | {200: {"content": {"application/x-ndjson": {"schema": {"type": "string"}}}}},
 )  # fmt: skip
 async def log(_: Operator, service: Desk, task: Annotated[str | None, Query(max_length=200)] = None) -> Response:
-    """Everybody's actions as JSON Lines, which `kitassist fit` reads; those in one task, if it is named."""
+    """Return recorded actions as JSON Lines for `kitassist fit`; with `task`, only those in this task."""
     rows = await asyncio.to_thread(service.session.log, task)
     return plain("".join(json.dumps(row) + "\n" for row in rows).encode(), "application/x-ndjson")

@@ -1,4 +1,4 @@
-"""What is sent to the live assistant over HTTP, and what it answers: the fields, and what they may be."""
+"""Requests and responses of the live assistant's HTTP interface: their fields and allowed values."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..explain.contrast import Consequence
+from ..explain.explanation import WhyNothing, WhyPerson
 from ..live.advice import Reason
 
 Id = Annotated[
     str | None,
-    Field(min_length=1, max_length=128, description="Made by the client; repeated, the answer is the first."),
+    Field(min_length=1, max_length=128, description="Chosen by the client. A repeated id returns the first answer."),
 ]
 Action = Annotated[str, Field(min_length=1, max_length=1000, examples=["(fetch box-a)"])]
 
@@ -20,54 +22,54 @@ class _Body(BaseModel):
 
 
 class Acted(_Body):
-    """What somebody did."""
+    """An action that a person took."""
 
     action: Action
     id: Id = None
-    followed: bool | None = Field(None, description="Whether the suggestion was followed; null: not said.")
+    followed: bool | None = Field(None, description="Whether the suggestion was followed; null if unknown.")
     seq: int | None = Field(
-        None, ge=0, description="Of what the person saw when they acted: a later suggestion was not heard."
+        None, ge=0, description="`seq` of the view on which the person acted; later suggestions are taken as unseen."
     )
 
 
 class Once(_Body):
-    """Something that happens once."""
+    """A request that is carried out once for each id."""
 
     id: Id = None
 
 
 class Begun(Once):
-    """The beginning of a task, the same again unless named."""
+    """A task to begin; the same task again unless named."""
 
     task: str | None = Field(None, max_length=200)
 
 
 class Joined(Begun):
-    """Somebody who comes, or comes back."""
+    """A person who joins the team, or rejoins it."""
 
     person: str = Field(min_length=1, max_length=64, examples=["ann"])
 
 
 class Arrived(Once):
-    """Where the robot is: with somebody, or at its base (null)."""
+    """The robot's location: a person, or its base (null)."""
 
     person: str | None = Field(None, max_length=64)
 
 
 class Paused(_Body):
-    """Whether the robot says nothing."""
+    """Whether suggestions are paused."""
 
     paused: bool
 
 
 class Problem(BaseModel):
-    """Why something was refused."""
+    """The reason for a refusal."""
 
     detail: str
 
 
 class Health(BaseModel):
-    """Whether the service is well."""
+    """The state of the service."""
 
     status: str
     people: int
@@ -75,14 +77,14 @@ class Health(BaseModel):
 
 
 class Me(BaseModel):
-    """Whose the token is."""
+    """The owner of a token."""
 
     person: str | None
     operator: bool
 
 
 class Person(BaseModel):
-    """What somebody sees. `seq` grows whenever it changes; `cost_to_go` is null in a dead end."""
+    """A person's view. `seq` increases with every change; `cost_to_go` is null in a dead end."""
 
     person: str
     task: str
@@ -94,18 +96,19 @@ class Person(BaseModel):
     cost_to_go: float | None
     steps: int
     finished: bool
+    explained: bool = Field(description="Whether the explanation can be asked for.")
     seq: int
 
 
 class Wanted(BaseModel):
-    """A part of the goal, in words."""
+    """One condition of the goal, in words."""
 
     text: str
     done: bool
 
 
 class Drawn(BaseModel):
-    """Somebody's task as it is: a drawing, the same in words, the goal, and what applicable actions are called."""
+    """The present state of a person's task: a drawing, a description, the goal, and the applicable actions in words."""
 
     svg: str
     text: str
@@ -114,8 +117,38 @@ class Drawn(BaseModel):
     seq: int
 
 
+class Compared(BaseModel):
+    """A step against another action. `difference` is null if the goal cannot be reached after the alternative."""
+
+    step: str
+    alternative: str
+    difference: float | None
+    unit: str
+    consequence: Consequence | None
+    probability: float | None
+
+
+class Suggested(BaseModel):
+    """Why a step is suggested: the probability of it without a suggestion, and the likeliest worse action."""
+
+    step: str
+    alone: float
+    likely: Compared | None
+
+
+class Explained(BaseModel):
+    """Why there is this suggestion for this person now, or none: sentences, and their data."""
+
+    sentences: list[str]
+    step: Suggested | None
+    now: WhyPerson | None
+    nothing: WhyNothing | None
+    against: Compared | None
+    seq: int
+
+
 class Place(BaseModel):
-    """Somebody who has come, with the address of their page."""
+    """A person who joined, and the address of the person's page."""
 
     person: str
     join: str
@@ -123,7 +156,7 @@ class Place(BaseModel):
 
 
 class Robot(BaseModel):
-    """Where the robot is to be and what it says there; `location` is where it is, or to whom it is under way."""
+    """Where the robot should be and what it suggests there. `location` is where it is, or where it is going."""
 
     person: str | None
     suggestion: str | None
@@ -134,9 +167,9 @@ class Robot(BaseModel):
 
 
 class Member(Person):
-    """What the operator sees of somebody: low end, mean and high end of beta and theta, and all of the belief.
+    """The operator's view of a person: interval and mean of beta and theta, and the whole belief.
 
-    Of participants of a user study, who are in teams of their own, these are not shown.
+    Participants of a user study are in teams of their own; for them the fields of the belief are omitted.
     """
 
     history: list[tuple[float, float | None]] = Field(default_factory=list)
@@ -150,7 +183,7 @@ class Member(Person):
 
 
 class Team(BaseModel):
-    """What the operator sees. `fault` says why the policy could not decide, if it could not."""
+    """The operator's view of the team. `fault` is the policy's error message if the policy failed."""
 
     seq: int
     time: float

@@ -1,4 +1,4 @@
-"""A process that serves a session: listens, says where, lets simulated people act, and ends when it is told to."""
+"""The server process of a live session: it listens, lets simulated people act, and stops at a signal."""
 
 from __future__ import annotations
 
@@ -34,25 +34,14 @@ from .request_limits import LARGEST
 from .service import BusyError, Service
 from .tokens import AccessTokens
 
-PATIENCE = 2
-"""Seconds for connections to end by themselves."""
-
-LINGER = 3.0
-"""Seconds after which a connection that has ended is gone, read to its end or not."""
-
-PING = 10.0
-"""Seconds between two signs of life of a connection, and in which each is to be answered."""
-
-ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-
 
 def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.socket:
-    """Take a port; another one (0 for any) if it is taken and one is given.
+    """Return a listening socket. If the port is taken, use `otherwise` (0: any free port) if given.
 
     Raises
     ------
     OSError
-        It cannot be had.
+        No port is available.
     """
     try:
         return socket.create_server(
@@ -65,29 +54,29 @@ def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.sock
 
 
 def address(listening: socket.socket) -> str:
-    """Give what all addresses of a service begin with."""
+    """Return the address with which all links to a service begin."""
     host, port = listening.getsockname()[:2]
-    if host in ("0.0.0.0", "::"):  # every network: those who come need a name of this machine
+    if host in ("0.0.0.0", "::"):  # all networks: clients need the name of this machine
         host = socket.gethostname()
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
 @dataclass
 class SimulatedSeats:
-    """Simulated people, and how fast they are.
+    """Simulated people and their pace.
 
     Attributes
     ----------
     people : mapping of str to SimulatedPerson
     pace : float
-        Seconds between two of their actions, on the average.
+        Mean seconds between two actions of a person.
     """
 
     people: Mapping[str, SimulatedPerson] = field(default_factory=dict)
     pace: float = 3.0
 
     async def fill(self, service: Service, *, alone: bool) -> None:
-        """Let them act until they have finished; where real people are expected, from when the first has come."""
+        """Let simulated people act until they finish. Unless `alone`, start when a real person has connected."""
         if not alone:
             await service.visited.wait()
         await asyncio.gather(*(self._work(service, name, person) for name, person in self.people.items()))
@@ -95,7 +84,7 @@ class SimulatedSeats:
     async def _work(self, service: Service, name: str, person: SimulatedPerson) -> None:
         while True:
             await asyncio.sleep(self.pace * float(person.rng.gamma(4.0, 0.25)))
-            with suppress(AbsentError, InapplicableError, BusyError, JournalError):  # they try again
+            with suppress(AbsentError, InapplicableError, BusyError, JournalError):  # try again
                 action = await asyncio.to_thread(_chosen, service.session, name, person)
                 if action is None:
                     return
@@ -103,8 +92,8 @@ class SimulatedSeats:
 
 
 def _chosen(session: Session, name: str, person: SimulatedPerson) -> str | None:
-    """Let somebody choose; None if they have finished."""
-    with session.lock:  # tasks that are asked on demand are one thread's at a time
+    """Return a simulated person's next action, or None if the person has finished."""
+    with session.lock:  # tasks solved on demand are not thread-safe
         seen = session.person(name)
         task, state = session.place(name)
         if seen["finished"]:
@@ -113,44 +102,57 @@ def _chosen(session: Session, name: str, person: SimulatedPerson) -> str | None:
 
 
 class _Server(uvicorn.Server):
-    """Uvicorn's, which leaves signals to the process and says when it listens."""
+    """Uvicorn's server, which leaves signals to this process and calls `ready` when it listens."""
 
     ready: Callable[[], None]
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave them alone."""
+        """Leave signals alone."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to listen."""
+        """Start to listen."""
         await super().startup(sockets)
         if not self.should_exit:
             self.ready()
 
 
 class _Connection(WebSocketsSansIOProtocol):
-    """Uvicorn's, whose end does not wait for whoever does not read what is left."""
+    """Uvicorn's WebSocket connection, which does not wait for clients that stop reading.
+
+    Attributes
+    ----------
+    linger : float
+        Seconds after which a closed connection is aborted, even if the client has not read everything.
+    """
+
+    linger = 3.0
 
     def on_task_complete(self, task: asyncio.Task[None]) -> None:
-        """Let go of the connection."""
+        """Abort the connection after a moment."""
         super().on_task_complete(task)
-        self.loop.call_later(LINGER, self.transport.abort)
+        self.loop.call_later(self.linger, self.transport.abort)
 
     def keepalive_timeout(self) -> None:
-        """Let go of a connection without a sign of life."""
+        """Abort a connection that did not answer a ping."""
         super().keepalive_timeout()
-        self.loop.call_later(LINGER, self.transport.abort)
+        self.loop.call_later(self.linger, self.transport.abort)
 
 
-def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
-    """Give the server of an application, which calls `ready` when it listens."""
-    # No access log: addresses of pages have tokens in them.
+def server_of(app: ASGIApp, ready: Callable[[], None], *, ping: float = 10.0) -> uvicorn.Server:
+    """Return the server of an application; it calls `ready` when it listens.
+
+    `ping` is the number of seconds between two pings of a connection, and within which each must be answered. Proxies
+    drop connections that are idle for longer.
+    """
+    # No access log, since addresses of pages contain tokens. Open connections have two seconds to end at shutdown,
+    # which has to be done within five.
     server = _Server(
         uvicorn.Config(
             app, log_config=None, access_log=False, lifespan="on", proxy_headers=False,
-            server_header=False, timeout_graceful_shutdown=PATIENCE, timeout_keep_alive=75, ws=_Connection,
-            ws_max_size=LARGEST, ws_per_message_deflate=False, ws_ping_interval=PING, ws_ping_timeout=PING,
+            server_header=False, timeout_graceful_shutdown=2, timeout_keep_alive=75, ws=_Connection,
+            ws_max_size=LARGEST, ws_per_message_deflate=False, ws_ping_interval=ping, ws_ping_timeout=ping,
             backlog=1024,
         )
     )  # fmt: skip
@@ -160,30 +162,30 @@ def server_of(app: ASGIApp, ready: Callable[[], None]) -> uvicorn.Server:
 
 @dataclass(frozen=True)
 class ServedTeam:
-    """What is served.
+    """The session to be served.
 
     Attributes
     ----------
     tasks : mapping of str to CostToGo
     folder : Path
-        Where the session is kept: its journal, and the secret from which links follow.
+        Folder of the session: its journal, and the secret of the links.
     people : mapping of str to str
-        Who is there when a session begins, with the name of their task; one that goes on has its own.
+        Initial people, with the names of their tasks. A resumed session has its own.
     policy : str or callable
         A team policy, as in `Assistant`.
     setting : Setting
     population : Population or Mixture
-        Of whom people are taken to be, and simulated ones drawn.
+        The robot's prior over people, from which simulated people are drawn too.
     distance : array, optional
-        Between the places of people, in their order, and the base, as in `Assistant`.
+        Distances between the stations of people, in their order, and the base, as in `Assistant`.
     simulated : sequence of str
-        Whose seats simulated people take.
+        Names of the people who are simulated.
     pace, seed
         As in `SimulatedSeats` and `SimulatedPerson`.
     tick : float
-        Seconds without an event after which time is taken to have elapsed.
+        Seconds without an event after which the robot decides again.
     public_url : str or None
-        Where others reach the service, as `public_address` gives it, if it is not where it listens.
+        Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     """
 
     tasks: Mapping[str, CostToGo]
@@ -200,14 +202,14 @@ class ServedTeam:
     public_url: str | None = None
 
     def session(self) -> Session:
-        """Open the session; at its very beginning people come.
+        """Open the session. The initial people join a new session.
 
         Raises
         ------
         ResultsExistError, DamagedFileError, OSError
             As in `Session`.
         ValueError
-            What cannot be, such as people of whom the task is too large for a choice model.
+            An invalid combination, such as a choice model and a task that is too large for it.
         """
         session = Session(
             self.tasks, self.folder / "journal.jsonl", policy=self.policy, setting=self.setting,
@@ -221,10 +223,9 @@ class ServedTeam:
         return session
 
     def seats(self) -> SimulatedSeats:
-        """Draw simulated people."""
-        eta, scale = self.setting.eta, self.setting.utility_scale
+        """Draw the simulated people."""
         people = {
-            name: SimulatedPerson(self.population, eta=eta, utility_scale=scale, seed=self.seed + number)
+            name: SimulatedPerson(self.population, trust=self.setting.trust_rule(), seed=self.seed + number)
             for number, name in enumerate(self.simulated)
         }
         return SimulatedSeats(people, self.pace)
@@ -240,10 +241,10 @@ def serve(plan: ServedTeam, session: Session, listening: socket.socket, ready: R
     ----------
     plan : ServedTeam
     session : Session
-        That of the plan.
+        The plan's session.
     listening : socket
     ready : callable
-        Called with the links and who is there when the first request can come.
+        Called with the links and the people present when the service accepts requests.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     asyncio.run(_serve(plan, session, listening, ready))
@@ -262,22 +263,22 @@ async def run(
     app: ASGIApp, listening: socket.socket, ready: Callable[[], None], beside: Coroutine[Any, Any, None],
     *, ends: bool = False,
 ) -> None:  # fmt: skip
-    """Serve an application until a signal ends it, and let something else go on beside it as long.
+    """Serve an application until a signal ends it, and run a coroutine at the same time.
 
     Parameters
     ----------
     app : ASGIApp
     listening : socket
     ready : callable
-        Called when the first request can come.
+        Called when the service accepts requests.
     beside : coroutine
-        Begins at once, and may be done before.
+        Starts at once and may end first.
     ends : bool
-        Whether the service ends when that is done.
+        Whether the service ends with the coroutine.
     """
     server = server_of(app, ready)
     loop = asyncio.get_running_loop()
-    for number in ENDING:
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             loop.add_signal_handler(number, setattr, server, "should_exit", True)
     other = asyncio.create_task(beside)

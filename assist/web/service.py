@@ -1,12 +1,12 @@
-"""A session as a service runs it: one thread that writes, and everybody who watches told of what has changed.
+"""A live session as a service: one thread writes, and connected clients receive every change.
 
-Reports from all connections queue up for the writer, which takes all that are there at a time: they share one wait for
-the disk. After that, and not before, they are answered, and whoever watches gets what they see now. What is seen is
-made once, by the writer; who asks or watches never waits for the disk.
+Reports from all connections enter a queue. The writer takes all waiting reports at once, so that they share one write
+to the disk. Only then are they answered, and clients receive their new views. Views are computed once, by the writer;
+requests for views never wait for the disk.
 
-A watcher has room for a few messages that are on their way. One that does not take them is dropped, so that nobody's
-memory grows and nobody else waits; it can connect again at any time and is told what there is. Watchers know nothing of
-each other: a connection that ends late ends nobody else's.
+Each watcher has a bounded queue of messages. A watcher that does not read its messages is disconnected, so that memory
+stays bounded and other clients do not wait. It can reconnect at any time and receives the current view. Watchers are
+independent: a connection that ends late never ends another one.
 """
 
 from __future__ import annotations
@@ -17,43 +17,35 @@ import logging
 import queue
 import threading
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
-from ..live.course import AbsentError, Event
+from ..explain.explanation import Explanation
+from ..live.course import AbsentError, Event, Explains
 from ..live.journal import JournalError
 from ..live.live_task import InapplicableError
 from ..live.session import Outcome, Outlook, Session
 from .tokens import AccessTokens
 
-ROOM = 64
-"""Messages on their way to one watcher."""
-
-WAITING = 5000
-"""Reports that may wait for the writer."""
-
-TOGETHER = 256
-"""Reports that share one wait for the disk."""
-
-TICK = 2.0
-"""Seconds without an event after which time has elapsed."""
-
-SLOWEST, FASTEST = 2.0, 0.1
-"""Seconds between two messages to the same operator: by how large the team is."""
-
 
 class BusyError(RuntimeError):
-    """More has been reported than can be written; to be tried again."""
+    """Too many reports are queued. The client should try again."""
 
 
 class Watcher:
-    """Somebody who is told what they see, whenever it changes."""
+    """A connected client that receives a person's view after every change.
 
-    def __init__(self) -> None:
-        self.messages: asyncio.Queue[bytes | None] = asyncio.Queue(ROOM)
+    Parameters
+    ----------
+    room : int
+        Largest number of queued messages. More would tolerate slower clients at the cost of memory.
+    """
+
+    def __init__(self, room: int = 64) -> None:
+        self.messages: asyncio.Queue[bytes | None] = asyncio.Queue(room)
         self.dropped = asyncio.Event()
 
     def tell(self, message: bytes | None) -> None:
-        """Put a message on its way; None: there will be no more."""
+        """Queue a message; None ends the stream of messages."""
         try:
             self.messages.put_nowait(message)
         except asyncio.QueueFull:
@@ -61,18 +53,24 @@ class Watcher:
 
 
 class Service:
-    """A session with its writer and its watchers; but for the writer, all of it runs in one event loop.
+    """A session with its writer and its watchers. Everything except the writer runs in one event loop.
 
     Parameters
     ----------
     session : Session
     access : AccessTokens
     tick : float
-        Seconds without an event after which time is taken to have elapsed.
+        Seconds without an event after which the robot decides again.
+    waiting : int
+        Largest number of queued reports; further ones are refused with status 503.
+    batch : int
+        Largest number of reports in one write to the disk. More would delay the first answer of a full batch.
     """
 
-    def __init__(self, session: Session, access: AccessTokens, *, tick: float = TICK) -> None:
-        self.session, self.access, self.tick = session, access, tick
+    def __init__(
+        self, session: Session, access: AccessTokens, *, tick: float = 2.0, waiting: int = 5000, batch: int = 256
+    ) -> None:
+        self.session, self.access, self.tick, self._batch = session, access, tick, batch
         session.changed = self._seen
         self.views = {person: _json(self.session.person(person)) for person in self.session.people}
         for person in self.views:
@@ -83,22 +81,22 @@ class Service:
         self._entries: dict[str, bytes] = {}
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
-        self._reports: queue.Queue[tuple[Event, asyncio.Future[Outcome]] | None] = queue.Queue(WAITING)
+        self._reports: queue.Queue[tuple[Event, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
         self._last = 0.0
 
-    # The writer.
+    # Writing.
 
     def start(self) -> None:
-        """Begin to write, in the event loop that runs."""
+        """Start the writer and the clock in the running event loop."""
         self._loop = asyncio.get_running_loop()
         self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
         self._writer.start()
         self._ticking = self._loop.create_task(self._tick())
 
     async def stop(self) -> None:
-        """Answer what has been reported, end all connections' messages, and let go of the session."""
+        """Answer all queued reports, end all connections, and close the session."""
         self._ticking.cancel()
         for watchers in self._watchers.values():
             for watcher in watchers:
@@ -113,7 +111,7 @@ class Service:
         while not ended:
             taken = [self._reports.get()]
             with suppress(queue.Empty):
-                while len(taken) < TOGETHER:
+                while len(taken) < self._batch:
                     taken.append(self._reports.get_nowait())
             ended = None in taken
             reports = [report for report in taken if report is not None]
@@ -121,14 +119,14 @@ class Service:
                 self._changes = {}
                 try:
                     outcomes = self.session.report([event for event, _ in reports])
-                except Exception as error:  # noqa: BLE001 whatever it is, those who wait are told
+                except Exception as error:  # noqa: BLE001  every error is passed to the clients that wait
                     outcomes = [error] * len(reports)
                 futures = [future for _, future in reports]
                 seen = dict(self._changes), self.session.outlook()
                 self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, *seen)
 
     def _seen(self, touched: set[str]) -> None:
-        """Make what those see for whom something has changed; called by the writer, after it is on the disk."""
+        """Update the views of people for whom something changed. The writer calls it after saving the events."""
         for person in touched:
             try:
                 self._changes[person] = _json(self.session.person(person))
@@ -159,7 +157,7 @@ class Service:
         for operator in self._operators:
             operator.set()
         for future, outcome in zip(futures, outcomes, strict=True):
-            if future.done():  # whoever reported it has gone
+            if future.done():  # the client has disconnected
                 continue
             if isinstance(outcome, Exception):
                 future.set_exception(outcome)
@@ -167,34 +165,34 @@ class Service:
                 future.set_result(outcome)
 
     async def report(self, event: Event) -> dict[str, Any]:
-        """Let something happen; give what whoever it is about sees then.
+        """Record an event; return the new view of the person concerned.
 
         Raises
         ------
         BusyError
-            Too much waits to be written.
+            Too many reports are queued.
         Exception
-            As `Session.report` gives them.
+            Any error of `Session.report`.
         """
         future: asyncio.Future[Any] = self._loop.create_future()
         try:
             self._reports.put_nowait((event, future))
         except queue.Full:
-            raise BusyError(f"{WAITING} reports wait to be written; to be tried again") from None
+            raise BusyError(f"{self._reports.maxsize} reports are waiting to be saved; try again later") from None
         answer: dict[str, Any] = await future
         return answer
 
     async def pass_on(self, event: Event) -> None:
-        """Let something happen that time brings, and that nobody waits for: what is in its way now may not be later."""
+        """Record an event that is caused by the passing of time. Temporary obstacles are ignored."""
         try:
             await self.report(event)
         except (InapplicableError, BusyError, JournalError):
-            pass  # something has changed meanwhile, too much waits, or the disk is full, which is said to those who act
+            pass  # the state changed, or the queue or the disk is full, which clients that act are told
         except Exception:
-            logging.getLogger(__name__).exception("%s: time cannot bring this", event.kind)
+            logging.getLogger(__name__).exception("%s: the event of the clock failed", event.kind)
 
     async def _tick(self) -> None:
-        """Report that time has elapsed whenever nothing has happened for a while."""
+        """Report the passing of time whenever no event has occurred for `tick` seconds."""
         self._last = self._loop.time()
         while True:
             await asyncio.sleep(max(0.01, self._last + self.tick - self._loop.time()))
@@ -202,10 +200,10 @@ class Service:
                 self._last = self._loop.time()
                 await self.pass_on(Event("elapsed"))
 
-    # Those who watch.
+    # Watching.
 
     def watch(self, person: str) -> Watcher:
-        """Begin to tell what somebody sees."""
+        """Register a watcher of a person's view."""
         watcher = Watcher()
         watcher.tell(self.views[person])
         self._watchers.setdefault(person, set()).add(watcher)
@@ -213,7 +211,7 @@ class Service:
         return watcher
 
     def leave(self, person: str, watcher: Watcher) -> None:
-        """End it; nobody else's."""
+        """Remove one watcher of a person's view."""
         watchers = self._watchers.get(person, set())
         watchers.discard(watcher)
         if not watchers:
@@ -226,23 +224,23 @@ class Service:
             operator.set()
 
     def operator(self) -> asyncio.Event:
-        """Begin to say when something has changed, of whatever kind."""
+        """Register an operator; the returned event is set after every change."""
         changed = asyncio.Event()
         changed.set()
         self._operators.add(changed)
         return changed
 
     def operator_leaves(self, changed: asyncio.Event) -> None:
-        """End that."""
+        """Remove an operator."""
         self._operators.discard(changed)
 
     @property
     def pause_between(self) -> float:
-        """Seconds between two messages to the same operator, the more the more people there are."""
-        return min(SLOWEST, max(FASTEST, len(self.views) / 400))
+        """Seconds between two messages to the same operator, increasing with the size of the team."""
+        return min(2.0, max(0.1, len(self.views) / 400))  # readable for small teams, cheap for large ones
 
     async def team(self) -> bytes:
-        """Give what the operator sees: everybody, the robot, the last events, as JSON."""
+        """Return the operator's view as JSON: all people, the robot and the latest events."""
         missing = [person for person in self.views if person not in self._entries]
         if missing:
             self._entries.update(await asyncio.to_thread(self._entries_of, missing))
@@ -251,6 +249,20 @@ class Service:
         rest |= {"time": round(self.session.now(), 3), "fault": now.fault, "tasks": list(self.session.tasks)}
         people = b",".join(self._entries[person] for person in self.views if person in self._entries)
         return _json(rest)[:-1] + b',"people":[' + people + b"]}"
+
+    def explain(self, person: str, against: str | None = None) -> Explanation:
+        """Return why a person has their suggestion, or none; with `against`, the step against another action.
+
+        It waits for the session's lock only to note the state of the team.
+
+        Raises
+        ------
+        UnknownError, InapplicableError
+            As in `Assistant.explain`.
+        """
+        with self.session.lock:
+            later = cast(Explains, self.session._course).explain_later(person, against)
+        return later()
 
     def _entries_of(self, people: list[str]) -> dict[str, bytes]:
         found = {}

@@ -1,4 +1,4 @@
-"""What somebody's page shows of their task: the state as a drawing, the goal, and actions in words."""
+"""The content of a person's page: the state as a drawing, the goal, and actions in words."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..drawing import Artist
 
 
 class Pictures:
-    """Drawings of any number of tasks; any thread may ask."""
+    """Drawings of any number of tasks. The class is thread-safe."""
 
     def __init__(self) -> None:
         self._artists: dict[int, Artist] = {}
         self._lock = threading.Lock()
 
     def artist(self, task: CostToGo) -> Artist:
-        """Give who draws a task.
+        """Return the artist of a task.
 
         Raises
         ------
@@ -28,11 +28,16 @@ class Pictures:
         """
         with self._lock:
             if id(task.task) not in self._artists:
-                self._artists[id(task.task)] = Artist(task.task)  # which holds the task, so that its id stays its own
+                self._artists[id(task.task)] = Artist(task.task)  # holds the task, so that its id is not reused
             return self._artists[id(task.task)]
 
+    def words(self, task: CostToGo, actions: Sequence[str]) -> dict[str, str]:
+        """Return actions in the words of the task's domain, as far as it has them."""
+        artist = self.artist(task)
+        return {action: artist.say(action) for action in actions if artist.has_words(action)}
+
     def of(self, task: CostToGo, state: int, actions: Sequence[str], width: int) -> dict[str, Any]:
-        """Draw a state, about as wide as given in pixels, and say actions in words."""
+        """Draw a state, about `width` pixels wide, and describe actions in words."""
         artist, values = self.artist(task), task.values([state])[0].tolist()
         with self._lock:
             picture = artist.draw(values, width=width, goal=False, theme=None)

@@ -1,6 +1,7 @@
-"""Who may see and do what: a link for each person, and the operator's, each with a token that cannot be guessed.
+"""Access tokens: one link for each person and one for the operator, each with a secret token.
 
-Tokens follow from one secret that is kept with the session, so that links stay what they are when it goes on.
+All tokens are derived from one secret that is stored with the session. Links therefore stay valid when a session is
+resumed.
 """
 
 from __future__ import annotations
@@ -16,29 +17,26 @@ from urllib.parse import quote, unquote, urlsplit
 
 from planner.system.files import atomic
 
-SECRET = 32
-"""Bytes."""
-
 OWN = frozenset({"api", "docs", "join", "openapi.json", "operator", "pages", "part", "study"})
-"""What the service's own paths begin with."""
+"""First components of the service's own paths."""
 
 
 def public_address(url: str) -> str:
-    """Return the address at which others reach the service, without a slash at the end.
+    """Return a normalised public address of the service, without a trailing slash.
 
-    Its path has none of the service's own names: so it does not matter whether a proxy strips it, and where it ends in
-    a link is clear.
+    The path must not contain any of the service's own names. It then does not matter whether a proxy strips the path,
+    and the address can be separated from the rest of a link.
 
     Raises
     ------
     ValueError
-        It is none.
+        The text is not such an address.
     """
     wrong = ValueError(f"{url[:80]}: expected the address of the service, such as https://host.example/kits")
     try:
         parts = urlsplit(url)
         named = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
-    except ValueError:  # a port or a number that is none
+    except ValueError:  # the port is not a number, or the host is malformed
         raise wrong from None
     names = parts.path.strip("/").split("/") if parts.path.strip("/") else []
     more = any(sign in url for sign in "?#@\\") or not url.isascii() or not url.isprintable() or " " in url
@@ -46,12 +44,12 @@ def public_address(url: str) -> str:
         raise wrong
     for name in names:
         if unquote(name) in OWN:
-            raise ValueError(f"{url[:80]}: expected a path without {name!r}, which the service's own pages have")
+            raise ValueError(f"{url[:80]}: expected a path without {name!r}, a name of the service's own pages")
     return f"{parts.scheme}://{parts.netloc}{''.join(f'/{name}' for name in names)}"
 
 
 class Caller(NamedTuple):
-    """Who calls: a person, or the operator, who has no name."""
+    """The authenticated caller: a person, or the operator (`person` is None)."""
 
     person: str | None
 
@@ -62,8 +60,9 @@ class AccessTokens:
     Parameters
     ----------
     secret : bytes
+        Key from which all tokens are derived (HMAC-SHA-256).
     base : str
-        Where the service is: what all addresses begin with, without a slash at the end.
+        Address of the service, with which all links begin, without a trailing slash.
     """
 
     def __init__(self, secret: bytes, base: str) -> None:
@@ -74,24 +73,25 @@ class AccessTokens:
 
     @classmethod
     def kept(cls, file: Path, base: str) -> AccessTokens:
-        """Take the secret from a file, which is made if there is none, for its owner alone to read."""
+        """Return the tokens for the secret in a file. A missing file is created, readable by its owner only."""
+        size = hashlib.sha256().digest_size  # a longer key adds no security to HMAC
         if not file.exists():
             with atomic(file) as path:
                 descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
                 with os.fdopen(descriptor, "wb") as stream:
-                    stream.write(secrets.token_bytes(SECRET))
+                    stream.write(secrets.token_bytes(size))
         secret = file.read_bytes()
-        if len(secret) != SECRET:
-            raise OSError(f"{file}: expected {SECRET} bytes, from which the links' tokens follow; found {len(secret)}")
+        if len(secret) != size:
+            raise OSError(f"{file}: expected the {size} bytes of the session's secret; found {len(secret)}")
         return cls(secret, base)
 
     @property
     def root(self) -> str:
-        """The path under which the service is: empty, or one that begins with a slash."""
+        """Path under which the service is reached: empty, or a path that begins with a slash."""
         return urlsplit(self.base).path
 
     def within(self, path: str) -> str:
-        """Return a decoded path within the service, whether or not a proxy has stripped what comes before."""
+        """Return a decoded path relative to the service, whether or not a proxy stripped the service's prefix."""
         root = unquote(self.root)
         return (path[len(root) :] or "/") if root and f"{path}/".startswith(f"{root}/") else path
 
@@ -100,16 +100,17 @@ class AccessTokens:
         return base64.urlsafe_b64encode(made).decode()
 
     def token(self, person: str) -> str:
-        """Give somebody's token."""
+        """Return the token of a person."""
         if person not in self._people:
             self._people[person] = self._token(f"person {person}")
             self._callers[_digest(self._people[person])] = Caller(person)
         return self._people[person]
 
     def whose(self, token: str) -> Caller | None:
-        """Find out whose token it is, in a time that tells nothing about any; None: nobody's.
+        """Return the caller that a token belongs to, or None if the token is invalid.
 
-        It is looked up by its digest, of which nothing can be learned bit by bit.
+        The lookup uses the token's digest and a comparison in constant time. Response times therefore reveal nothing
+        about valid tokens.
         """
         caller = self._callers.get(_digest(token))
         if caller is None:
@@ -118,11 +119,11 @@ class AccessTokens:
         return caller if hmac.compare_digest(token.encode(), known.encode()) else None
 
     def join_url(self, person: str) -> str:
-        """Give the address of somebody's page."""
+        """Return the address of a person's page."""
         return f"{self.base}/join/{quote(person, safe='')}/{self.token(person)}"
 
     def operator_url(self) -> str:
-        """Give the address of the operator's page."""
+        """Return the address of the operator's page."""
         return f"{self.base}/operator/{self.operator}"
 
 

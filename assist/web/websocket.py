@@ -1,4 +1,4 @@
-"""Connections (WebSocket) over which somebody is told what they see, whenever it changes."""
+"""WebSocket connections that push views to clients after every change."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from .service import Service
 
 DROPPED, REMOVED, DENIED, ENDS = 1013, 4404, 4403, 1012
-"""Why a connection is closed: it did not read, the person is gone, it is not theirs, the service ends."""
+"""Close codes: the client did not read, the person left, access is denied, the service ends."""
 
 router = APIRouter()
 
 
 async def _converse(socket: WebSocket, send: Coroutine[Any, Any, int], dropped: asyncio.Event) -> None:
-    """Send until there is no more to be sent, whoever watches has gone, or they do not read."""
+    """Send messages until there are no more, the client disconnects, or the client stops reading."""
 
     async def read() -> None:
         with suppress(RuntimeError, WebSocketDisconnect):
@@ -50,7 +50,7 @@ def _accepted(socket: WebSocket) -> str | None:
 
 @router.websocket("/api/people/{name}/events")
 async def person_events(socket: WebSocket, name: str) -> None:
-    """Tell what somebody sees: now, and whenever it changes."""
+    """Push a person's view: now, and after every change."""
     service: Service = socket.app.state.service
     if socket.state.caller.person not in (None, name) or name not in service.views:
         await socket.close(DENIED)
@@ -75,7 +75,7 @@ async def person_events(socket: WebSocket, name: str) -> None:
 
 @router.websocket("/api/team/events")
 async def team_events(socket: WebSocket) -> None:
-    """Tell what the operator sees: now, and again when something has changed."""
+    """Push the operator's view: now, and after every change."""
     service: Service = socket.app.state.service
     if socket.state.caller.person is not None:
         await socket.close(DENIED)

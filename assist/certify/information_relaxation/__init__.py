@@ -1,1 +1,1 @@
-"""Bounds from sample paths: a robot that knows everybody's sample path, and pays a penalty for it."""
+"""Bounds by information relaxation: a robot that knows all sample paths in advance and pays a penalty for it."""

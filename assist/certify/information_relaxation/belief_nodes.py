@@ -1,14 +1,16 @@
-"""One person's problem with finitely many beliefs, and what of it can come about with a given luck.
+"""One person's subproblem relaxed to finitely many beliefs, and the graph of one sample path.
 
-A solution's upper bound at a belief is a mixture of its bounds at beliefs that it knows: b = sum_i w_i b_i, those of
-single types (the corners) included. To tell the robot which b_i was drawn is to tell it more than it can know, so that
-no policy gets less: what comes of that is a problem of finitely many nodes, a state with one of its beliefs each
-(Lovejoy, "Computationally feasible bounds for partially observed Markov decision processes", 1991, has it for a fixed
-grid). Nodes are worked out when they are first met.
+The relaxation. A solution's upper bound at a belief b is a mixture of its bounds at stored beliefs b_i, including the
+beliefs of single types (the corners): b = sum_i w_i b_i. Let a b_i be drawn with probability w_i and revealed to the
+robot. The robot then has more information, so that its optimal value does not decrease. The result is a problem with
+finitely many nodes, each a state with one of its stored beliefs (Lovejoy, "Computationally feasible bounds for
+partially observed Markov decision processes", 1991, for a fixed grid). The edges of a node are computed when it is
+first visited.
 
-With a person's luck given, one number in [0, 1) for each step, every robot action leads from a node to one other: what
-can be reached is a `SampleGraph`, layer by layer, since many ways meet again. Choices that lead to cheap places come
-first, so that the same number means much the same whatever the robot does.
+A sample path is one number in [0, 1) for each step. It determines the outcome of every robot action, so that each
+action leads from a node to one other node. The reachable nodes form a `SampleGraph`, layer by layer, because many paths
+of the robot meet again. Choices that lead to a low cost-to-go come first in the order of outcomes. So the same number
+has a similar effect after different robot actions.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from planner.system.jit import njit
 
 from ...large_tasks.truncated_bound import OuterRelaxation
 from ...people.decision import Floats
-from ...people.influence_kernels import answer
+from ...person.belief_filter import posterior
 from ...person.problem_arrays import ProblemArrays
 from ...person.solver import Solution
 from ...person.upper_hull import PIVOTS, weigh
@@ -35,19 +37,21 @@ END = -1
 """The node of a person who has reached the goal."""
 
 LEFT = -2
-"""The node of a person who has left a truncated task at its frontier. From there on the leaf's upper bound stands for
-their return. It assumes a robot of their own, for which they pay the prices
-(`assist.certify.information_relaxation.sampled_bound`)."""
+"""The node of a person who has left a truncated task at its frontier.
 
-SLIGHT = 1e-5
-"""A belief that could lower the bound by less than this, in cost units, gets no part."""
+The leaf's upper bound then stands for the rest of their return. It assumes a robot of their own, for which the prices
+are paid (`assist.certify.information_relaxation.sampled_bound`).
+"""
 
 FULL = -3
-"""What compiled code returns where the arrays of nodes are full."""
+"""Return value of compiled code if the arrays of nodes are full."""
 
 
 class Known(NamedTuple):
-    """Beliefs with bounds, as `Solution` has them, flat: H = B * T. Node n is belief n, or a corner after these."""
+    """The stored beliefs of a `Solution` with their bounds, flat: H = B * T.
+
+    Node n is belief n, or a corner if n is larger.
+    """
 
     corner: Floats
     point: Floats
@@ -57,20 +61,21 @@ class Known(NamedTuple):
 
 
 class NodeTable(NamedTuple):
-    """What has been worked out: each robot action of a node is an edge.
+    """The computed edges of nodes, one for each robot action.
 
     Attributes
     ----------
     first : int array, shape (nodes,)
-        The number of each node's first edge; -1 where nothing has been worked out.
+        First edge of each node; -1 if its edges have not been computed.
     regret : float array
-        Of each edge: the node's bound less what the action promises by the bounds of what follows.
+        For each edge: the bound of the node minus the Q-value of the action, computed from the bounds of the
+        successors.
     begin : int array
-        Of each edge: its outcomes are `begin[e]` up to `begin[e + 1]`.
+        The outcomes of edge e are `begin[e]` up to `begin[e + 1]`.
     share : float array; to : int array
-        Of each outcome: the cumulated chance, and the node that it leads to, `END` or `LEFT`.
+        For each outcome: the cumulative probability, and the successor node, `END` or `LEFT`.
     used : int array, shape (2,)
-        Edges and outcomes so far.
+        Number of edges and of outcomes so far.
     """
 
     first: Ints
@@ -82,22 +87,22 @@ class NodeTable(NamedTuple):
 
 
 class SampleGraph(NamedTuple):
-    """What can come about with one luck, n nodes in layers, one for each step.
+    """The nodes that are reachable on one sample path: n nodes in layers, one layer for each step.
 
     Attributes
     ----------
     layer : int array, shape (layers + 1,)
-        The nodes of step t are those from `layer[t]` to `layer[t + 1]`.
+        The nodes of step t are `layer[t]` up to `layer[t + 1]`.
     node : int array, shape (n,)
-        Which of the lattice's each is.
+        Number of each node in `BeliefNodes`.
     edge : int array, shape (n + 1,)
-        The robot actions of node j are the edges from `edge[j]` to `edge[j + 1]`; none in the last layer.
+        The robot actions of node j are the edges `edge[j]` up to `edge[j + 1]`; the last layer has none.
     to : int array, shape (e,)
-        The number of the node in this graph that each leads to, `END` or `LEFT`.
+        Successor of each edge: a node of this graph, `END` or `LEFT`.
     cost : float array, shape (e,)
-        Its regret, discounted to step 0.
+        Regret of each edge, discounted to step 0.
     attends : bool array, shape (e,)
-        Whether it takes the robot's attention.
+        Whether the action takes the robot's attention.
     """
 
     layer: Ints
@@ -109,7 +114,7 @@ class SampleGraph(NamedTuple):
 
 
 class BeliefNodes:
-    """The nodes of one person's problem, as far as they have been met.
+    """The nodes of one person's subproblem that have been visited so far.
 
     Attributes
     ----------
@@ -117,9 +122,9 @@ class BeliefNodes:
     known : Known
     nodes : NodeTable
     root : int array, shape (r,); chance : float array, shape (r,)
-        The nodes among which the prior is divided.
+        The nodes whose mixture is the prior, with their weights.
     value : float
-        Their mean bound.
+        Mean bound of these nodes.
     """
 
     def __init__(self, visits: AttentionSubproblem, solution: Solution, outer: OuterRelaxation | None = None) -> None:
@@ -133,8 +138,8 @@ class BeliefNodes:
             np.ascontiguousarray(solution.point).reshape(-1, size), solution.drop, solution.first,
             np.repeat(np.arange(states), np.diff(solution.first)),
         )  # fmt: skip
-        promise = np.where(choices.applicable, choices.costs + pomdp.gamma * choices.h[choices.targets], np.inf)
-        self.order = np.argsort(promise, axis=1, kind="stable")
+        q = np.where(choices.applicable, choices.costs + pomdp.gamma * choices.h[choices.targets], np.inf)
+        self.order = np.argsort(q, axis=1, kind="stable")
         count = len(solution.drop) + states * size
         self.nodes = NodeTable(
             np.full(count, -1), np.empty(1 << 12), np.zeros((1 << 12) + 1, dtype=np.int64), np.empty(1 << 16),
@@ -142,25 +147,25 @@ class BeliefNodes:
         )  # fmt: skip
         self._stamp, self._stamps = np.zeros(count, dtype=np.int64), 0
         part, node = np.empty(2 * size), np.empty(2 * size, dtype=np.int64)
-        found = divide(pomdp.prior.reshape(-1), choices.initial, self.known, part, node)
+        found = decompose(pomdp.prior.reshape(-1), choices.initial, self.known, part, node)
         self.root, self.chance = node[:found].copy(), part[:found] / part[:found].sum()
-        bounds = [worth(n, self.known) for n in self.root.tolist()]
+        bounds = [bound_at(n, self.known) for n in self.root.tolist()]
         self.value = float(self.chance @ bounds)
 
-    def graph(self, luck: Floats) -> SampleGraph:
-        """Give what can come about with a person's luck: who they are, then one number for each step but the last."""
-        start = int(np.searchsorted(self.chance.cumsum(), luck[0], side="right"))
+    def graph(self, uniforms: Floats) -> SampleGraph:
+        """Return the graph of one sample path: a number that selects the root, then one for each step but the last."""
+        start = int(np.searchsorted(self.chance.cumsum(), uniforms[0], side="right"))
         room = 1 << 12
         while True:
             graph = SampleGraph(
-                np.zeros(len(luck) + 1, dtype=np.int64), np.empty(room, dtype=np.int64),
+                np.zeros(len(uniforms) + 1, dtype=np.int64), np.empty(room, dtype=np.int64),
                 np.zeros(room + 1, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room),
                 np.empty(room, dtype=np.bool_),
             )  # fmt: skip
             self._stamps += 1
             found = _unfold(
-                int(self.root[min(start, len(self.root) - 1)]), luck[1:], graph, self._stamp, self._stamps * (1 << 32),
-                self.nodes, self.known, self.arrays, self.order, self.attended,
+                int(self.root[min(start, len(self.root) - 1)]), uniforms[1:], graph, self._stamp,
+                self._stamps * (1 << 32), self.nodes, self.known, self.arrays, self.order, self.attended,
             )  # fmt: skip
             if found > 0:
                 n = graph.layer[found]
@@ -175,7 +180,7 @@ class BeliefNodes:
                 room *= 2
 
     def grow(self) -> None:
-        """Double the room for edges and outcomes."""
+        """Double the capacity for edges and outcomes."""
         longer = {
             name: np.concatenate([getattr(self.nodes, name), np.zeros_like(getattr(self.nodes, name))])
             for name in ("regret", "begin", "share", "to")
@@ -184,12 +189,12 @@ class BeliefNodes:
 
 
 def _embedded(visits: AttentionSubproblem, solution: Solution, outer: OuterRelaxation) -> Solution:
-    """Give a part's solution as one of the region around it, where corners are all that is known."""
+    """Return the solution on a truncated task as one on the outer relaxation, where only corners are known."""
     inner = visits.layout
     here = outer.visits.layout.number(0, inner.position, outer.place[inner.x])
     inside = np.flatnonzero(~visits.pomdp.final)
     corner = outer.value.copy()
-    corner[here[inside]] = solution.corner[inside]  # what drops are against
+    corner[here[inside]] = solution.corner[inside]  # the corners that `drop` refers to
     state = here[np.repeat(np.arange(len(here)), np.diff(solution.first))]
     order = np.argsort(state, kind="stable")
     first = np.searchsorted(state[order], np.arange(len(corner) + 1))
@@ -197,15 +202,15 @@ def _embedded(visits: AttentionSubproblem, solution: Solution, outer: OuterRelax
 
 
 @njit()
-def at(node: int, known: Known) -> int:
-    """Give the state of a node."""
+def state_of(node: int, known: Known) -> int:
+    """Return the task state of a node."""
     points = len(known.drop)
     return known.state[node] if node < points else (node - points) // known.corner.shape[1]
 
 
 @njit()
-def worth(node: int, known: Known) -> float:
-    """Give the bound at a node."""
+def bound_at(node: int, known: Known) -> float:
+    """Return the upper bound at a node."""
     points, size = len(known.drop), known.corner.shape[1]
     if node >= points:
         return known.corner[(node - points) // size, (node - points) % size]
@@ -216,11 +221,12 @@ def worth(node: int, known: Known) -> float:
 
 
 @njit()
-def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> int:
-    """Divide an unnormalised belief of a state among its nodes; return how many get a part.
+def decompose(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> int:
+    """Express an unnormalised belief of a state as a mixture of its nodes; return the number of nodes.
 
-    As the solution's bound does, at most one node for each type and its corner; `part` and `node` have room for twice
-    as many.
+    The mixture is that of the solution's bound: at most H stored beliefs and the corners. `part` and `node`, shape (2
+    H,), receive weights and nodes. Stored beliefs that would lower the bound by less than 1e-5 cost units are replaced
+    by corners, which saves nodes.
     """
     size, base = len(belief), 0.0
     left, mass = belief.copy(), belief.sum()
@@ -229,7 +235,7 @@ def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> in
     found = weigh(part, node, belief, base, known.point, known.drop, known.first[x], known.first[x + 1], PIVOTS)
     count = 0
     for j in range(found):
-        if part[j] * known.drop[node[j]] < -SLIGHT * mass:
+        if part[j] * known.drop[node[j]] < -1e-5 * mass:
             part[count], node[count] = part[j], node[j]
             for h in range(size):
                 left[h] = max(0.0, left[h] - part[count] * known.point[node[count], h])
@@ -242,34 +248,11 @@ def divide(belief: Floats, x: int, known: Known, part: Floats, node: Ints) -> in
 
 
 @njit()
-def _believe(belief: Floats, after: Floats, x: int, r: int, a: int, m: ProblemArrays) -> None:
-    """Fill in the belief after a choice, times its chance."""
-    betas, thetas = m.chosen.shape[2], len(m.theta)
-    place, suggestion = m.afterstate[x, r], m.suggested[x, r]
-    uniform = m.lapse / m.counts[place]
-    after[:] = 0.0
-    for b in range(betas):
-        p = m.chosen[place, a, b]
-        for t in range(thetas):
-            mass = belief[b * thetas + t]
-            if mass == 0.0:
-                continue
-            if suggestion < 0:
-                after[b * thetas + t] = mass * ((1.0 - m.lapse) * p + uniform)
-                continue
-            followed, others = answer(m.theta[t], m.chosen[x, suggestion, b], m.unsuggested[x, r, b])
-            mass *= (1.0 - m.lapse) * p * (followed if a == suggestion else others) + uniform
-            low, up = m.low[x, r, t], m.weight[x, r, t]
-            after[b * thetas + low] += mass * (1.0 - up)
-            after[b * thetas + low + 1] += mass * up
-
-
-@njit()
-def work_out(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order: Ints) -> bool:
-    """Work the edges of a node out, unless they are known; tell whether there was room."""
+def expand_node(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order: Ints) -> bool:
+    """Compute the edges of a node, unless they are known; return whether the capacity was sufficient."""
     if nodes.first[node] >= 0:
         return True
-    points, size, x = len(known.drop), known.corner.shape[1], at(node, known)
+    points, size, x = len(known.drop), known.corner.shape[1], state_of(node, known)
     e, k = nodes.used[0], nodes.used[1]
     robots = m.robot_actions[x]
     if e + robots >= len(nodes.regret) or k + robots * order.shape[1] * 2 * size >= len(nodes.to):
@@ -277,43 +260,43 @@ def work_out(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order:
     belief, after = np.zeros(size), np.empty(size)
     if node < points:
         mass = known.point[node].sum()
-        for h in range(size):  # arrays as wholes take seconds to compile
+        for h in range(size):  # array expressions take seconds to compile
             belief[h] = known.point[node, h] / mass
     else:
         belief[(node - points) % size] = 1.0
     part, piece = np.empty(2 * size), np.empty(2 * size, np.int64)
-    bound = worth(node, known)
+    bound = bound_at(node, known)
     nodes.first[node] = e
     for r in range(robots):
-        place, promise, cumulated = m.afterstate[x, r], -m.robot_costs[x, r], 0.0
+        acting, q, cumulated = m.afterstate[x, r], -m.robot_costs[x, r], 0.0
         nodes.begin[e] = k
-        if m.goal[place]:
+        if m.goal[acting]:
             nodes.share[k], nodes.to[k] = 1.0, END
             k += 1
         else:
-            for i in range(m.counts[place]):
-                a = order[place, i]
-                _believe(belief, after, x, r, a, m)
-                y, mass = m.targets[place, a], after.sum()
+            for i in range(m.counts[acting]):
+                a = order[acting, i]
+                posterior(belief, after, x, r, a, m)
+                y, mass = m.targets[acting, a], after.sum()
                 if mass <= 0.0:
                     continue  # without lapses some choices have probability 0
-                promise -= mass * m.costs[place, a]
+                q -= mass * m.costs[acting, a]
                 if m.final[y]:  # at the frontier the bound is a mean over types, so that the belief is not divided
                     for h in range(size):
-                        promise += m.gamma * after[h] * known.corner[y, h]
+                        q += m.gamma * after[h] * known.corner[y, h]
                     cumulated += mass
                     nodes.share[k], nodes.to[k] = cumulated, END if m.goal[y] else LEFT
                     k += 1
                     continue
-                found = divide(after, y, known, part, piece)
+                found = decompose(after, y, known, part, piece)
                 scale = mass / part[:found].sum()
                 for j in range(found):
                     cumulated += scale * part[j]
-                    promise += m.gamma * scale * part[j] * worth(piece[j], known)
+                    q += m.gamma * scale * part[j] * bound_at(piece[j], known)
                     nodes.share[k], nodes.to[k] = cumulated, piece[j]
                     k += 1
         nodes.share[k - 1] = 1.0
-        nodes.regret[e] = bound - promise
+        nodes.regret[e] = bound - q
         e += 1
         nodes.begin[e] = k
     nodes.used[0], nodes.used[1] = e, k
@@ -321,12 +304,12 @@ def work_out(node: int, nodes: NodeTable, known: Known, m: ProblemArrays, order:
 
 
 @njit()
-def outcome(edge: int, luck: float, nodes: NodeTable) -> int:
-    """Give the node to which an edge leads with some luck."""
+def outcome(edge: int, uniforms: float, nodes: NodeTable) -> int:
+    """Return the node to which an edge leads for a number in [0, 1)."""
     low, high = nodes.begin[edge], nodes.begin[edge + 1] - 1
     while low < high:
         middle = (low + high) // 2
-        if nodes.share[middle] > luck:
+        if nodes.share[middle] > uniforms:
             high = middle
         else:
             low = middle + 1
@@ -335,28 +318,31 @@ def outcome(edge: int, luck: float, nodes: NodeTable) -> int:
 
 @njit(nogil=True)
 def _unfold(
-    root: int, luck: Floats, graph: SampleGraph, stamp: Ints, mark: int, nodes: NodeTable, known: Known,
+    root: int, uniforms: Floats, graph: SampleGraph, stamp: Ints, mark: int, nodes: NodeTable, known: Known,
     m: ProblemArrays, order: Ints,
     attended: NDArray[np.bool_],
 ) -> int:  # fmt: skip
-    """Fill a graph; return how many layers it has, `FULL` if the lattice has no room, or 0 if the graph has none."""
+    """Fill a sample graph; return the number of its layers.
+
+    Return `FULL` if the node table lacks capacity, or 0 if the graph does.
+    """
     graph.node[0], graph.layer[1] = root, 1
     n, e, discount = 1, 0, 1.0
-    for t in range(len(luck)):
+    for t in range(len(uniforms)):
         for j in range(graph.layer[t], graph.layer[t + 1]):
             graph.edge[j] = e
             node = graph.node[j]
-            if not work_out(node, nodes, known, m, order):
+            if not expand_node(node, nodes, known, m, order):
                 return FULL
-            x = at(node, known)
+            x = state_of(node, known)
             if max(e, n) + m.robot_actions[x] >= len(graph.to):
                 return 0
             for r in range(m.robot_actions[x]):
-                to = outcome(nodes.first[node] + r, luck[t], nodes)
+                to = outcome(nodes.first[node] + r, uniforms[t], nodes)
                 if to < 0:
                     graph.to[e] = to
                 else:
-                    if stamp[to] < mark + graph.layer[t + 1]:  # not met in this layer
+                    if stamp[to] < mark + graph.layer[t + 1]:  # not yet visited in this layer
                         stamp[to] = mark + n
                         graph.node[n] = to
                         n += 1
@@ -368,6 +354,6 @@ def _unfold(
         discount *= m.gamma
         if n == graph.layer[t + 1]:
             return t + 1
-    for j in range(graph.layer[len(luck)], n + 1):
+    for j in range(graph.layer[len(uniforms)], n + 1):
         graph.edge[j] = e
-    return len(luck) + 1
+    return len(uniforms) + 1

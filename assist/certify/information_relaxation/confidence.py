@@ -1,18 +1,17 @@
-"""A confidence bound on a mean from few, skewed samples.
+"""An upper confidence bound on a mean from few, skewed samples.
 
-A sampled bound is the mean of one value for each sample path. These values are skewed: few paths have high values, and
-where none of these was drawn, both the mean and its standard error are too low. Student's t then misses far more often
-than it states. So the bound here corrects for the skewness g of the samples (Hall, "On the removal of skewness by
-transformation", Journal of the Royal Statistical Society B 54, 1992). With W = (mean - mu) / s for n samples, the
-cubic
+A sampled bound is the mean of one value per sample path. These values are skewed: few paths have high values. If none
+of these is drawn, both the mean and its standard error are too low. Student's t then misses far more often than its
+level states. So the bound here corrects for the skewness g of the samples (Hall, "On the removal of skewness by
+transformation", Journal of the Royal Statistical Society B 54, 1992). With W = (mean - mu) / s for n samples, the cubic
 
     Q(W) = W + g W^2 / 3 + g^2 W^3 / 27 + g / (6 n)
 
-is nearly normal with standard deviation 1 / sqrt(n), and has the inverse W = 3 ((1 + g (Q - g / (6 n)))^(1/3) - 1) / g.
-A skewness below 0 would lower the bound; it counts as 0, which leaves Student's t. Of fewer than `FEWEST` samples the
-skewness is not known well enough, so that no bound is taken from them. For tails as long as those of some teams the
-correction is too small, so that the interval is taken at a higher `LEVEL` than the `CONFIDENCE` that is stated.
-`bench/confidence.py` measures at each alpha how often bounds lie below the mean that they bound.
+is nearly normal with standard deviation 1 / sqrt(n). It has the inverse W = 3 ((1 + g (Q - g / (6 n)))^(1/3) - 1) / g.
+A negative skewness would lower the bound; it counts as 0, which leaves Student's t. With fewer than `FEWEST` samples
+the skewness is too uncertain, so that no bound is given. For the long tails of some teams the correction is too small.
+Therefore the interval has a higher level than the stated `CONFIDENCE`. `bench/confidence.py` measures for each alpha
+how often bounds lie below the mean that they bound.
 """
 
 from __future__ import annotations
@@ -25,30 +24,26 @@ import numpy as np
 from scipy.special import stdtrit
 
 CONFIDENCE = 0.95
-"""Probability with which a sampled bound holds (one-sided)."""
-
-LEVEL = 0.99
-"""Level of the interval. At 0.95 up to 12 % of the bounds of a team lay below their mean, at 0.99 at most 6 %
-(5 % in all settings on record but one)."""
+"""Stated probability with which a sampled bound holds (one-sided)."""
 
 FEWEST = 30
-"""Samples from which a bound is taken at least."""
+"""Smallest number of samples for a bound; with fewer, the skewness is too uncertain."""
 
 
 @dataclass(frozen=True)
 class SampledBound:
-    """The mean of a bound over sample paths.
+    """The mean of an upper bound over sample paths.
 
     Attributes
     ----------
     mean, stderr : float
-        Of the bound, in cost units.
+        Mean of the bound and its standard error, in cost units.
     paths : int
         Number of sample paths.
     alpha : float
-        Share of the conflicts in the penalty (`assist.certify.information_relaxation.sampled_bound`).
+        Share of the congestion in the penalty (`assist.certify.information_relaxation.sampled_bound`).
     skewness : float
-        Third central moment of the paths' values in units of their standard deviation; 0 where all are equal.
+        Third central moment of the paths' values in units of their standard deviation; 0 if all are equal.
     """
 
     mean: float
@@ -59,12 +54,12 @@ class SampledBound:
 
     @classmethod
     def of(cls, found: Sequence[float], paths: int, alpha: float) -> SampledBound:
-        """Return the mean of two or more values, with the standard error that it has over so many paths like these."""
+        """Return the mean of two or more values, with the standard error for `paths` paths of the same distribution."""
         values = np.asarray(found)
-        spread = float(values.std(ddof=1))
+        deviation = float(values.std(ddof=1))
         third = float(((values - values.mean()) ** 3).mean())
-        skewness = third / float(values.std()) ** 3 if spread > 1e-12 * abs(float(values.mean())) else 0.0
-        return cls(float(values.mean()), spread / math.sqrt(paths), paths, alpha, skewness)
+        skewness = third / float(values.std()) ** 3 if deviation > 1e-12 * abs(float(values.mean())) else 0.0
+        return cls(float(values.mean()), deviation / math.sqrt(paths), paths, alpha, skewness)
 
     @property
     def enough(self) -> bool:
@@ -73,13 +68,17 @@ class SampledBound:
 
     @property
     def upper(self) -> float:
-        """Upper bound on any policy's value, in cost units, with a confidence of `CONFIDENCE`."""
+        """Upper bound on the value of any policy, in cost units, with the confidence `CONFIDENCE`."""
         return self.mean + errors(self.paths, self.skewness) * self.stderr
 
 
 def errors(paths: int, skewness: float = 0.0) -> float:
-    """Return how many standard errors the bound is above the mean: Student's t, corrected for a positive skewness."""
-    student = float(stdtrit(paths - 1, LEVEL))
+    """Return the number of standard errors between mean and bound: Student's t, corrected for a positive skewness.
+
+    The level is 0.99. At 0.95, up to 12 % of a team's bounds lay below their mean; at 0.99 at most 6 %, and at most 5 %
+    in all recorded settings but one.
+    """
+    student = float(stdtrit(paths - 1, 0.99))
     g, root = max(0.0, skewness), math.sqrt(paths)
     if g < 1e-6:
         return student

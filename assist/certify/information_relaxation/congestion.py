@@ -1,22 +1,24 @@
-"""What it costs, on average, that several people want the robot at the same time.
+"""The expected loss when several people need the robot at the same time.
 
-Let everybody's robot go on as it is best for them at the prices of the bound. A person for whom its attention is worth
-G_k in a step wants it where that is above the price. Were all wishes granted the bound would be reached; as one is, at
-most, a step loses at least
+Let each person be served by a robot of their own that acts optimally at the prices of the bound. Let G_k be the value
+of attention to person k in a step, and lambda its price. With all robots, the step contributes lambda + sum_k (G_k -
+lambda)^+ to the bound. One robot, which attends to at most one person, yields at most max_k G_k^+. So the step loses at
+least
 
-    lambda + sum_k (G_k - lambda)^+ - max_k G_k^+
+    lambda + sum_k (G_k - lambda)^+ - max_k G_k^+.
 
-and what is lost from a state in step t on, if people go on like that, is
+The expected discounted loss from a state in step t on, with robots of their own until then, is
 
     U = sum_s w_s gamma^(t+s) ( lambda + sum_k E (G_k - lambda)^+ - integral over g of (1 - prod_k P(G_k <= g)) )
 
-with lambda and G of step t + s and all w_s = 1, since people's lucks are independent. They do not quite go on like
-that: who is left alone wants something else later. So what is further ahead counts less, w_s = `FADING`^s, and counts
-in full once it is there. What is late in an episode never does (`Scale.counts`).
+with lambda and G of step t + s and all w_s = 1, because people are independent: the integral is E max_k G_k^+. With a
+single robot, people who receive no attention need it later, so that this prediction is not exact. Therefore later steps
+have a smaller weight w_s = fading^s (`RelaxationOptions`), which rises to 1 as the step approaches. Steps late in an
+episode never get the full weight (`Scale.counts`).
 
-For each node of a person `Congestion` needs the distribution of their G at each later step, on a few levels g; and as U
-is linear in each person's distribution, its mean over what may follow is U of the mean distributions. That makes it a
-penalty whose mean can be worked out for any number of people.
+For each node of a person, `Congestion` needs the distribution of G at each later step, on a few levels g. U is linear
+in each person's distribution. So the mean of U over the outcomes of an action is U of the mean distributions. This
+makes it a penalty whose conditional mean can be computed for any number of people.
 """
 
 from __future__ import annotations
@@ -31,51 +33,25 @@ from planner.system.jit import njit
 
 from ...people.decision import Floats
 from ...person.problem_arrays import ProblemArrays
-from .belief_nodes import LEFT, BeliefNodes, Ints, Known, NodeTable, SampleGraph, at, work_out
+from .belief_nodes import LEFT, BeliefNodes, Ints, Known, NodeTable, SampleGraph, expand_node, state_of
+from .options import RelaxationOptions
 
 LEVELS = np.array([0.0, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0])
-"""Between these G less the price is told apart, and between 0 and the price, in units of the cheapest action's cost;
-what is above the last counts as that."""
+"""Levels of G minus the price at which its distribution is known, in units of the cheapest action's cost.
 
-FADING = 0.9
-"""What a conflict counts that is one step further ahead.
-
-For four people on `kitting/paper` (c_suggest 0.5, gamma .99; the same 24 lucks) the mean was -54.55 +- 0.05 with 1 at
-the best alpha, 0.6, and -54.42 +- 0.09 at 0.8; with 0.9 it was -54.55 +- 0.04 and -54.59 +- 0.05, in half of the time.
-With 16 lucks 0.95 was .04 behind 0.9 at the best alpha, 0.8 as much, and 0.6 was .13 behind.
+There is one more interval, between 0 and the price. Values above the last level count as that level.
 """
-
-AHEAD = 12
-"""Steps ahead whose conflicts are looked at: farther ones do not count.
-
-With 22 of them the four people below gain .001, for nearly twice the memory.
-"""
-
-LATE = 10
-"""Conflicts of so many steps from the beginning count in full."""
-
-DYING = 5.0
-"""Later ones count less, by a factor of e in so many steps.
-
-Where they count in full the search for one luck fails, and without them a robot that knows the luck comes off unharmed
-where several are still at work late. For the same four people, 24 lucks, at the best alpha: -54.71 +- 0.04 without
-conflicts after 12 steps, -54.80 +- 0.04 with those of 22 that count like that; at an alpha of 0.8 and a `FADING` of 0.7
-all of 22 in full gave -53.7 +- 0.2.
-"""
-
-PAUSE = 1_000
-"""Rows that are worked out before it is asked whether to go on; on tasks of millions of states about a second's."""
 
 
 class OutOfTimeError(Exception):
-    """What people will want takes longer to work out than there is time."""
+    """The time limit has passed before the demand for attention was computed."""
 
 
 class Scale(NamedTuple):
-    """Steps and levels: a row has a block for each of A steps ahead, of 1 + L + 1 entries.
+    """The steps and levels of a row, which has a block for each of A steps ahead, with 1 + L + 1 entries.
 
-    One is of what is below the price, one of each level above, and one adds up. With the price between two levels, all
-    that is lost in a step is at least 0, whatever the distributions.
+    The entries are one for the interval below the price, one for each level above it, and one for sums. As the price is
+    the boundary of two intervals, the loss of a step is at least 0 for all distributions.
 
     Attributes
     ----------
@@ -84,9 +60,9 @@ class Scale(NamedTuple):
     level : float array, shape (L + 1,)
     discount : float array, shape (W + 1,)
     weight : float array, shape (A,)
-        What counts of conflicts so many steps ahead.
+        Weight of a conflict by the number of steps ahead.
     counts : float array, shape (W + 1,)
-        What counts of those of a step from the beginning, at most; never more than of an earlier one.
+        Largest weight of a conflict by its step from the beginning; it does not increase.
     """
 
     price: Floats
@@ -97,39 +73,39 @@ class Scale(NamedTuple):
     counts: Floats
 
     @classmethod
-    def of(cls, price: Floats, gamma: float, unit: float) -> Scale:
-        """Make the scale for W steps with these prices."""
+    def of(cls, price: Floats, gamma: float, unit: float, options: RelaxationOptions) -> Scale:
+        """Return the scale for W steps with these prices; `unit` is the cost of the cheapest action."""
         ahead = np.arange(len(price) + 1.0)
-        counts = np.exp(-np.maximum(ahead - LATE, 0.0) / DYING)
-        weight = FADING ** ahead[: min(AHEAD, len(price))]
+        counts = np.exp(-np.maximum(ahead - options.full_weight_steps, 0.0) / options.decay_steps)
+        weight = options.fading ** ahead[: min(options.steps_ahead, len(price))]
         return cls(np.array(price), unit * np.diff(LEVELS), unit * LEVELS, gamma**ahead, weight, counts)
 
     @property
     def size(self) -> int:
-        """How many entries a block has."""
+        """The number of entries of a block."""
         return len(self.width) + 2
 
 
 class Rows(NamedTuple):
     """The rows of nodes. Row 0 stands for `END`, and row 1 for `LEFT`.
 
-    A person at the goal wants nothing. A person who has left a truncated task may use the robot at its price in every
-    step, so that their G is the price: a step that the robot spends with none of the others then loses nothing by
-    itself, as the search counts it.
+    A person at the goal needs nothing. A person who has left a truncated task may use the robot at its price in every
+    step, so that their G is the price. Then a step in which the robot attends to no one else loses nothing, as in the
+    search.
 
-    What a node's block says is of so many steps later, so that one row serves a node at whatever step it is met.
+    The blocks of a node refer to numbers of steps ahead, so that one row serves a node in every step.
 
     Attributes
     ----------
     of : int array, shape (nodes,)
-        Each node's; -1 where it has not been worked out.
+        Row of each node; -1 if it has not been computed.
     depth : int array, shape (nodes,)
-        How many of its blocks have been.
+        Number of computed blocks of each node.
     row : float array, shape (rows, A * (L + 2))
-        In each block P(G <= g), as a mean between two levels, and what adds up: the mean of (G - lambda)^+ and of what
-        the bound is too high by.
+        In each block, P(G <= g) as means over the intervals between levels, and the sum of the means of (G - lambda)^+
+        and of the excess of the bound.
     used : int array, shape (2,)
-        Rows so far, and how many may be worked out until it is asked whether to go on.
+        Number of rows, and number of rows that may be computed until the next call of `go_on`.
     """
 
     of: Ints
@@ -144,12 +120,13 @@ class AttentionDemand(NamedTuple):
     Attributes
     ----------
     of : int array
-        Of each node.
+        Row of each node.
     mean : float array
-        Of each edge: the mean of the rows that may follow.
+        For each edge, the mean of the rows of its outcomes.
     fall : float array, shape (e,)
-        By how much U, with the weights that it has before, can be lower in the mean after the edge than after the best
-        one; and by how much the best is ahead of the node's bound, where parts too slight to count were left aside.
+        For each edge, an upper bound on the decrease of the mean of U, with the weights before the edge, compared with
+        the best edge. It includes the excess of the best Q-value over the node's bound, which arises as very small
+        parts of beliefs are replaced by corners.
     """
 
     of: Ints
@@ -158,65 +135,76 @@ class AttentionDemand(NamedTuple):
 
 
 class Congestion:
-    """The wishes of one person, as far as they have been worked out.
+    """The demand of one person for attention, computed as needed.
 
     Parameters
     ----------
+    belief_nodes : BeliefNodes
+    scale : Scale
     go_on : callable
-        Called from time to time, where that takes long; what it raises leaves what has been worked out as it is.
+        Called from time to time in long computations. If it raises an error, all computed data remain valid.
+    pause : int
+        Number of rows that are computed between two calls of `go_on`: by default about a second on tasks of millions of
+        states.
     """
 
-    def __init__(self, lattice: BeliefNodes, scale: Scale, go_on: Callable[[], None] = lambda: None) -> None:
-        self.lattice, self.scale, self.go_on = lattice, scale, go_on
-        count = len(lattice.nodes.first)
+    def __init__(
+        self,
+        belief_nodes: BeliefNodes,
+        scale: Scale,
+        go_on: Callable[[], None] = lambda: None,
+        pause: int = RelaxationOptions.rows_per_check,
+    ) -> None:
+        self.belief_nodes, self.scale, self.go_on, self.pause = belief_nodes, scale, go_on, pause
+        count = len(belief_nodes.nodes.first)
         self.rows = Rows(
             np.full(count, -1), np.zeros(count, dtype=np.int64), np.empty((1 << 10, len(scale.weight) * scale.size)),
-            np.array([2, PAUSE]),
+            np.array([2, pause]),
         )  # fmt: skip
         self.rows.row[0] = np.tile(np.append(np.ones(scale.size - 1), 0.0), len(scale.weight))
         self.rows.row[1] = self.rows.row[0]
         self.rows.row[1, :: scale.size] = 0.0  # P(G <= g) for g below the price
-        layout, price = lattice.visits.layout, lattice.visits.price
+        layout, price = belief_nodes.visits.layout, belief_nodes.visits.price
         self.price = np.append(price, 0.0)[np.minimum(layout.step, len(price))]
 
     def of(self, graph: SampleGraph) -> AttentionDemand:
-        """Give the rows of a graph."""
-        wishes = AttentionDemand(
+        """Return the rows of a graph."""
+        demand = AttentionDemand(
             np.zeros(len(graph.node), dtype=np.int64), np.empty((len(graph.to), self.rows.row.shape[1])),
             np.zeros(len(graph.to)),
         )  # fmt: skip
-        while not _wishes(
-            graph, wishes, self.rows, self.scale, self.price, self.lattice.attended, self.lattice.nodes,
-            self.lattice.known, self.lattice.arrays, self.lattice.order,
+        while not _fill_demand(
+            graph, demand, self.rows, self.scale, self.price, self.belief_nodes.attended, self.belief_nodes.nodes,
+            self.belief_nodes.known, self.belief_nodes.arrays, self.belief_nodes.order,
         ):  # fmt: skip
             self._resume()
-        return wishes
+        return demand
 
     def at_root(self) -> Floats:
-        """Give the mean row at the beginning, shape (A * (L + 2),)."""
-        for node in self.lattice.root.tolist():
+        """Return the mean row at the beginning, shape (A * (L + 2),)."""
+        for node in self.belief_nodes.root.tolist():
             while not _row(
-                node, len(self.scale.weight), self.rows, self.scale, self.price, self.lattice.attended,
-                self.lattice.nodes, self.lattice.known, self.lattice.arrays, self.lattice.order,
+                node, len(self.scale.weight), self.rows, self.scale, self.price, self.belief_nodes.attended,
+                self.belief_nodes.nodes, self.belief_nodes.known, self.belief_nodes.arrays, self.belief_nodes.order,
             ):  # fmt: skip
                 self._resume()
-        return np.asarray(self.lattice.chance @ self.rows.row[self.rows.of[self.lattice.root]])
+        return np.asarray(self.belief_nodes.chance @ self.rows.row[self.rows.of[self.belief_nodes.root]])
 
     def _resume(self) -> None:
         if self.rows.used[1] == 0:
             self.go_on()
-            self.rows.used[1] = PAUSE
+            self.rows.used[1] = self.pause
         elif self.rows.used[0] + 1 >= len(self.rows.row):
             self.rows = self.rows._replace(row=np.concatenate([self.rows.row, np.empty_like(self.rows.row)]))
         else:
-            self.lattice.grow()
+            self.belief_nodes.grow()
 
 
 @njit()
-def _wanted(
+def _attention_value(
     node: int, x: int, price: float, top: float, nodes: NodeTable, attended: NDArray[np.bool_], robots: int
 ) -> float:
-    """Give what attention is worth at a node, at most `top` more than its price."""
+    """Return the value G of attention at a node, at most `top` above its price."""
     with_it, without = np.inf, np.inf
     for r in range(robots):
         regret = nodes.regret[nodes.first[node] + r]
@@ -228,7 +216,7 @@ def _wanted(
 
 
 @njit()
-def _follow(edge: int, end: int, out: Floats, rows: Rows, nodes: NodeTable) -> None:
+def _mean_after(edge: int, end: int, out: Floats, rows: Rows, nodes: NodeTable) -> None:
     """Fill in the mean of the rows after an edge, up to a column."""
     out[:end] = 0.0
     before = 0.0
@@ -247,7 +235,7 @@ def _row(
     nodes: NodeTable,
     known: Known, m: ProblemArrays, order: Ints,
 ) -> bool:  # fmt: skip
-    """Work out so many blocks of the row of a node, and what of later nodes that takes; tell whether that is done."""
+    """Compute the first `depth` blocks of a node's row, and the rows of later nodes that this needs; return success."""
     levels = len(scale.width)
     size = levels + 2
     stack, depths = [node], [depth]
@@ -257,9 +245,9 @@ def _row(
             stack.pop()
             depths.pop()
             continue
-        if not work_out(n, nodes, known, m, order):
+        if not expand_node(n, nodes, known, m, order):
             return False
-        x = at(n, known)
+        x = state_of(n, known)
         e, robots = nodes.first[n], m.robot_actions[x]
         best = e
         for r in range(e + 1, e + robots):
@@ -282,13 +270,13 @@ def _row(
             rows.of[n] = rows.used[0]
             rows.used[0] += 1
         row = rows.row[rows.of[n]]
-        wanted = _wanted(n, x, price[x], scale.level[levels], nodes, attended, robots)
-        excess = wanted - price[x]
+        attention_value = _attention_value(n, x, price[x], scale.level[levels], nodes, attended, robots)
+        excess = attention_value - price[x]
         row[0] = min(1.0, max(0.0, -excess / price[x])) if price[x] > 0.0 else 1.0
         for i in range(levels):
             row[i + 1] = min(1.0, max(0.0, (scale.level[i + 1] - excess) / scale.width[i]))
         row[size - 1] = max(0.0, nodes.regret[best]) + max(0.0, excess)
-        _follow(best, (d - 1) * size, row[size:], rows, nodes)
+        _mean_after(best, (d - 1) * size, row[size:], rows, nodes)
         rows.depth[n] = d
         stack.pop()
         depths.pop()
@@ -296,48 +284,48 @@ def _row(
 
 
 @njit(nogil=True)
-def _wishes(
-    graph: SampleGraph, wishes: AttentionDemand, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
+def _fill_demand(
+    graph: SampleGraph, demand: AttentionDemand, rows: Rows, scale: Scale, price: Floats, attended: NDArray[np.bool_],
     nodes: NodeTable,
     known: Known, m: ProblemArrays, order: Ints,
 ) -> bool:  # fmt: skip
-    """Fill in the rows of a graph; tell whether that is done."""
+    """Fill in the rows of a graph; return success."""
     levels, steps, ahead = len(scale.width), len(scale.price), len(scale.weight)
     size = levels + 2
     for t in range(min(steps, len(graph.layer) - 1)):
-        depth, then = min(ahead, steps - t), min(ahead, steps - t - 1)
+        depth, next_depth = min(ahead, steps - t), min(ahead, steps - t - 1)
         for j in range(graph.layer[t], graph.layer[t + 1]):
             node = graph.node[j]
             if not _row(node, depth, rows, scale, price, attended, nodes, known, m, order):
                 return False
-            wishes.of[j] = rows.of[node]
+            demand.of[j] = rows.of[node]
             first = nodes.first[node]
             best, least = graph.edge[j], np.inf
             for e in range(graph.edge[j], graph.edge[j + 1]):
                 number = first + e - graph.edge[j]
                 for k in range(nodes.begin[number], nodes.begin[number + 1]):
                     if nodes.to[k] >= 0 and not _row(
-                        nodes.to[k], then, rows, scale, price, attended, nodes, known, m, order
+                        nodes.to[k], next_depth, rows, scale, price, attended, nodes, known, m, order
                     ):
                         return False
-                _follow(number, then * size, wishes.mean[e], rows, nodes)
+                _mean_after(number, next_depth * size, demand.mean[e], rows, nodes)
                 if nodes.regret[number] < least:
                     best, least = e, nodes.regret[number]
             for e in range(graph.edge[j], graph.edge[j + 1]):
-                fall = scale.discount[t] * max(0.0, -least)  # which the node's own row does not have
+                fall = scale.discount[t] * max(0.0, -least)  # this excess is not part of the node's own row
                 for s in range(depth - 1):
-                    one = wishes.mean[best, (s + 1) * size - 1] - wishes.mean[e, (s + 1) * size - 1]
+                    one = demand.mean[best, (s + 1) * size - 1] - demand.mean[e, (s + 1) * size - 1]
                     for i in range(levels + 1):
                         c, width = s * size + i, scale.width[i - 1] if i else scale.price[t + 1 + s]
-                        one += width * max(0.0, wishes.mean[best, c] - wishes.mean[e, c])
+                        one += width * max(0.0, demand.mean[best, c] - demand.mean[e, c])
                     fall += scale.weight[s + 1] * scale.counts[t + 1 + s] * scale.discount[t + 1 + s] * one
-                wishes.fall[e] = fall
+                demand.fall[e] = fall
     return True
 
 
 @njit()
 def lost(step: int, rows: Floats, scale: Scale) -> float:
-    """Give U from a step on, discounted to step 0, of people with these rows, shape (K, A * (L + 2))."""
+    """Return U from a step on, discounted to step 0, for people with these rows, shape (K, A * (L + 2))."""
     levels = len(scale.width)
     size = levels + 2
     total = 0.0

@@ -1,1 +1,1 @@
-"""Options that several commands share, and what is set up from them."""
+"""Options that several commands share, and the objects that are built from them."""

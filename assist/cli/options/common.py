@@ -1,4 +1,4 @@
-"""Types and options that several commands share: numbers, files, and what is said of them."""
+"""Parameter types and options that several commands share."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Option = Callable[[Command], Command]
 
 
 class Number(click.FloatRange):
-    """A finite number, within a range."""
+    """A finite real number, optionally within a range."""
 
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Read it."""
+        """Parse and check a value."""
         found: float = super().convert(value, param, ctx)
         if not math.isfinite(found):
             self.fail(f"{value} is not a finite number.", param, ctx)
@@ -44,13 +44,13 @@ SEED = click.IntRange(min=0)
 
 
 class Output(click.Path):
-    """A file that will be written, or a folder for several; it is looked at before the work begins."""
+    """An output file, or an output folder. It is checked before the work begins."""
 
     def __init__(self, *, folder: bool = False) -> None:
         super().__init__(file_okay=not folder, dir_okay=folder, path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Read it."""
+        """Parse a path. Files have to be writable."""
         if not os.fspath(value):
             self.fail(f"expected the name of a {'folder' if self.dir_okay else 'file'}.", param, ctx)
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
@@ -68,17 +68,17 @@ OUTPUT_FOLDER = Output(folder=True)
 
 
 def is_given(name: str) -> bool:
-    """Tell whether the command that runs was given this parameter, and does not go by its default."""
+    """Whether the user set this parameter of the running command on the command line."""
     return click.get_current_context().get_parameter_source(name) == ParameterSource.COMMANDLINE
 
 
 def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None] | None = None) -> None:
-    """Refuse outputs that would end in one file, or in a file that the command reads.
+    """Raise an error if two outputs are the same file, or if an output is one of the command's input files.
 
     Parameters
     ----------
     outputs, inputs : mapping
-        Each file by the name that the command line has for it; None where it is not given.
+        Each file, keyed by its option; None if the option is not given.
 
     Raises
     ------
@@ -86,15 +86,15 @@ def separate_files(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path
     """
     seen = {_identity(path): name for name, path in (inputs or {}).items() if path is not None}
     for name, path in outputs.items():
-        if path is None or (path.exists() and not path.is_file()):  # into a pipe or a device several can be written
+        if path is None or (path.exists() and not path.is_file()):  # a pipe or a device may receive several outputs
             continue
         other = seen.setdefault(_identity(path), name)
         if other != name:
-            raise click.UsageError(f"{name} {path}: this is the file of {other}; expected another one")
+            raise click.UsageError(f"{name} {path}: the same file as {other}; expected another one")
 
 
 def _identity(path: Path) -> Any:
-    """What two names of the same file have in common, hard links included."""
+    """Return a key that all paths to the same file share, hard links included."""
     try:
         status = path.stat()
     except OSError:
@@ -103,57 +103,57 @@ def _identity(path: Path) -> Any:
 
 
 def with_options(command: Command, options: Sequence[Option[Any]]) -> Command:
-    """Add options to a command, in the order in which its help has them."""
+    """Add options to a command, in the order in which the help shows them."""
     for option in reversed(options):
         command = option(command)
     return command
 
 
 def apart(options: Mapping[str, object]) -> None:
-    """Refuse options that stand beside each other, by their names, where only one of them has a meaning."""
+    """Raise a usage error if more than one of these mutually exclusive options is given."""
     given = [name for name, value in options.items() if value]
     if len(given) > 1:
         raise click.UsageError(f"{' and '.join(given)}: expected one of them")
 
 
 def range_option(name: str, default: Range, text: str) -> Option[Command]:
-    """Give an option with two numbers."""
+    """Return an option that takes two numbers."""
     return click.option(name, nargs=2, type=NUMBER, metavar="LOW HIGH", default=default, show_default=True, help=text)
 
 
 def gap_option(text: str) -> Option[Any]:
-    """Give the option that says how close bounds have to be."""
+    """Return the option `--gap`, the relative gap between the bounds at which a solver stops."""
     return click.option("--gap", type=GAP, default=1e-3, show_default=True, help=text)
 
 
 def seconds_option(text: str, default: float | None = None) -> Option[Any]:
-    """Give the option that limits time; a limit there is only with a default."""
+    """Return the option `--time-limit`. Without a default, time is unlimited."""
     return click.option(
         "--time-limit", type=SECONDS, default=default, show_default=default is not None, metavar="SECONDS", help=text
     )
 
 
 def megabytes_option(text: str, default: float | None = None) -> Option[Any]:
-    """Give the option that limits memory; a limit there is only with a default."""
+    """Return the option `--memory-limit`. Without a default, memory is unlimited."""
     return click.option(
         "--memory-limit", type=MEGABYTES, default=default, show_default=default is not None, metavar="MB", help=text
     )
 
 
 def region_states_option(text: str) -> Option[Any]:
-    """Say of how many states a large task is looked at."""
+    """Return the option `--region-states`, the number of states in the truncated problem of a large task."""
     return click.option("--region-states", type=click.IntRange(min=1), default=20_000, show_default=True, help=text)
 
 
 def max_states_option(text: str) -> Option[Any]:
-    """Give the option that says which tasks are too large to be solved in every state."""
+    """Return the option `--max-states`, the largest number of states that is enumerated."""
     return click.option(
         "--max-states", type=click.IntRange(min=1), default=SolveOptions.max_states, show_default=True, help=text
     )
 
 
 def lapse_option(text: str) -> Option[Any]:
-    """Give the option that says how often people choose without a thought."""
+    """Return the option `--lapse`, the probability of a uniformly random choice."""
     return click.option("--lapse", type=NUMBER, default=1e-3, show_default=True, help=text)
 
 
@@ -168,6 +168,6 @@ instance_argument = click.argument("instance", metavar="INSTANCE")
 domain_option = click.option(
     "--domain",
     type=click.Path(),
-    help="Domain file. Unless given, the file beside the problem that defines the problem's domain.",
+    help="Domain file. Unless given, the file in the problem's folder that defines the problem's domain.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON document.")

@@ -1,7 +1,8 @@
-"""Help of the commands: an example, then the options in groups."""
+"""Help texts of the commands: an example, followed by the options in groups."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -11,24 +12,30 @@ from rich_click.rich_panel import RichOptionPanel
 
 GROUPS = {
     "Task": ("--domain", "--max-states", "--region-states", "--state", "--plan", "--protocol", "--format"),
-    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict"),
+    "Log": ("--columns", "--drop", "--rename", "--gaps", "--strict", "--advice", "--confidence"),
     "People": (
-        "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--population", "--people",
-        "--prior", "--simulate", "--pace",
+        "--humans", "--pool", "--beta", "--theta", "--sigma", "--eta", "--utility-scale", "--trust", "--population",
+        "--people", "--prior", "--simulate", "--pace",
     ),
-    "Estimates": ("--misconception", "--terms", "--compare", "--folds", "--family", "--level", "--largest-beta"),
+    "Estimates": (
+        "--misconception", "--terms", "--compare", "--compare-trust", "--theta-per-episode", "--folds", "--family",
+        "--level", "--largest-beta",
+    ),
     "Robot": (
         "--policy", "--knowledge", "--suggestions", "--execute", "--gamma", "--c-suggest", "--c-execute", "--c-move",
         "--travel-time", "--distances", "--lapse",
     ),
     "Service": ("--study", "--rehearse", "--port", "--host", "--public-url", "--tick", "--data"),
     "Run": (
-        "--episodes", "--episode", "--repeats", "--max-steps", "--paths", "--gap", "--time-limit", "--memory-limit",
+        "--episodes", "--episode", "--repeats", "--max-steps", "--samples", "--gap", "--time-limit", "--memory-limit",
         "--verify", "--jobs", "--scheduler", "--cache", "--resume", "--seed",
     ),
     "Output": ("--out", "--trace", "--figure", "--figures", "--width", "--json", "--help"),
 }  # fmt: skip
 """Options of all commands by topic, in the order in which the help shows them."""
+
+RENAMED = {"--paths": "--samples"}
+"""Old names of options, accepted with a warning until version 2.0, and their present names."""
 
 LOOK = RichHelpConfiguration(
     theme="nu",
@@ -39,8 +46,24 @@ LOOK = RichHelpConfiguration(
 )
 
 
+class Command(RichCommand):
+    """A command that accepts the old names of renamed options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; warn on stderr once for each old name of an option of this command."""
+        current = {name for option in self.params for name in option.opts}
+        end = args.index("--") if "--" in args else len(args)
+        for old, new in RENAMED.items():
+            if new in current and any(arg.partition("=")[0] == old for arg in args[:end]):
+                click.echo(f"{old} is deprecated and will be removed in version 2.0; use {new}", err=True)
+                args = [re.sub(f"^{old}(?==|$)", new, arg) for arg in args[:end]] + args[end:]
+        return super().parse_args(ctx, args)
+
+
 def command(example: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
-    """Return a decorator that makes a command, whose help shows an example and groups the options.
+    """Return a decorator that turns a function into a command.
+
+    The command's help shows an example and groups the options. Renamed options are accepted under their old names.
 
     Parameters
     ----------
@@ -54,7 +77,7 @@ def command(example: str, name: str | None = None) -> Callable[[Callable[..., An
         first, _, rest = (function.__doc__ or "").partition("\n\n")
         made = click.command(
             name,
-            cls=RichCommand,
+            cls=Command,
             help="\n\n".join(filter(None, (first, f"\b\nExample: kitassist {example}", rest))),
             panels=[RichOptionPanel(title, options=list(options)) for title, options in GROUPS.items()],
             context_settings={"rich_help_config": LOOK},

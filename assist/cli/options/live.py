@@ -1,4 +1,4 @@
-"""A live team: the options that describe it, and how its session is set up from them."""
+"""The options that describe a live team, and the session that is built from them."""
 
 from __future__ import annotations
 
@@ -14,21 +14,18 @@ from planner.batch.solve_instance import SolveOptions
 from .common import OUTPUT_FOLDER, SECONDS, SEED, Command, Option, Range, range_option, with_options
 from .person import model_options
 from .policies import CHOICES, PolicyName, policies_of
-from .population import people_option, population_of, population_options
+from .population import people_option, population_of, population_options, with_rule_of
 from .task import costs_of
 from .travel import travel_of, travel_options
 
 if TYPE_CHECKING:
     from ...web.server import ServedTeam
 
-MOST = 10_000
-"""People in a team."""
-
 
 def live_options(command: Command) -> Command:
-    """Add the options that say what session it is; `plan_of` takes them all."""
+    """Add the options of a live session. `plan_of` takes their values."""
     options: tuple[Option[Any], ...] = (
-        click.option("--humans", type=click.IntRange(1, MOST), metavar="K", help="Number of people in the team."),
+        click.option("--humans", type=click.IntRange(1, 10_000), metavar="K", help="Number of people in the team."),
         click.option(
             "--simulate",
             type=click.IntRange(min=0),
@@ -62,7 +59,7 @@ def live_options(command: Command) -> Command:
         ),
         *model_options(),
         travel_options,
-        population_options(),
+        population_options(real=True),
         people_option,
         range_option("--sigma", (0.1, 1.0), "Range of the size of simulated people's misconceptions (sigma)."),
     )
@@ -71,10 +68,10 @@ def live_options(command: Command) -> Command:
 
 def plan_of(
     instances: tuple[str, ...], *, humans: int, simulate: int, pace: float, seed: int, data: Path | None, policy: str,
-    tick: float, domain: str | None, distances: Path | None, beta: Range, theta: Range, sigma: Range,
+    tick: float, domain: str | None, distances: Path | None, beta: Range, theta: Range | None, sigma: Range,
     population_file: Path | None, people: str | None, **options: Any,
 ) -> ServedTeam:  # fmt: skip
-    """Read the tasks and set up the session; errors are those of a command."""
+    """Read the tasks and set up the session. Invalid options raise usage errors."""
     from ...drawing import Artist
     from ...team.settings import Setting
     from ...web.server import ServedTeam
@@ -84,7 +81,7 @@ def plan_of(
     population = population_of(beta, theta, sigma, file=population_file, people=people)
     (chosen,) = policies_of((policy,)).values()
     try:
-        setting = Setting(**options)
+        setting = Setting(**with_rule_of(population_file, options))
         if setting.execute:
             raise ValueError("--execute: expected a robot that suggests; one that acts itself can only be simulated")
         distance = None if distances is None else travel_of(setting, humans, distances).distance
@@ -93,7 +90,7 @@ def plan_of(
             name: costs_of(one, max_states=SolveOptions.max_states, memory_limit_mb=None) for name, one in found.items()
         }
         for task in tasks.values():
-            Artist(task.task)  # says what is wrong with a `drawing.toml` before anybody sees a page
+            Artist(task.task)  # reports faults in a `drawing.toml` before a page is served
     except InstanceError:
         raise
     except ValueError as error:
@@ -108,7 +105,7 @@ def plan_of(
 
 
 def _named(instances: list[Instance]) -> dict[str, Instance]:
-    """Call each task by its file, and by the folder too where two files have one name."""
+    """Return the instances keyed by file name, prefixed by the folder where several files share a name."""
     stems = [instance.problem.stem for instance in instances]
     return {
         stem if stems.count(stem) == 1 else f"{instance.problem.parent.name}/{stem}": instance

@@ -1,4 +1,4 @@
-"""Recorded actions: the options that say how a log is read and people are estimated, and how that is carried out."""
+"""The options of `fit`, and the replay of a log and the estimates that are computed with them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 def log_options(command: Command) -> Command:
-    """Add the options that say what a log is and how people are estimated; `replayed` takes those of the log."""
+    """Add the options for reading a log and estimating people. `replayed` takes those that concern the log."""
     options: tuple[Option[Any], ...] = (
         click.option(
             "--misconception", "misconceptions", is_flag=True,
@@ -69,7 +69,8 @@ def log_options(command: Command) -> Command:
                  "possible mistake]",
         ),
         click.option(
-            "--drop", multiple=True, metavar="ACTION", help="Ignore actions of this name, or with these arguments."
+            "--drop", multiple=True, metavar="ACTION",
+            help="Ignore actions with this name, or with this name and arguments.",
         ),
         click.option(
             "--rename", multiple=True, metavar="OLD=NEW",
@@ -98,7 +99,7 @@ def log_options(command: Command) -> Command:
 
 
 class Replayed(NamedTuple):
-    """A log that was followed through its task, and what that takes to learn from it."""
+    """A log that was replayed in its task, and the data that estimates are computed from."""
 
     log: Log
     walked: OnDemand
@@ -124,12 +125,12 @@ def replayed(
     cache: Path | None,
     **setting: Any,
 ) -> Replayed:
-    """Follow a log through the task of an instance; errors are those of a command.
+    """Read a log and replay it in the task of an instance. Expected errors end the command in one line.
 
     Raises
     ------
     click.UsageError
-        An option that cannot be.
+        An option has an invalid value.
     """
     from ...learning.fit import LogError, require_actions
     from ...learning.likelihood import Method
@@ -148,7 +149,7 @@ def replayed(
     if log.note:
         click.echo(f"{file}: {log.note}", err=True)
     if task.decided_by_translator:
-        why = "the goal cannot be reached, or holds from the start; there is nothing to learn from"
+        why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
         fail(f"{found}: {why}", EXIT_FAILED)
     walked = OnDemand(task)
     try:
@@ -172,7 +173,7 @@ def replayed(
 def people_of(
     known: Replayed, *, misconceptions: bool, terms: bool, people: str | None, max_states: int, seed: int
 ) -> FittedPeople:
-    """Learn about the people of a log; errors are those of a command."""
+    """Estimate the parameters of the people in a log. Expected errors end the command in one line."""
     from ...large_tasks.person_problem import WHOLE, is_whole
     from ...learning.fit import LogError, learn
     from ...people.choice_model import ChoiceModelError
@@ -200,7 +201,7 @@ def people_of(
 
 
 def comparison_of(known: Replayed, folds: int) -> Comparison:
-    """Compare choice models on the people of a log; errors are those of a command."""
+    """Compare choice models on the people in a log. Expected errors end the command in one line."""
     from ...learning.comparison import compare_observed
     from ...learning.fit import LogError, observed
     from ...people.terms import TERMS
@@ -225,7 +226,7 @@ def _renamed(pairs: tuple[str, ...]) -> dict[str, str]:
 
 
 def _columns(given: tuple[str, ...]) -> dict[str, str]:
-    """Return what a log calls its columns, by their names."""
+    """Return the log's own name of each column that `--columns` maps."""
     names: dict[str, str] = {}
     for pair in filter(None, (pair.strip() for text in given for pair in text.split(","))):
         name, _, column = (part.strip() for part in pair.partition("="))
@@ -240,9 +241,9 @@ def _evaluate(
     walked: OnDemand, wanted: NDArray[np.int64], max_states: int, time_limit: float | None, cache: Path | None,
     jobs: int, *, strict: bool,
 ) -> EvaluatedStates:  # fmt: skip
-    """Evaluate the wanted ones of the states that were met: from a sweep, or one by one on demand.
+    """Evaluate the wanted states among those that were visited, by a sweep or on demand.
 
-    States that took too long have NaN unless `strict`, where they are an error.
+    States that exceed the time limit get NaN. With `strict`, they raise `LimitError`.
     """
     from ...learning.observations import EvaluatedStates
 

@@ -1,4 +1,4 @@
-"""One person's problem: the options that describe it, and how it is set up from them."""
+"""The options that describe one person's POMDP, and the problem that is built from them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ from planner import CostToGo, Instance
 from planner.system.progress import progress_bar
 
 from .common import NUMBER, SEED, Command, Option, Range, domain_option, lapse_option, scale_option, with_options
-from .population import people_option, population_of, population_options
+from .population import people_option, population_of, population_options, with_rule_of
 from .task import one_instance
+
+TRUST = ("paper", "constant", "outcome", "outcome-at-disagreement")
+"""Names of `assist.people.trust_rules.RULES`, without loading numpy."""
 
 if TYPE_CHECKING:
     from ...large_tasks.person_problem import PersonProblem
 
 
 def model_options() -> tuple[Option[Any], ...]:
-    """Give the options that say what the robot takes for granted, of a person or of a team."""
+    """Return the options for the robot's costs and its model of people, shared by single people and teams."""
     return (
         domain_option,
         click.option("--gamma", type=NUMBER, default=0.99, show_default=True, help="Discount factor per step (gamma)."),
@@ -31,6 +34,11 @@ def model_options() -> tuple[Option[Any], ...]:
         ),
         click.option("--eta", type=NUMBER, default=0.2, show_default=True, help="Rate of the trust update (eta)."),
         scale_option,
+        click.option(
+            "--trust", type=click.Choice(TRUST),
+            help="How influence (theta) moves: by equation (7), not at all, or by the outcome of suggestions.  "
+                 "[default: paper; constant for real people]",
+        ),
         lapse_option("Weight of a uniform choice in the robot's model."),
         click.option(
             "--suggestions", type=click.Choice(["optimal", "all"]), default="optimal", show_default=True,
@@ -45,7 +53,7 @@ def model_options() -> tuple[Option[Any], ...]:
 
 
 def person_options(command: Command) -> Command:
-    """Add the options that say whose problem it is; `person_problem` takes them all."""
+    """Add the options that describe one person's problem. `person_problem` takes their values."""
     options: tuple[Option[Any], ...] = (
         *model_options(),
         population_options("the person's"),
@@ -68,16 +76,16 @@ def person_problem(
     theta: Range, population_file: Path | None, people: str | None, sigma: float, execute: bool,
     time_limit: float | None = None, **setting: Any,
 ) -> tuple[Instance, PersonProblem]:  # fmt: skip
-    """Set up one person's problem from `person_options`; errors are those of a command.
+    """Build one person's problem from the values of `person_options`. Invalid options raise usage errors.
 
     Parameters
     ----------
     known_of : callable
         Reads and solves the task.
     states : int or None
-        The most states to look at; None: all of them, however many there are.
+        Largest number of states in the problem; a larger task is truncated to it. None: all states of the task.
     time_limit : float, optional
-        Seconds for choosing them where there are more.
+        Seconds for choosing the states of a truncated problem.
     """
     from ...large_tasks.person_problem import PersonProblem, is_whole
 
@@ -94,7 +102,7 @@ def person_problem(
         with nullcontext() if whole else progress_bar("collecting states", states) as advance:
             problem = PersonProblem.of(
                 known, states=states, population=population, sigma=sigma, execute=execute, time_limit=time_limit,
-                progress=advance, **setting,
+                progress=advance, **with_rule_of(population_file, setting),
             )  # fmt: skip
     except ValueError as error:
         raise click.UsageError(str(error)) from None

@@ -1,4 +1,4 @@
-"""Team policies on the command line: by name, or one's own as FILE.py:FUNCTION."""
+"""The option `--policy`: a team policy by name, or a user's own as FILE.py:FUNCTION."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHOICES = f"{', '.join(POLICIES)}, or FILE.py:FUNCTION"
 
 
 class PolicyName(click.ParamType):  # type: ignore[type-arg]
-    """The name of a team policy, or the place of one's own."""
+    """The name of a team policy, or FILE.py:FUNCTION for a user's own."""
 
     name = "policy"
 
@@ -30,7 +30,7 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
         return "POLICY"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """Read it; what is in the file is looked at later."""
+        """Check a value. The user's function is imported later."""
         if value not in POLICIES:
             place = parse(value)
             if place is None:
@@ -41,7 +41,7 @@ class PolicyName(click.ParamType):  # type: ignore[type-arg]
 
 
 def policy_option(help_text: str) -> Option[Any]:
-    """Give the option `--policy`, which may be repeated."""
+    """Return the option `--policy`, which may be repeated."""
     return click.option(
         "--policy", "names", type=PolicyName(), multiple=True, default=("attention",), show_default=True,
         help=f"Team policy: {CHOICES}. {help_text}",
@@ -49,20 +49,20 @@ def policy_option(help_text: str) -> Option[Any]:
 
 
 def policies_of(names: tuple[str, ...]) -> dict[str, str | UserPolicy]:
-    """Give each policy by the name that it has in results."""
+    """Return each policy, keyed by its name in the results."""
     found: dict[str, str | UserPolicy] = {}
     for name in dict.fromkeys(names):
         place = parse(name)
         called = name if place is None else place[1]
         if called in found or (place is not None and called in POLICIES):
-            raise click.UsageError(f"--policy {name}: there is another policy '{called}'; expected another name")
+            raise click.UsageError(f"--policy {name}: there is already a policy '{called}'; expected another name")
         found[called] = name if place is None else UserPolicy.load(*place)
     return found
 
 
 @contextmanager
 def policy_errors() -> Iterator[None]:
-    """Say in one line, with file and line, what goes wrong in a policy."""
+    """Report an error of a policy in one line, with file and line number."""
     try:
         yield
     except PolicyError as error:

@@ -1,6 +1,7 @@
-"""From whom people are drawn: ranges of their parameters, or a file that `fit --population` has written.
+"""The options that describe the population from which people are drawn.
 
-How they choose is in such a file, too, or in a function of the user's own.
+The population is given by ranges of the parameters, or by a file that `fit --population` wrote. The file also says how
+people choose; otherwise a function of the user may.
 """
 
 from __future__ import annotations
@@ -13,22 +14,33 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ...people import user_code
-from .common import INPUT_FILE, Command, Option, Range, is_given, range_option, with_options
+from .common import INPUT_FILE, NUMBER, Command, Option, Range, is_given, range_option, with_options
 
 if TYPE_CHECKING:
     from ...people.choice_model import ChoiceModel
     from ...people.human import Mixture, Population
 
-RANGES = ("beta", "theta", "sigma")
 
+def population_options(
+    whose: str = "people's", influence: str = "them", *, real: bool = False
+) -> Callable[[Command], Command]:
+    """Return a decorator that adds the options of `population_of`, except `--sigma`, which one person does not need.
 
-def population_options(whose: str = "people's", influence: str = "them") -> Callable[[Command], Command]:
-    """Add the options that `population_of` takes, but for the range of sigma, which one person does not have."""
+    Without a range of theta, the influence of real people is that of `advice_takers`.
+    """
+    theta: Option[Any] = (
+        click.option(
+            "--theta", nargs=2, type=NUMBER, metavar="LOW HIGH",
+            help=f"Range of the robot's influence on {influence} (theta).  [default: as wide as real people's]",
+        )
+        if real
+        else range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence} (theta).")
+    )  # fmt: skip
 
     def add(command: Command) -> Command:
         options: tuple[Option[Any], ...] = (
             range_option("--beta", (0.1, 3.0), f"Range of {whose} expertise (beta)."),
-            range_option("--theta", (0.5, 0.95), f"Range of the robot's influence on {influence} (theta)."),
+            theta,
             click.option(
                 "--population", "population_file", type=INPUT_FILE, metavar="FILE",
                 help="Draw people from a population that `fit --population` wrote, in place of ranges.",
@@ -46,59 +58,80 @@ people_option = click.option(
 
 
 def population_of(
-    beta: Range, theta: Range, sigma: Range | None = None, *, file: Path | None = None, people: str | None = None
+    beta: Range, theta: Range | None, sigma: Range | None = None, *, file: Path | None = None, people: str | None = None
 ) -> Population | Mixture:
-    """Give the population that the options describe.
+    """Return the population that the options describe.
 
     Raises
     ------
     click.UsageError
-        Ranges that cannot be, a file that holds no population, both ranges and a file, or no function.
+        A range is invalid, the file contains no population, both ranges and a file are given, or the function is
+        missing.
     """
-    from ...people.human import Population
+    from ...people.human import Population, advice_takers
 
     try:
         if file is None:
-            found = Population(beta, theta) if sigma is None else Population(beta, theta, sigma)
-            return found if people is None else choosing(found, people)
-        for name in RANGES if sigma is not None else RANGES[:2]:
+            chooses, sigma = None if people is None else choice_model(people), sigma or Population().sigma
+            if theta is None:
+                return advice_takers(beta, sigma, chooses=chooses)
+            return Population(beta, theta, sigma, chooses=chooses)
+        for name in ("beta", "theta") if sigma is None else ("beta", "theta", "sigma"):
             if is_given(name):
-                raise click.UsageError(f"--population {file} says what --{name} says; expected one of them")
+                raise click.UsageError(f"--population {file} also sets --{name}; expected one of them")
         if people is not None:
-            raise click.UsageError(
-                f"--population {file} says how people choose, as --people does; expected one of them"
-            )
+            raise click.UsageError(f"--population {file} also sets how people choose (--people); expected one of them")
         return read_population(file)
     except ValueError as error:
         raise click.UsageError(f"--population {file}: {error}" if file else str(error)) from None
 
 
 def read_population(file: Path) -> Mixture:
-    """Read what `fit --population` has written.
+    """Read a population that `fit --population` wrote.
 
     Raises
     ------
     ValueError
-        The file holds no population.
+        The file contains no population.
     """
     from ...learning import population as populations
 
+    return populations.mixture(_record(file))
+
+
+def with_rule_of(file: Path | None, setting: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a `Setting`, with the trust rule of a population file if it has one.
+
+    Raises
+    ------
+    click.UsageError
+        The file has a trust rule, and so do the options.
+    """
+    from ...learning import population as populations
+    from ...people.trust_rules import EquationSeven
+
     try:
-        return populations.mixture(json.loads(file.read_text(encoding="utf-8")))
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(str(error)) from None
+        rule = None if file is None else populations.trust_of(_record(file))
+    except ValueError as error:
+        raise click.UsageError(f"--population {file}: {error}") from None
+    if rule is None:
+        return setting
+    for name in ("trust", "eta", "utility_scale"):
+        if is_given(name):
+            raise click.UsageError(f"--population {file} also sets --{name.replace('_', '-')}; expected one of them")
+    if isinstance(rule, EquationSeven):
+        return setting | {"trust": "paper", "eta": rule.eta, "utility_scale": rule.utility_scale}
+    return setting | {"trust": rule}
+
+
+def _record(file: Path) -> dict[str, Any]:
+    record = json.loads(file.read_text(encoding="utf-8"))
+    return record if isinstance(record, dict) else {}
 
 
 def choice_model(people: str) -> ChoiceModel:
-    """Return the choice model that a function of the user's own is, FILE.py:FUNCTION."""
+    """Return the choice model FILE.py:FUNCTION of a user."""
     place = user_code.parse(people)
     if place is None:
         raise ValueError(f"--people '{people}'; expected FILE.py:FUNCTION")
     return user_code.UserChoiceModel.load(*place)
-
-
-def choosing(population: Population, people: str) -> Population:
-    """Return a population that chooses as a function of the user's own says, FILE.py:FUNCTION."""
-    from dataclasses import replace
-
-    return replace(population, chooses=choice_model(people))

@@ -1,4 +1,4 @@
-"""The one task that INSTANCE stands for: people are to be assisted in it, or were recorded in it."""
+"""The single task that INSTANCE denotes, read and solved."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ..terminal.console import EXIT_FAILED, fail
 
 
 def one_instance(instance: str, domain: str | None) -> Instance:
-    """Return the one problem that INSTANCE stands for."""
+    """Return the single problem that INSTANCE denotes."""
     found = find_instances([instance], domain)
     if len(found) != 1:
         several = f"{len(found)} problems, such as {found[0]}"
-        raise InstanceError(f"{instance}: stands for {several}; expected one of them")
+        raise InstanceError(f"{instance}: matches {several}; expected one of them")
     return found[0]
 
 
 def tell_of_compiling() -> None:
-    """Let this command say so if something has to be compiled before it ends."""
+    """Make the running command announce compilation, if any function is compiled before the command ends."""
     from planner.system.jit import compiling
 
     context = click.get_current_context(silent=True)
@@ -29,13 +29,13 @@ def tell_of_compiling() -> None:
 
 
 def tell_note(task: Task) -> None:
-    """Say on stderr what a user has to know of how a task was read."""
+    """Print the reader's note on a task to stderr, if there is one."""
     if task.note:
         click.echo(f"{task.instance}: {task.note}", err=True)
 
 
 def table_of(instance: Instance) -> Table:
-    """Read and solve a task that people are to be assisted in, and say in one line why that cannot be."""
+    """Return the cost-to-go table of an instance. An instance that cannot be used ends the command with one line."""
     from planner.system.errors import InputFileError
 
     from ...study import tasks
@@ -50,7 +50,7 @@ def table_of(instance: Instance) -> Table:
 
 
 def costs_of(instance: Instance, *, max_states: int, memory_limit_mb: float | None) -> CostToGo:
-    """Read a task of any size that a person is to be assisted in; a larger one is asked on demand."""
+    """Read a task of any size and return its cost-to-go. States of tasks above `max_states` are solved on demand."""
     from ...people.choices import require_goal
 
     tell_of_compiling()

@@ -1,4 +1,4 @@
-"""A team: the options that describe it, and how people and the way between them are set up from them."""
+"""The options that describe a team, and the people and distances that are built from them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .common import (
     with_options,
 )
 from .person import model_options
-from .population import people_option, population_of, population_options, read_population
+from .population import people_option, population_of, population_options, read_population, with_rule_of
 from .task import costs_of, one_instance
 from .travel import travel_of, travel_options
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def team_options(command: Command) -> Command:
-    """Add the options that say what team it is; `team_of` takes them all."""
+    """Add the options that describe a team. `team_of` takes their values."""
     options: tuple[Option[Any], ...] = (
         click.option(
             "--humans", type=click.IntRange(min=1), required=True, metavar="K",
@@ -57,18 +57,18 @@ def team_options(command: Command) -> Command:
             help="The robot's prior over people, as in --population. The true population unless given.",
         ),
         range_option("--sigma", (0.1, 1.0), "Range of the size of people's misconceptions (sigma, cost units)."),
-        megabytes_option("MB for policies.", default=4000.0),
-        max_states_option("Ask for the cost-to-go of a larger task on demand."),
+        megabytes_option("Memory for policies.", default=4000.0),
+        max_states_option("Largest number of states solved exhaustively. States of larger tasks are solved on demand."),
         region_states_option(
             "Size of the truncated problem used for policies on large tasks (states most likely to be visited). "
-            "Unless given, 3,000 where symmetries were used, and 200 where states are solved on demand."
+            "Unless given, 3,000 if symmetries were used, and 200 if states are solved on demand."
         ),
     )  # fmt: skip
     return with_options(command, options)
 
 
 class TeamSetup(NamedTuple):
-    """People from whom a team is drawn, and the way between its places."""
+    """The pool of people from which teams are drawn, and the distances between their stations."""
 
     instance: Instance
     population: Population | Mixture
@@ -76,12 +76,12 @@ class TeamSetup(NamedTuple):
     travel: Travel
 
     def prepared(self, policy: str | TeamPolicy) -> TeamPolicy:
-        """Make a policy of a name."""
+        """Return the team policy of this name; a policy object is returned unchanged."""
         if not isinstance(policy, str):
             return policy
         try:
             return self.pool.policy(policy, self.travel)
-        except ValueError as error:  # it needs to look at the whole of the task
+        except ValueError as error:  # the policy needs a problem that is not truncated
             fail(f"{self.instance}: {error} (--region-states)", EXIT_FAILED)
 
 
@@ -90,7 +90,7 @@ def team_of(
     theta: Range, sigma: Range, population_file: Path | None, people: str | None, prior: Path | None,
     memory_limit: float, max_states: int, region_states: int, **setting: Any,
 ) -> TeamSetup:  # fmt: skip
-    """Draw so many people; errors are those of a command."""
+    """Draw a pool of `size` people. Expected errors end the command in one line."""
     from ...simulation.pool import Pool
     from ...team.settings import Setting
 
@@ -104,7 +104,7 @@ def team_of(
     found = one_instance(instance, domain)
     known = costs_of(found, max_states=max_states, memory_limit_mb=None)
     try:
-        travel = travel_of(chosen := Setting(**setting), humans, distances)
+        travel = travel_of(chosen := Setting(**with_rule_of(population_file, setting)), humans, distances)
         pool = Pool.sample(
             known, size, seed=seed, setting=chosen, population=population, prior=believed,
             memory_limit_mb=memory_limit, states=region_states,

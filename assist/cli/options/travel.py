@@ -1,4 +1,4 @@
-"""The way between people's places: the options that describe it."""
+"""The options that describe distances between people's stations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def travel_options(command: Command) -> Command:
-    """Add the options that say how far it is; two are of the setting, `travel_of` takes the third."""
+    """Add the options for travel. `Setting` takes `--c-move` and `--travel-time`; `travel_of` takes `--distances`."""
     options: tuple[Option[Any], ...] = (
         click.option(
             "--c-move", type=NUMBER, default=0.5, show_default=True,
@@ -28,7 +28,7 @@ def travel_options(command: Command) -> Command:
         ),
         click.option(
             "--distances", type=INPUT_FILE, metavar="FILE",
-            help="Distances between the K places and the base, which comes last (JSON list of lists). All are 1 "
+            help="Distances between the K stations and the base, which comes last (JSON list of lists). All are 1 "
                  "unless given.",
         ),
     )  # fmt: skip
@@ -36,7 +36,7 @@ def travel_options(command: Command) -> Command:
 
 
 def travel_of(setting: Setting, humans: int, distances: Path | None) -> Travel:
-    """Give the way between so many people."""
+    """Return the distances between the stations of a team."""
     if distances is None:
         return setting.travel(humans)
     try:

@@ -1,4 +1,4 @@
-"""Summaries of episodes as a table."""
+"""Tables of simulated episodes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ..terminal.console import print_table
 
 
 def _cell(mean: float, error: float) -> str:
-    """Write a mean with its standard error, which a single episode does not have."""
+    """Format a mean with its standard error; a single episode has no standard error."""
     return f"{mean:.2f}" if math.isnan(error) else f"{mean:.2f} ± {error:.2f}"
 
 
 def show_summaries(summaries: list[Summary], drawn: int, pool: int) -> None:
-    """Print a row for each policy, and how many of a pool's people were in a team."""
+    """Print a row for each policy, and how many people of the pool were in a team."""
     table = Table(box=None, pad_edge=False)
     shown = SHOWN
-    if any(summary.executions[0] for summary in summaries):  # else all interventions are suggestions
+    if any(summary.executions[0] for summary in summaries):  # otherwise all interventions are suggestions
         shown = {**SHOWN, "suggestions": "suggestions", "executions": "executions"}
     for column in ("policy", *shown.values(), "cut off"):
         table.add_column(column.replace("_", " "), justify="left" if column == "policy" else "right")

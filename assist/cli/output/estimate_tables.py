@@ -1,4 +1,4 @@
-"""Estimates as people read them: a table with a row for everybody, and what has to be said besides."""
+"""Tables of estimates, and notes on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...learning.population import PopulationFit
 
 
 def table_of(people: FittedPeople) -> Table:
-    """Give the estimates of everybody who is named in the log, with their intervals."""
+    """Return a table of the estimates of every person in the log, with intervals."""
     table = Table(box=None, pad_edge=False)
     table.add_column("person")
     for name in ("beta", "theta", "eta", "actions", "suboptimal", "log-likelihood", "check p"):
@@ -43,7 +43,7 @@ def table_of(people: FittedPeople) -> Table:
 
 
 def lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]:
-    """Give what a reader of the table has to know of each person, and the distribution over people if it is known."""
+    """Return notes on each person's estimates, followed by the distribution over people if it is known."""
     for name in _everybody(people):
         notes = people[name].notes if name in people else [people.unknown[name]["error"]]
         yield from (f"{name}: {note}" for note in notes)
@@ -61,7 +61,7 @@ def lines_of(people: FittedPeople, found: PopulationFit | None) -> Iterable[str]
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Give how well each choice model predicts people whom it was not fitted to."""
+    """Return a table of each choice model's predictions of people to whom it was not fitted."""
     table = Table(box=None, pad_edge=False)
     table.add_column("model")
     for name in ("parameters", "nats per choice", "less than boltzmann", "better for", "beta"):

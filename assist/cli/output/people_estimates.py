@@ -1,4 +1,4 @@
-"""What was learned from a log, written to files and to the screen."""
+"""Output of `fit`: files, figures and tables."""
 
 from __future__ import annotations
 
@@ -16,28 +16,27 @@ from ..terminal.console import print_json, print_table
 
 if TYPE_CHECKING:
     from ...learning.fit import FittedPeople
-
-FEWEST = 3  # people whose distribution is printed unasked
+    from ...learning.population import PopulationFit
+    from ...people.human import Range
 
 
 def show_people(
     people: FittedPeople, out: Path | None, population: Path | None, family: str | None, figures: Path | None, *,
     as_json: bool,
 ) -> bool:  # fmt: skip
-    """Write and print estimates and, where asked for, their distribution; tell whether all of the log was used."""
+    """Write and print estimates and, if requested, their distribution. Return whether the whole log was used."""
     from ...plots import people as pictures
     from .estimate_tables import lines_of, table_of
 
     records = people.as_dicts()
-    if out:  # first: a population takes a while, and whoever has it has the people, too
+    if out:  # written first, since fitting a population takes longer
         files.write_records(out, records)
     general = None
-    if population or (not as_json and len(people) >= FEWEST):
+    if population or (not as_json and len(people) >= 3):  # fewer say little about a population
         with stages() as show:
             general = people.distribution(family=family, progress=show)
     if population and general:
-        with files.atomic(population) as path:
-            path.write_text(json.dumps(general.as_dict(people.sigma), indent=1) + "\n", encoding="utf-8")
+        write_population(general, population, people.sigma)
     if figures:
         pictures.draw([record.fit for record in people.values()], figures)
     if as_json:
@@ -48,8 +47,14 @@ def show_people(
     return people.complete
 
 
+def write_population(found: PopulationFit, file: Path, sigma: Range = (0.0, 0.0)) -> None:
+    """Write a distribution over people, with the range of their misconceptions, as `simulate --population` reads it."""
+    with files.atomic(file) as path:
+        path.write_text(json.dumps(found.as_dict(sigma), indent=1) + "\n", encoding="utf-8")
+
+
 def show_comparison(known: Replayed, folds: int, out: Path | None, figures: Path | None, *, as_json: bool) -> bool:
-    """Compare choice models, write and print how they do; tell whether every line of the log was used."""
+    """Compare choice models; write and print the results. Return whether every line of the log was used."""
     from ...plots import people as pictures
     from .estimate_tables import comparison_table
 

@@ -1,4 +1,4 @@
-"""One person's problem between two bounds, as a line while it is solved and as a table; a team's sampled bound."""
+"""Output of `policy` and `bound`: one person's bounds, and a team's bound from sample paths."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..terminal.console import print_table
 if TYPE_CHECKING:
     from ...certify.team_bound import TeamBound
 
-ENDED = {"gap": "", "time": "; the time is up", "memory": "; the memory is full", "stalled": "; rounding"}
+ENDED = {"gap": "", "time": "; time limit", "memory": "; memory limit", "stalled": "; limit of rounding"}
 
 
 def line_of(lower: float, upper: float) -> str:
-    """Say how far a search has come."""
+    """Return the bounds and their gap as a line of progress."""
     gap = (upper - lower) / abs(lower) if lower else 0.0
     return f"lower {lower:.5f}  upper {upper:.5f}  gap {gap:.2e}"
 
@@ -28,17 +28,17 @@ def show_bounds(record: dict[str, Any]) -> None:
     table.add_column(justify="right")
     what = f"{record['states']:,} states, {record['hidden']} hidden pairs"
     if record["frontier"]:
-        what += f"; {record['frontier']:,} of the states are a frontier"
+        what += f"; {record['frontier']:,} frontier states"
     click.echo(what)
     for name, label in (
-        ("value_never", "nothing, ever"), ("value_always", "always a suggestion"), ("lower", "policy, at least"),
-        ("upper", "any policy, at most"), ("value_qmdp", "beta and theta seen"),
+        ("value_never", "never suggest"), ("value_always", "always suggest"), ("lower", "policy (lower bound)"),
+        ("upper", "any policy (upper bound)"), ("value_qmdp", "beta and theta observed (QMDP)"),
     ):  # fmt: skip
         table.add_row(label, f"{record[name]:.4f}")
     print_table(table)
     ended = ENDED[record["stopped"]]
     if record["stopped"] == "stalled" and record["frontier"]:
-        ended = "; the bounds where the states break off allow no more"
+        ended = "; limited by the bounds of frontier states"
     click.echo(
         f"gap {100 * record['gap']:.3g} %, {record['alpha_vectors']:,} alpha vectors, {record['seconds']:.1f} s{ended}"
     )
@@ -50,11 +50,13 @@ def show_samples(found: TeamBound) -> None:
 
     sampled = found.sampled
     if sampled is None:
-        click.echo("no path was sampled: the time limit ended before the penalty was computed (--time-limit)")
+        click.echo("no path was sampled: the time limit was reached before the penalty was computed (--time-limit)")
     elif not sampled.enough:
-        click.echo(f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--paths, --time-limit)")
+        click.echo(
+            f"{sampled.paths} sample paths are too few for a bound; {FEWEST} are needed (--samples, --time-limit)"
+        )
     else:
         click.echo(
-            f"the bound is that of {sampled.paths} sample paths, with a confidence of {CONFIDENCE:.0%}; "
-            f"{found.proven:.3f} holds in any case"
+            f"the upper bound comes from {sampled.paths} sample paths and holds with {CONFIDENCE:.0%} confidence; "
+            f"{found.proven:.3f} holds with certainty"
         )

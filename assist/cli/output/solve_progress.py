@@ -1,4 +1,4 @@
-"""How far the instances of `solve` are."""
+"""Progress of `solve`."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from planner.system.progress import compiling_line, stages
 def solving(
     count: int, add: Callable[[SolveRecord], None]
 ) -> Iterator[tuple[Callable[[SolveRecord], None], Callable[..., None]]]:
-    """Show how far the instances are; give what is called with each record, and with each stage of an instance.
+    """Show the progress of `count` instances.
 
-    Each record is handed to `add` as well.
+    Yield two callables: one for each finished record, and one for each stage of an instance. Finished records are also
+    passed to `add`.
     """
     solved = 0
     say = compiling_line()
@@ -28,7 +29,7 @@ def solving(
             add(record)
 
         def stage(instance: Instance, what: str, done: int, total: int | None) -> None:
-            from rich import table  # noqa: F401  loads what shows the records, while another process works on them
+            from rich import table  # noqa: F401  imported now, while another process solves
 
             if what == COMPILING:
                 say()

@@ -1,4 +1,4 @@
-"""Records of `solve`: the first answer as soon as it is there, a table in the end, and what went wrong in them."""
+"""Output of `solve`: the first answer as soon as it is known, a table at the end, and errors."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from ..terminal.console import print_json, print_table
 
 
 class Answers:
-    """What is known of instances by now, and is shown as it comes.
+    """Records of instances, shown as they become known.
 
     Attributes
     ----------
-    records : dict of (str, str) to Record
-        The latest of each instance.
+    records : dict of (str, str) to SolveRecord
+        The latest record of each instance, keyed by instance and domain.
     """
 
     def __init__(self, *, alone: bool, as_json: bool) -> None:
-        """Show plans only where an instance is `alone`."""
+        """Show plans only for a single instance (`alone`)."""
         self.records: dict[tuple[str, str], SolveRecord] = {}
         self._alone, self._json = alone, as_json
-        self._stdout = sys.stdout  # a progress bar puts another one in its place
+        self._stdout = sys.stdout  # a progress bar replaces sys.stdout
         self._shown = False
 
     def add(self, record: SolveRecord) -> None:
-        """Take the record of an instance, which may not be the last one."""
+        """Store the latest record of an instance."""
         self.records[record["instance"], record["domain"]] = record
 
     def first(self, record: SolveRecord) -> None:
-        """Show cost and plan of an instance on which work goes on."""
+        """Show cost and plan of an instance whose table is still being computed."""
         self.add(record)
         if self._json or not self._alone or self._shown:
             return
         self._shown = True
         if record["plan"]:
-            # On a terminal the bar makes room for lines that go through it.
+            # On a terminal, the progress bar makes room for lines that are printed through it.
             click.echo("\n".join(record["plan"]), file=sys.stdout if self._stdout.isatty() else self._stdout)
         if not record["note"].endswith(SWEEPING):
-            return  # the rest follows soon
+            return  # the complete record follows soon
         known = "unsolvable" if record["cost"] is None else f"cost {record['cost']:,}, by the plan above"
-        click.echo(f"{record['instance']}: {known}; going on with all states", err=True)
+        click.echo(f"{record['instance']}: {known}; computing the cost-to-go of all states", err=True)
 
     def show(self, records: list[SolveRecord]) -> None:
-        """Show what there is in the end."""
+        """Print all records at the end."""
         tell_errors(records)
         if self._json:
             print_json(records)
@@ -55,7 +55,7 @@ class Answers:
 
 
 def tell_errors(records: list[SolveRecord]) -> None:
-    """Say on stderr why an instance was not solved, or only its initial state was."""
+    """Print on stderr why an instance was not solved, or was solved in its initial state only."""
     for record in records:
         if (error := record["error"]) is not None:
             line = "" if error["line"] is None else f":{error['line']}"
@@ -65,10 +65,10 @@ def tell_errors(records: list[SolveRecord]) -> None:
 
 
 def show_solutions(records: list[SolveRecord], *, plan: bool) -> None:
-    """Print a row for each instance, before it the plan of the first one if that is wanted."""
+    """Print a row for each instance. With `plan`, print the first instance's plan before the table."""
     if plan and records[0]["plan"]:
         click.echo("\n".join(records[0]["plan"]))
-    from rich.table import Table  # takes its time
+    from rich.table import Table  # imported late because the import is slow
 
     table = Table(box=None, pad_edge=False)
     table.add_column("instance", overflow="fold")

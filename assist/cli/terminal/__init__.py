@@ -1,1 +1,1 @@
-"""Signals that end a command, errors in one line, JSON and tables out: what concerns the terminal."""
+"""Terminal input and output: signals, one-line errors, JSON and tables."""

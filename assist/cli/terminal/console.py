@@ -1,4 +1,4 @@
-"""What every command says on the console: JSON and tables out; what is wrong, in one line and an exit code."""
+"""Console output of every command: JSON, tables, and one-line errors with exit codes."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ if TYPE_CHECKING:
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
 
 
 def fail(message: str, exit_code: int) -> NoReturn:
-    """Say in one line on stderr what is wrong, and end."""
+    """Print one line on stderr and exit."""
     click.echo(message, err=True)
     sys.exit(exit_code)
 
 
 @contextmanager
 def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
-    """Turn what is wrong with the input into one line and the exit code of the contract."""
+    """Turn expected errors into one line on stderr and a documented exit code."""
     try:
         yield
     except (InstanceError, ResultsExistError, DamagedFileError) as error:
@@ -46,31 +45,31 @@ def one_line_errors(interrupted: str = "interrupted") -> Iterator[None]:
         fail(f"out of memory: {error}", EXIT_FAILED)
     except OSError as error:
         if isinstance(error, BrokenPipeError) and error.filename is None:
-            raise  # nobody reads on; click ends without a word
+            raise  # the reader closed the pipe; click exits silently
         fail(_said(error), EXIT_FAILED)
     except KeyboardInterrupt as error:
-        fail(interrupted, getattr(error, "exit_code", EXIT_INTERRUPTED))
+        fail(interrupted, getattr(error, "exit_code", 130))  # 128 + SIGINT, as shells report it
 
 
 def _said(error: OSError) -> str:
-    """Say an error of the system in one line; libraries raise it without its fields, too."""
+    """Return a system error as one line; some libraries raise it without its fields."""
     what = error.strerror or " ".join(str(error).split()) or type(error).__name__
     return what if error.filename is None else f"{error.filename}: {what}"
 
 
 def print_in_any_encoding() -> None:
-    """Let stdout replace signs that its encoding does not have; where that is ASCII, click writes UTF-8."""
+    """Make stdout replace characters that its encoding lacks. Where the encoding is ASCII, click writes UTF-8."""
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")
 
 
 def print_json(document: Any) -> None:
-    """Print a result as programs read it."""
+    """Print a result as JSON."""
     click.echo(json.dumps(document, indent=2))
 
 
 def print_table(table: Table, width: int = 140) -> None:
-    """Print a table as wide as the terminal, or as `width` where a file or a pipe has no width of its own."""
+    """Print a table with the terminal's width, or with `width` characters if stdout is a file or a pipe."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else width)

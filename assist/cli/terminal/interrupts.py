@@ -1,4 +1,4 @@
-"""Ctrl-C, and the signals by which service managers, batch systems and closing terminals end a program."""
+"""Handling of Ctrl-C and of the signals with which batch systems and closing terminals end a program."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from types import FrameType
 from typing import NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-PATIENCE = 3.0  # seconds that a command may take to tidy up
+PATIENCE = 3.0  # seconds for cleaning up; users wait no longer, and finished results are already saved
 
 
 class Interrupted(KeyboardInterrupt):
-    """One of `SIGNALS` has come; `exit_code` is that of a shell for it."""
+    """One of `SIGNALS` was received. `exit_code` is the code that a shell reports for it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -24,11 +24,10 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Turn the first of these signals into an `Interrupted`, and end the process soon, whatever it waits for.
+    """Raise `Interrupted` at the first signal, and make sure that the process ends soon.
 
-    It ends at once with a second signal, and after `PATIENCE` without one: what is finished is on the disk already. A
-    signal that is ignored from the start, as Ctrl-C in a script's background job and the closing terminal under
-    `nohup`, stays ignored.
+    The process exits at a second signal, or `PATIENCE` seconds after the first. Finished results are saved before. A
+    signal that is ignored at the start stays ignored, as for background jobs of scripts and under `nohup`.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -59,7 +58,7 @@ def interruptible() -> Iterator[None]:
     except (KeyboardInterrupt, Exception) as error:
         if come is None:
             raise
-        # Before or after the command itself; or what was interrupted has made another error of it.
+        # The signal came outside the command, or the command turned the interrupt into another error.
         os.write(2, b"interrupted\n")
         raise SystemExit(128 + come) from error
     finally:
@@ -70,7 +69,7 @@ def interruptible() -> Iterator[None]:
 
 
 def _importing(frame: FrameType | None) -> bool:
-    """Whether a module is being loaded: some print an exception that comes then, and go on half-loaded."""
+    """Whether a module is being imported. Some modules swallow an exception at this time and stay half-loaded."""
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":
             return True

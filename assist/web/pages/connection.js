@@ -1,13 +1,13 @@
-// The way to the service: one socket that comes back by itself, requests that are repeated under the same name until
-// they are answered, and nothing lost when the page is loaded anew.
+// Connection to the service: a socket that reconnects, and requests that are repeated under the same id until they are
+// answered, even after the page was reloaded.
 
-const root = new URL("../", import.meta.url); // where the service is, under whatever path
+const root = new URL("../", import.meta.url); // address of the service, under any path
 const parts = location.pathname.slice(root.pathname.length).split("/").filter(Boolean);
 export const token = parts.at(-1);
 export const person = parts.length > 2 ? decodeURIComponent(parts[1]) : null;
 
 const SLOWEST = 3000; // milliseconds between two attempts to connect
-const SILENCE = 10000; // after which a request counts as lost
+const SILENCE = 10000; // milliseconds after which a request counts as lost
 
 export class Refused extends Error {
   constructor(status, detail) {
@@ -23,7 +23,7 @@ export function pathOf(name, rest = "") {
   return `/api/people/${encodeURIComponent(name)}${rest}`;
 }
 
-/** Ask once; throws Refused where the service says no, and anything else where it was not reached. */
+/** Send a request once. Throws Refused if the service refuses it, and another error if the service is not reached. */
 export async function ask(path, { method = "GET", body } = {}) {
   const answer = await fetch(address(path), {
     method,
@@ -36,7 +36,7 @@ export async function ask(path, { method = "GET", body } = {}) {
   try {
     detail = (await answer.json()).detail ?? detail;
   } catch {
-    // no JSON: the status says it
+    // no JSON: use the status line
   }
   throw new Refused(answer.status, String(detail));
 }
@@ -45,15 +45,15 @@ export const askJson = async (path, options) => (await ask(path, options)).json(
 
 const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, milliseconds));
 
-/** An error that passes: the same request may be answered later. */
-export const passes = (error) => !(error instanceof Refused) || [429, 503, 504, 507].includes(error.status);
+/** Whether an error is temporary, so that the request may succeed later. */
+export const passes = (error) => !(error instanceof Refused) || error.status > 500 || [408, 425, 429].includes(error.status);
 
 export function newId() {
   const bytes = crypto.getRandomValues(new Uint8Array(12));
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
-/** Sends one request after the other; what is not answered is kept over a reload and sent again under the same id. */
+/** Sends one request at a time. An unanswered request survives a reload and is sent again under the same id. */
 export class Outbox {
   constructor(name, { answered, refused, waiting }) {
     this.key = `kitassist ${name} ${token}`;
@@ -78,7 +78,7 @@ export class Outbox {
       if (request === null) sessionStorage.removeItem(this.key);
       else sessionStorage.setItem(this.key, JSON.stringify(request));
     } catch {
-      // no storage: kept as long as the page is
+      // no storage: the request is lost when the page is closed
     }
   }
 
@@ -112,7 +112,7 @@ export class Outbox {
   }
 }
 
-/** One socket at a time; an old one's late end changes nothing. */
+/** One socket at a time. The late end of an old socket is ignored. */
 export class Channel {
   constructor(path, { message, state }) {
     this.path = path;

@@ -1,4 +1,4 @@
-// The page of whoever looks after a team: everybody's progress, what is believed of them, the robot, the log.
+// The operator's page: people's progress, the beliefs about them, the robot, and the log.
 
 import { Channel, Refused, ask, askJson, newId, pathOf } from "./connection.js";
 
@@ -43,17 +43,17 @@ function label(x, y, text, anchor = "start") {
   return made;
 }
 
-/** Of what is known of this session: all small pictures have one axis of time. */
+/** Latest time in this session; all plots share one time axis. */
 function lastTime() {
   return Math.max(0, ...(team.log ?? []).map((event) => event.time), ...team.people.map((person) => person.history?.at(-1)?.[0] ?? 0));
 }
 
-/** What the rest of somebody's task costs at least. */
+/** Description of a person's cost-to-go. */
 function remaining(person) {
-  return person.cost_to_go === null ? "no way to the goal" : `remaining cost ${one(person.cost_to_go)}`;
+  return person.cost_to_go === null ? "goal unreachable" : `remaining cost ${one(person.cost_to_go)}`;
 }
 
-/** Cost-to-go over time, drawn as stairs; a gap where there is no way to the goal. */
+/** Cost-to-go over time as a step plot, with gaps at dead ends. */
 function progressOf(person) {
   const points = (person.history ?? []).filter(([, value]) => value !== null);
   const highest = Math.max(1, ...points.map(([, value]) => value));
@@ -76,7 +76,7 @@ function progressOf(person) {
   return drawn;
 }
 
-/** How likely each value of beta, or of theta, is. */
+/** Plot of the belief over beta or theta. */
 function beliefOf(name, values, shares) {
   const mean = values.reduce((sum, value, number) => sum + value * shares[number], 0);
   const highest = Math.max(...shares, 1e-9);
@@ -104,7 +104,7 @@ function card(person) {
   const [betas, betaMean] = beliefOf("Expertise beta", beta, ofBeta);
   const [thetas, thetaMean] = beliefOf("Influence theta", theta, ofTheta);
   const seat = person.simulated ? "simulated" : person.connected ? "connected" : "not connected";
-  const state = person.finished ? "done" : seat;
+  const state = person.finished ? "finished" : seat;
   const join = links[person.person] ?? person.join;
   return element("li", { class: `card${here ? " here" : ""}` },
     element("h3", {}, person.person,
@@ -118,27 +118,27 @@ function card(person) {
       figureOf(thetas, `Influence θ: ${thetaMean.toFixed(2)}`)),
     join ? element("p", { class: "link" }, element("input", { readonly: true, value: join, "aria-label": `Link for ${person.person}`, "data-key": `link ${person.person}` })) : null,
     element("p", { class: "buttons" },
-      element("button", { type: "button", "data-key": `undo ${person.person}`, disabled: person.steps === 0, "aria-label": `Take back the last step of ${person.person}`, click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { id: newId() } }, `The last step of ${person.person} is taken back.`) }, "Take back last step"),
+      element("button", { type: "button", "data-key": `undo ${person.person}`, disabled: person.steps === 0, "aria-label": `Undo the last step of ${person.person}`, click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { id: newId() } }, `The last step of ${person.person} is undone.`) }, "Undo last step"),
       element("button", { type: "button", "data-key": `remove ${person.person}`, "aria-label": `Remove ${person.person}`, click: () => remove(person.person) }, "Remove")));
 }
 
 function show() {
   const { robot, people } = team;
   const there = people.filter((person) => person.present !== false);
-  at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} done`;
+  at("count").textContent = `${there.length} ${there.length === 1 ? "person" : "people"}, ${there.filter((person) => person.finished).length} finished`;
   at("pause").textContent = team.paused ? "Resume suggestions" : "Pause suggestions";
   at("pause").setAttribute("aria-pressed", String(team.paused));
   at("where").textContent = robot.location ? `With ${robot.location}` : "At its base";
-  const fault = team.fault ? `The policy fails, so nothing is suggested: ${team.fault}` : "";
-  if (at("fault").textContent !== fault) at("fault").textContent = fault; // a screen reader says it once
+  const fault = team.fault ? `The policy failed, so nothing is suggested: ${team.fault}` : "";
+  if (at("fault").textContent !== fault) at("fault").textContent = fault; // so that screen readers announce it once
   at("fault").hidden = !fault;
   showTasks();
-  if (team.paused) at("next").textContent = "Paused: nothing new is suggested.";
+  if (team.paused) at("next").textContent = "Suggestions are paused.";
   else if (!robot.person) at("next").textContent = "No useful suggestion right now.";
   else if (!robot.suggestion) at("next").textContent = `${robot.arrived ? "Stays with" : "Goes to"} ${robot.person}.`;
   else at("next").textContent = `${robot.arrived === false ? "On the way to" : "Serves"} ${robot.person}: ${plain(robot.suggestion)}`;
   at("why").textContent = !robot.reason || team.paused ? "" :
-    `Expected to save a cost of ${one(robot.reason.saving)}, less ${one(robot.reason.moving)} for the way: ${one(robot.reason.score)}. ` +
+    `Expected to save a cost of ${one(robot.reason.saving)}, minus ${one(robot.reason.moving)} for moving: ${one(robot.reason.score)}. ` +
     `Expertise ${spread(robot.reason.beta, robot.reason.beta_interval)}, ` +
     `influence ${spread(robot.reason.theta, robot.reason.theta_interval)}.`;
   keepingFocus(() => at("people").replaceChildren(...there.map(card)));
@@ -150,13 +150,13 @@ function show() {
       element("td", {}, event.suggestion ? `${plain(event.suggestion)}${event.followed === true ? " (followed)" : event.followed === false ? " (not followed)" : ""}` : ""))));
 }
 
-/** Where there are several tasks, whoever is added gets the one that is chosen. */
+/** With several tasks, a new person gets the selected one. */
 function showTasks() {
   at("task-label").hidden = team.tasks.length < 2;
   if (at("task").options.length !== team.tasks.length) at("task").replaceChildren(...team.tasks.map((name) => element("option", {}, name)));
 }
 
-/** What is redrawn under somebody's hands keeps its place. */
+/** Redraw, and keep the keyboard focus. */
 function keepingFocus(redraw) {
   const key = document.activeElement?.dataset?.key;
   redraw();
@@ -175,7 +175,7 @@ async function tell(path, options, said) {
     at("said").textContent = said;
     return answer.status === 204 ? null : await answer.json().catch(() => null);
   } catch (error) {
-    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+    complain(error instanceof Refused ? error.message : "The server cannot be reached. Try again.");
     return null;
   }
 }
@@ -185,7 +185,7 @@ function remove(name) {
 }
 
 at("pause").addEventListener("click", () => {
-  tell("/api/team/pause", { method: "POST", body: { paused: !team.paused } }, team.paused ? "Suggestions go on." : "Suggestions are paused.");
+  tell("/api/team/pause", { method: "POST", body: { paused: !team.paused } }, team.paused ? "Suggestions are resumed." : "Suggestions are paused.");
 });
 at("add").addEventListener("submit", async (event) => {
   event.preventDefault();
@@ -205,7 +205,7 @@ at("export").addEventListener("click", async () => {
     setTimeout(() => URL.revokeObjectURL(link.href), 60000);
     at("said").textContent = "The log is saved.";
   } catch (error) {
-    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+    complain(error instanceof Refused ? error.message : "The server cannot be reached. Try again.");
   }
 });
 
@@ -227,7 +227,7 @@ new Channel("/api/team/events", {
         team = await askJson("/api/team");
         show();
       } catch (error) {
-        if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link does not lead to a team.");
+        if (error instanceof Refused && [401, 403].includes(error.status)) complain("This link is not valid.");
       }
     }
   },

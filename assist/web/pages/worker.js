@@ -1,23 +1,23 @@
-// The page of one person at work: the drawing with everything that can be done in it, the suggestion, steps and goal.
+// A person's page: the drawing with the possible actions, the suggestion, the number of steps, and the goal.
 
 import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "./connection.js";
 
 const at = (id) => document.getElementById(id);
-const LARGEST = 1.3; // times its natural size, for a drawing
+const LARGEST = 1.3; // largest magnification of a drawing; larger ones look coarse
 const WIDTHS = [320, 400, 520, 640, 760, 960];
 
-let view = null; // the newest that the service said of this person
-let drawn = null; // the newest drawing, with words for actions
-let declined = null; // the suggestion to which the person said no, with the view in which they did
-let chosen = []; // objects clicked one after the other
+let view = null; // the latest view from the service
+let drawn = null; // the latest drawing, with the actions in words
+let declined = null; // the suggestion that the person declined, with the step at which they did
+let chosen = []; // objects clicked in succession
 let started = null;
 let refusals = 0;
+let explained = null; // the view whose explanation is shown
 
-// What is told.
+// Texts.
 
 const words = (action) => drawn?.words[action] ?? action.slice(1, -1).replace(" ", ": ").replaceAll(" ", ", ").replace(":,", ":");
 const objectsOf = (action) => action.slice(1, -1).split(" ").slice(1);
-const number = (value) => (Math.abs(value) < 0.05 ? "0" : value.toFixed(1).replace(/\.0$/, ""));
 
 function say(text) {
   at("said").textContent = "";
@@ -31,19 +31,22 @@ function complain(text) {
   at("problem").hidden = !text;
 }
 
-function reasons(reason) {
-  const { saving, moving, beta, beta_interval: b, theta, theta_interval: t } = reason;
-  const level = beta < 0.6 ? "finds good steps hard to tell" : beta < 1.8 ? "mostly sees which steps are good" : "sees well which steps are good";
-  const trust = theta < 0.45 ? "would rather not follow suggestions" : theta < 0.65 ? "takes suggestions as one opinion" : "often follows suggestions";
+function percent(share) {
+  return `${Math.round(100 * share)} %`;
+}
+
+/** What the robot believes about the person; a belief is no observation. */
+function beliefs(reason) {
+  const { beta, beta_interval: b, suggestions, followed, follow, follow_interval: f } = reason;
+  const level = beta < 0.6 ? "often cannot tell which actions are good" : beta < 1.8 ? "mostly recognises good actions" : "reliably recognises good actions";
+  const past = suggestions ? `You have followed ${followed} of ${suggestions} suggestions in this task.` : "You have answered no suggestion in this task yet.";
   return [
-    `It should lower the cost of your task by about ${number(saving)} on average.`,
-    moving > 0.05 ? `Coming here added ${number(moving)} to the cost.` : "The robot is with you already.",
-    `From your steps so far, it takes you for somebody who ${level} (expertise ${beta.toFixed(2)}, likely ${b[0].toFixed(2)} to ${b[1].toFixed(2)}).`,
-    `It takes you for somebody who ${trust} (influence ${theta.toFixed(2)}, likely ${t[0].toFixed(2)} to ${t[1].toFixed(2)}).`,
+    `The robot takes you for a person who ${level} (expertise ${beta.toFixed(2)}, likely ${b[0].toFixed(2)} to ${b[1].toFixed(2)}).`,
+    `${past} The robot expects you to follow this one with ${percent(follow)} (${percent(f[0])} to ${percent(f[1])}).`,
   ];
 }
 
-// What is shown.
+// Display.
 
 function item(text, act) {
   const line = document.createElement("li");
@@ -74,7 +77,7 @@ function show() {
   showEnd();
 }
 
-/** Within a user study this page is one of several: it leads to the others, and takes nothing back. */
+/** In a user study, this page links to the study's other pages and offers no undo. */
 function showStudy(study) {
   if (!study) return;
   if (!["practice", "task"].includes(study.kind)) {
@@ -96,6 +99,7 @@ function showAdvice() {
   at("offer").hidden = suggestion === null;
   at("paused").hidden = !view.paused || suggestion !== null;
   at("nothing").hidden = view.paused || suggestion !== null;
+  showReasons(suggestion);
   if (suggestion === null) {
     at("suggestion").textContent = "";
     return;
@@ -106,11 +110,58 @@ function showAdvice() {
     at("suggestion").textContent = text;
     say(`The assistant suggests: ${text}.`);
   }
-  fill(at("why"), (view.reason === null ? ["It lies on a shortest way to the goal."] : reasons(view.reason)).map((line) => {
-    const one = document.createElement("li");
-    one.textContent = line;
-    return one;
-  }));
+}
+
+const lines = (texts) => texts.map((text) => {
+  const line = document.createElement("li");
+  line.textContent = text;
+  return line;
+});
+
+/** The reasons of the present suggestion, or why there is none; they are asked for when somebody opens them. */
+function showReasons(suggestion) {
+  at("reasons").hidden = view.suggestion !== suggestion || (suggestion === null && !view.explained);
+  const key = `${view.seq} ${suggestion}`;
+  if (explained === key) return;
+  explained = key;
+  fill(at("why"), suggestion !== null && !view.explained ? lines(["It lies on an optimal plan."]) : []);
+  const others = suggestion === null || !view.explained ? [] : view.applicable.filter((action) => action !== suggestion);
+  fill(at("against"), ["", ...others].map((action) => new Option(action ? words(action) : "Choose an action", action)));
+  at("comparison").hidden = !others.length;
+  at("compared").textContent = "";
+  explain();
+}
+
+const explanation = (against) => {
+  const asked = new URLSearchParams({ language: document.documentElement.lang, ...(against ? { against } : {}) });
+  return askJson(pathOf(person, `/explanation?${asked}`));
+};
+
+async function explain() {
+  const key = explained;
+  if (!at("reasons").open || at("reasons").hidden || !view.explained || at("why").children.length) return;
+  try {
+    const { sentences, step } = await explanation();
+    if (key !== explained) return;
+    // The suggestion itself is shown above.
+    fill(at("why"), lines([...sentences.slice(step ? 1 : 0), ...(view.reason === null ? [] : beliefs(view.reason))]));
+  } catch (error) {
+    if (key === explained && passes(error)) setTimeout(explain, 1000);
+    else if (key === explained) fill(at("why"), lines([error.message]));
+  }
+}
+
+async function compare() {
+  const [key, against] = [explained, at("against").value];
+  at("compared").textContent = "";
+  if (!against) return;
+  let text;
+  try {
+    text = (await explanation(against)).sentences.at(-1);
+  } catch (error) {
+    text = error.message;
+  }
+  if (key === explained && against === at("against").value) at("compared").textContent = text;
 }
 
 function showActions() {
@@ -131,21 +182,21 @@ function showActions() {
 }
 
 function showEnd() {
-  const over = view.study?.over ?? false; // of a study's task, finished or not
+  const over = view.study?.over ?? false; // whether a study's task has ended, finished or not
   const ended = view.finished || over;
   const stuck = !ended && view.cost_to_go === null;
   if (ended && at("done").hidden) {
     at("done-text").textContent = view.finished
-      ? `The goal is reached, in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`
-      : "This task ends here. That is all right: continue with what comes next.";
+      ? `You reached the goal in ${view.steps} ${view.steps === 1 ? "step" : "steps"}.`
+      : "This task ends here. Please continue with the next part.";
     at("done").hidden = false;
     say(at("done-text").textContent);
     at("done-title").focus();
   }
   if (!ended) at("done").hidden = true;
   at("hint").hidden = ended;
-  if (stuck) complain("From here the goal cannot be reached any more. Undo the last step.");
-  else if (at("problem").textContent.startsWith("From here")) complain(null);
+  if (stuck) complain("The goal is no longer reachable. Undo the last step.");
+  else if (at("problem").textContent.startsWith("The goal is no longer")) complain(null);
 }
 
 function showDrawing() {
@@ -169,7 +220,7 @@ function showDrawing() {
   showTargets(svg);
 }
 
-/** Buttons over the objects of the drawing: a picture has no buttons within buttons. */
+/** Buttons over the objects of the drawing, since an image cannot contain buttons. */
 function showTargets(svg) {
   const inside = at("targets").contains(document.activeElement);
   const before = inside ? document.activeElement.dataset.object : null;
@@ -196,7 +247,7 @@ function showTargets(svg) {
   if (inside) (buttons.find((button) => button.dataset.object === before) ?? buttons[0] ?? at("choices-title")).focus();
 }
 
-// What is clicked.
+// Clicks.
 
 const matching = (names) => (view?.applicable ?? []).filter((action) => names.every((name) => objectsOf(action).includes(name)));
 
@@ -234,7 +285,7 @@ function closeMenu(back = true) {
   if (back) at("targets").querySelector(`[data-object="${CSS.escape(name)}"]`)?.focus();
 }
 
-// What is done.
+// Requests.
 
 function act(action) {
   const suggestion = view.suggestion;
@@ -261,7 +312,7 @@ const outbox = new Outbox("actions", {
   },
   waiting(error) {
     refusals += 1;
-    if (refusals > 1) complain(error instanceof Refused ? `${error.message} Trying again.` : "Not sent yet. It will be sent as soon as the connection is back.");
+    if (refusals > 1) complain(error instanceof Refused ? `${error.message} Trying again.` : "Not sent yet. It will be sent when the connection is restored.");
   },
 });
 
@@ -286,6 +337,7 @@ async function redraw() {
     if (turn !== asked) return;
     if (at("menu").hidden === false) closeMenu(true);
     drawn = next;
+    for (const option of at("against").options) if (option.value) option.textContent = words(option.value);
     show();
     showDrawing();
     if (view !== null && next.seq < view.seq) setTimeout(redraw, 100);
@@ -301,12 +353,12 @@ async function refresh() {
     if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
       channel.end();
       at("connection").textContent = "Not connected";
-      leave(`This link does not lead to a task: ${error.message}`);
+      leave(`This link is not valid: ${error.message}`);
     }
   }
 }
 
-/** Whoever is not in the team any more can do nothing here. */
+/** Disable the page of a person who has left the team. */
 function leave(why) {
   closeMenu(false);
   for (const part of [".work", "#advice", "#done"]) document.querySelector(part).hidden = true;
@@ -320,7 +372,7 @@ const channel = new Channel(pathOf(person, "/events"), {
     at("connection").classList.toggle("lost", state !== "connected");
     if (state === "connected") outbox.resume();
     if (state === "lost") refresh();
-    if (state === "over") leave("You are not in this team any more. Ask for a new link.");
+    if (state === "over") leave("You are no longer in this team. Ask for a new link.");
   },
 });
 
@@ -331,7 +383,7 @@ function remember(when) {
   try {
     sessionStorage.setItem(`kitassist began ${token}`, String(when));
   } catch {
-    // no storage: the time begins anew with the page
+    // no storage: the clock restarts when the page is reloaded
   }
 }
 
@@ -352,11 +404,13 @@ at("accept").addEventListener("click", () => {
 });
 at("ignore").addEventListener("click", () => {
   declined = `${view.steps} ${view.suggestion}`;
-  say("Suggestion put aside.");
+  say("Suggestion declined.");
   show();
   if (drawn !== null) showDrawing();
   at("choices-title").focus({ preventScroll: true });
 });
+at("reasons").addEventListener("toggle", explain);
+at("against").addEventListener("change", compare);
 at("undo").addEventListener("click", () => {
   complain(null);
   if (outbox.send(pathOf(person, "/undo"), {})) show();

@@ -1,1 +1,1 @@
-"""A user study over HTTP."""
+"""User studies over HTTP."""

@@ -1,4 +1,4 @@
-"""Requests and pages of a user study, beside those of the live assistant."""
+"""Requests and pages of a user study, in addition to those of the live assistant."""
 
 from __future__ import annotations
 
@@ -27,23 +27,25 @@ router = APIRouter()
 
 
 class Visit(Once):
-    """Somebody who comes to the study."""
+    """A visitor who joins the study."""
 
     id: str = Field(
-        min_length=1, max_length=128, description="Made by the visitor's browser: the same, the same place."
+        min_length=1,
+        max_length=128,
+        description="Chosen by the visitor's browser. A repeated id returns the same participant.",
     )
     simulated: bool = Field(False, description="Whether this is a rehearsal's simulated participant.")
 
 
 class Onward(Once):
-    """Somebody who goes on to the next stage."""
+    """A participant who proceeds to the next stage."""
 
-    stage: str = Field(min_length=1, max_length=120, description="The one that they go on from.")
-    answers: dict[str, int | str] | None = Field(None, description="To the questionnaire, if this is one.")
+    stage: str = Field(min_length=1, max_length=120, description="The stage that is completed.")
+    answers: dict[str, int | str] | None = Field(None, description="Answers, if the stage is a questionnaire.")
 
 
 class Progress(BaseModel):
-    """How far a participant has come: at which task or questionnaire (`what`), and whether the task is `over`."""
+    """A participant's progress: the present task or questionnaire (`what`), and whether the task is `over`."""
 
     kind: str
     stage: str
@@ -55,13 +57,13 @@ class Progress(BaseModel):
 
 
 class Participant(Person):
-    """What a participant sees: their task, where there is one, and how far they have come."""
+    """A participant's view: the task, if there is one, and the progress."""
 
     study: Progress
 
 
 class Seat(BaseModel):
-    """The place of who has come, and the path of their page within the service."""
+    """An admitted participant, and the path of the participant's page within the service."""
 
     person: str
     part: str
@@ -69,7 +71,7 @@ class Seat(BaseModel):
 
 
 async def study_of(request: Request) -> StudyService:
-    """Give the study's service."""
+    """Return the study's service."""
     service: StudyService = request.app.state.service
     return service
 
@@ -78,7 +80,7 @@ Study = Annotated[StudyService, Depends(study_of)]
 
 
 def form_of(study: UserStudy) -> dict[str, Any]:
-    """Give what pages show: texts as HTML, and questionnaires."""
+    """Return the content of the study's pages: texts as HTML, and questionnaires."""
     import markdown
 
     return {
@@ -99,19 +101,21 @@ def form_of(study: UserStudy) -> dict[str, Any]:
 
 @router.post("/api/study/seats", tags=["study"], response_model=Seat, responses=WRITE)
 async def visit(request: Request, coming: Visit, study: Study) -> Any:
-    """Get a place, with the join link's token; 409 where there is none. The same id again: the same place."""
+    """Join the study by the join link's token; 409 if it is full. A repeated id returns the same participant."""
     if request.state.caller.person not in (None, VISITOR):
-        raise HTTPException(403, "this is for visitors; who has a place has it")
+        raise HTTPException(403, "this link is for visitors; participants have joined already")
+    if coming.simulated and not study.rehearsal:
+        raise HTTPException(403, "simulated participants are admitted in a rehearsal only")
     seen = await study.visit(coming.id, simulated=coming.simulated)
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
-    now = json.loads(study.views[code])  # which may be later than the answer
+    now = json.loads(study.views[code])  # may be later than the answer
     return plain({"person": code, "part": part, "study": now["study"]})
 
 
 @router.get("/api/study/form", tags=["study"], responses=refusals())
 async def form(request: Request, study: Study) -> Response:
-    """What the study's pages show: its title, texts and questionnaires."""
+    """Return the content of the study's pages: title, texts and questionnaires."""
     if not hasattr(request.app.state, "form"):
         request.app.state.form = form_of(study.study)
     return plain(request.app.state.form)
@@ -119,26 +123,26 @@ async def form(request: Request, study: Study) -> Response:
 
 @router.post("/api/study/participants/{name}/onward", tags=["study"], response_model=Participant, responses=WRITE)
 async def onward(name: Own, going: Onward, study: Study) -> Response:
-    """Go on to the next stage; 409 from another one than where they are."""
+    """Proceed to the next stage; 409 if the participant is at another stage than the named one."""
     event = StudyEvent("onward", name, id=going.id, stage=going.stage, answers=going.answers)
     return plain(await study.report(event))
 
 
 @router.post("/api/study/participants/{name}/withdraw", tags=["study"], response_model=Participant, responses=WRITE)
 async def withdraw(name: Own, study: Study, once: Once | None = None) -> Response:
-    """Leave the study for good; at its beginning: do not consent."""
+    """Withdraw from the study for good. At the consent stage, this declines consent."""
     return plain(await study.report(StudyEvent("withdrew", name, id=once.id if once else None)))
 
 
 @router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Participant, responses=WRITE)
 async def come_back(name: Own, study: Study, once: Once | None = None) -> Response:
-    """Come back after having been gone, if there is a place."""
+    """Rejoin after an absence, if the study is not full."""
     return plain(await study.report(StudyEvent("returned", name, id=once.id if once else None)))
 
 
 @router.get("/api/study", tags=["study"], responses=refusals(403))
 async def overview(_: Operator, study: Study) -> Response:
-    """Who is where, in which condition, and who has left."""
+    """Return each participant's stage, condition and status."""
     return plain(await study.overview())
 
 
@@ -149,7 +153,7 @@ async def overview(_: Operator, study: Study) -> Response:
     },
 )  # fmt: skip
 async def export(_: Operator, study: Study) -> Response:
-    """Everything that was recorded: tables as CSV, what they mean, and logs that `fit` reads, as one ZIP file."""
+    """Return all recorded data as a ZIP file: tables (CSV), their description, and logs for `fit`."""
     return await _archive(study)
 
 
@@ -161,13 +165,13 @@ async def _archive(study: StudyService) -> Response:
 
 @router.get("/study/operator/{token}", include_in_schema=False)
 async def conduct(request: Request, token: str) -> Response:
-    """Give the page of whoever conducts the study."""
+    """Return the experimenter's page."""
     return page_of(request, token, None, PAGES / "conduct.html")
 
 
 @router.get("/study/export/{token}", include_in_schema=False)
 async def export_file(token: str, study: Study) -> Response:
-    """Give the export to whoever has the operator's token."""
+    """Return the export; the path holds the operator's token."""
     if study.access.whose(token) != Caller(None):
         raise HTTPException(403, "unknown link; use the complete link")
     return await _archive(study)
@@ -175,17 +179,17 @@ async def export_file(token: str, study: Study) -> Response:
 
 @router.get("/study/{token}", include_in_schema=False)
 async def visitors(request: Request, token: str) -> Response:
-    """Give the page at which everybody gets a place."""
+    """Return the page on which visitors join."""
     return page_of(request, token, VISITOR, PAGES / "visit.html")
 
 
 @router.get("/part/{name}/{token}", include_in_schema=False)
 async def part(request: Request, name: str, token: str) -> Response:
-    """Give a participant's page, but for tasks, which have their own."""
+    """Return a participant's page, except for tasks, which have pages of their own."""
     return page_of(request, token, name, PAGES / "part.html")
 
 
 @router.get("/study/pages/{name}", include_in_schema=False)
 async def own_piece(name: str) -> Response:
-    """Give what pages load."""
+    """Return a script or a style sheet of the study's pages."""
     return piece(PAGES, name)

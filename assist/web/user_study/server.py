@@ -1,4 +1,4 @@
-"""A process that serves a user study, or rehearses it."""
+"""The server process of a user study or of a rehearsal."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ def serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
     ready: Callable[[StudyService], None], *, participants: int = 0, public_url: str | None = None,
 ) -> None:  # fmt: skip
-    """Serve a study until a signal ends it, or a rehearsal is over.
+    """Serve a study until a signal ends it, or until a rehearsal is complete.
 
     Parameters
     ----------
     study : UserStudy
     tasks : mapping of str to CostToGo
-        By name; that of the practice is "practice".
+        Tasks by name; the practice task is "practice".
     folder : Path
-        Where the study is kept, and goes on from.
+        Folder in which the study is saved, and from which it is resumed.
     listening : socket
     ready : callable
-        Called when the first request can come.
+        Called when the service accepts requests.
     participants : int
-        Simulated ones, who rehearse the study; 0 for real ones.
+        Number of simulated participants of a rehearsal; 0 for a real study.
     public_url : str, optional
-        Where others reach the service, as `public_address` gives it, if it is not where it listens.
+        Public address of the service, as `public_address` returns it, if it differs from where the service listens.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
     asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url))
@@ -52,7 +52,7 @@ async def _serve(
 ) -> None:  # fmt: skip
     session = StudySession(study, tasks, folder)
     access = AccessTokens.kept(folder / "secret", public_url or address(listening))
-    service = StudyService(session, access, ticks=not participants)
+    service = StudyService(session, access, ticks=not participants, rehearsal=participants > 0)
     begun = asyncio.Event()
 
     def is_ready() -> None:
@@ -64,7 +64,7 @@ async def _serve(
         if participants:
             await asyncio.to_thread(rehearse, service, tasks, participants, address(listening))
 
-    # Whoever rehearses is faster than people are.
+    # Simulated participants send requests faster than people do.
     allowance = Allowance(rate=1e6, burst=1e6) if participants else None
     app = make_app(service, allowance=allowance, more=[router])
     await run(app, listening, is_ready, rehearsing(), ends=participants > 0)

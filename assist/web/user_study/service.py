@@ -1,4 +1,4 @@
-"""A user study as a service runs it: who is connected or gone, whose robot decides once more, whose time is up."""
+"""A user study as a service: connections, participants who leave, time limits, and the robots' decisions."""
 
 from __future__ import annotations
 
@@ -14,55 +14,62 @@ from ..service import Service, Watcher
 from ..tokens import AccessTokens
 
 VISITOR = "?"
-"""Whose token the join link has: nobody's name, since names have letters."""
-
-NEVER = 1e7
-"""Seconds between two ticks of the whole session, which has none: each team has its own."""
-
-LOOK = 1.0
-"""Seconds between two looks at who is idle or gone."""
+"""Owner of the join link's token. It is no participant's code, since codes contain letters."""
 
 
 class StudyService(Service):
-    """A study with its writer and those who watch.
+    """A user study with its writer and its watchers.
 
     Parameters
     ----------
     session : StudySession
     access : AccessTokens
     ticks : bool
-        Whether robots decide once more while participants are idle.
+        Whether robots decide again while participants are idle.
+    rehearsal : bool
+        Whether simulated participants are admitted.
+    look_every : float
+        Seconds between two checks for idle and absent participants. The study's own limits are minutes.
     """
 
-    def __init__(self, session: StudySession, access: AccessTokens, *, ticks: bool = True) -> None:
-        super().__init__(session, access, tick=NEVER)
-        self.study, self.folder, self.ticks = session.study, session.folder, ticks
+    def __init__(
+        self,
+        session: StudySession,
+        access: AccessTokens,
+        *,
+        ticks: bool = True,
+        rehearsal: bool = False,
+        look_every: float = 1.0,
+    ) -> None:
+        super().__init__(session, access, tick=1e7)  # effectively never: each team has a clock of its own
+        self.study, self.folder, self.ticks, self.rehearsal = session.study, session.folder, ticks, rehearsal
         self._held: StudySession = session
+        self._look_every = look_every
         self._away: dict[str, float] = {}
         access.token(VISITOR)
 
     def start(self) -> None:
-        """Begin, in the event loop that runs."""
+        """Start the service in the running event loop."""
         super().start()
         self._looking = self._loop.create_task(self._look())
 
     async def stop(self) -> None:
-        """End."""
+        """Stop the service."""
         self._looking.cancel()
         await super().stop()
 
-    # Who comes and goes.
+    # Arrivals and departures.
 
     def join_url(self) -> str:
-        """Give the address at which everybody gets a place."""
+        """Return the address at which participants join."""
         return f"{self.access.base}/study/{self.access.token(VISITOR)}"
 
     def operator_url(self) -> str:
-        """Give the address of the page of whoever conducts the study."""
+        """Return the address of the experimenter's page."""
         return f"{self.access.base}/study/operator/{self.access.operator}"
 
     def code(self, visit: str) -> str:
-        """Give the code of who comes with an id of their browser's: always the same, and nothing follows from it."""
+        """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
         number, signs = int.from_bytes(self._digest(visit)[:8], "big"), ""
         for _ in range(6):
             number, place = divmod(number, len(LETTERS))
@@ -70,7 +77,7 @@ class StudyService(Service):
         return f"P-{signs}"
 
     async def visit(self, visit: str, *, simulated: bool) -> dict[str, Any]:
-        """Let somebody come, or come back; the id, which may say who they are, is kept nowhere."""
+        """Admit a participant, or readmit one. The browser's id may identify a person and is not stored."""
         once = self._digest(visit)[8:].hex()
         return await self.report(StudyEvent("visited", self.code(visit), id=once, simulated=simulated))
 
@@ -78,24 +85,24 @@ class StudyService(Service):
         return hmac.new(self.access.operator.encode(), visit.encode(errors="replace"), hashlib.sha256).digest()
 
     def watch(self, person: str) -> Watcher:
-        """Begin to tell what somebody sees; who had gone is back."""
+        """Register a watcher of a participant's view. The participant counts as present again."""
         self._away.pop(person, None)
         return super().watch(person)
 
     def leave(self, person: str, watcher: Watcher) -> None:
-        """End it."""
+        """Remove one watcher of a participant's view."""
         super().leave(person, watcher)
         if person not in self._watchers:
             self._away[person] = self._loop.time()
 
     def connected(self, person: str) -> bool:
-        """Whether a page of somebody's is."""
+        """Whether a page of the participant is connected."""
         return person in self._watchers
 
     async def _look(self) -> None:
-        """Report, now and then, what time brings."""
+        """Report departures, expired time limits and ticks at regular intervals."""
         while True:
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(self._look_every)
             for event in await asyncio.to_thread(self._held.see, self._due):
                 await self.pass_on(event)
 
@@ -117,10 +124,10 @@ class StudyService(Service):
                     found.append(Event("elapsed", code))
         return found
 
-    # What the operator sees.
+    # The experimenter's view.
 
     async def overview(self) -> dict[str, Any]:
-        """Give who is where, in which condition, and who has left."""
+        """Return each participant's stage, condition and status."""
         found: dict[str, Any] = await asyncio.to_thread(self._held.see, self._overview)
         return found
 

@@ -1,11 +1,11 @@
-// The page of whoever conducts a study: who is where, who has left, how the conditions fill, and the export.
+// The experimenter's page: participants and their progress, dropouts, the sizes of conditions, and the export.
 
 import { Refused, ask, askJson } from "../../pages/connection.js";
 
 const at = (id) => document.getElementById(id);
-const BETWEEN = 2000; // milliseconds between two looks
+const BETWEEN = 2000; // milliseconds between two updates
 const LEFT = ["gone", "withdrew", "declined", "full"];
-const STATES = { done: "done", gone: "gone", withdrew: "left", declined: "no consent", full: "no place" };
+const STATES = { done: "completed", gone: "dropped out", withdrew: "withdrew", declined: "no consent", full: "study full" };
 
 const clock = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
 
@@ -38,10 +38,10 @@ function remover(code) {
     if (!confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`)) return;
     try {
       await ask(`/api/team/people/${encodeURIComponent(code)}`, { method: "DELETE" });
-      at("said").textContent = `${code} counts as gone.`;
+      at("said").textContent = `${code} is marked as dropped out.`;
       look();
     } catch (error) {
-      complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+      complain(error instanceof Refused ? error.message : "The study server cannot be reached. Try again.");
     }
   });
   return made;
@@ -50,20 +50,20 @@ function remover(code) {
 function show(study) {
   const { participants, stages, conditions } = study;
   at("title").textContent = document.title = study.title;
-  complain(study.fault === null ? null : `A policy could not decide: ${study.fault}`);
+  complain(study.fault === null ? null : `A policy failed: ${study.fault}`);
   const here = participants.filter((one) => one.status === "here").length;
   const done = participants.filter((one) => one.status === "done").length;
-  at("count").textContent = `${participants.length} came, ${here} under way, ${done} done${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
+  at("count").textContent = `${participants.length} joined, ${here} present, ${done} completed${study.places === null ? "" : `, ${study.taken} of ${study.places} places taken`}`;
   at("join").value = study.join;
-  const within = study.design === "within";  // then an order of all conditions is drawn
+  const within = study.design === "within";  // each participant is assigned an order of all conditions
   at("conditions-title").textContent = within ? "Orders of the conditions" : "Conditions";
   for (const head of document.querySelectorAll("[data-condition]")) head.textContent = within ? "Order" : "Condition";
   at("conditions").replaceChildren(...conditions.map((one) => row([cell(one.name), cell(one.policy), cell(one.begun, "count"), cell(one.counting, "count"), cell(one.done, "count")])));
   const counts = conditions.map((one) => one.counting);
   const apart = Math.max(...counts) - Math.min(...counts);
   at("balance").textContent = within
-    ? `The fullest and the emptiest order differ by ${apart}. An order is drawn when somebody's first task begins.`
-    : `The largest and the smallest condition differ by ${apart}. A condition is drawn when somebody's first task begins.`;
+    ? `The most and the least frequent order differ by ${apart}. An order is assigned when a participant's first task begins.`
+    : `The largest and the smallest condition differ by ${apart}. A condition is assigned when a participant's first task begins.`;
   at("flow").replaceChildren(...stages.map((name, number) => row([
     cell(name),
     cell(participants.filter((one) => one.number > number).length, "count"),
@@ -90,10 +90,10 @@ async function look() {
     at("connection").textContent = "Connected";
     at("connection").classList.remove("lost");
   } catch (error) {
-    at("connection").textContent = "Not reached";
+    at("connection").textContent = "Not connected";
     at("connection").classList.add("lost");
     if (error instanceof Refused && [401, 403].includes(error.status)) {
-      complain("This link does not lead to a study.");
+      complain("This link is not valid.");
       return;
     }
   }
@@ -119,7 +119,7 @@ at("export").addEventListener("click", async () => {
     setTimeout(() => URL.revokeObjectURL(link.href), 60000);
     at("said").textContent = "The export is saved.";
   } catch (error) {
-    complain(error instanceof Refused ? error.message : "Not reached. Try again.");
+    complain(error instanceof Refused ? error.message : "The study server cannot be reached. Try again.");
   }
 });
 look();

@@ -1,4 +1,4 @@
-// A participant's page: consent, instructions, questionnaires, the end. Tasks have their own page, to which this one leads.
+// A participant's page: consent, instructions, questionnaires and the end. It redirects to the page of tasks.
 
 import { Channel, Outbox, Refused, address, askJson, passes, pathOf, person, token } from "../../pages/connection.js";
 
@@ -7,7 +7,7 @@ const own = (rest) => `/api/study/participants/${encodeURIComponent(person)}/${r
 const TASKS = ["practice", "task"];
 
 let form = null; // texts and questionnaires of the study
-let view = null; // the newest that the service said of this person
+let view = null; // the latest view from the service
 let shown = null; // the stage that the page shows
 
 function element(name, attributes = {}, ...children) {
@@ -26,7 +26,7 @@ function complain(text) {
   if (text) at("problem").scrollIntoView({ block: "nearest" });
 }
 
-// Answers that have been marked and not sent yet outlive a reload.
+// Answers that are not sent yet survive a reload.
 
 const draftKey = () => `kitassist draft ${token} ${view.study.stage}`;
 
@@ -42,11 +42,11 @@ function keepDraft(answers) {
   try {
     sessionStorage.setItem(draftKey(), JSON.stringify(answers));
   } catch {
-    // no storage: they are kept as long as the page is
+    // no storage: answers are lost when the page is closed
   }
 }
 
-// Questionnaires: each question a fieldset, so that a screen reader says which one an answer belongs to.
+// Questionnaires. Each question is a fieldset, so that screen readers announce it with its answers.
 
 let answers = {};
 
@@ -65,7 +65,7 @@ function fieldOf(item, ...children) {
     element("p", { class: "error", id: `error ${item.name}`, hidden: true }, "Please answer this question."));
 }
 
-/** From 0 to 100: nothing is marked until somebody has, so that the middle is an answer and no default. */
+/** A scale from 0 to 100. It is unmarked at first, so that the middle is never a default answer. */
 function slider(item) {
   const input = element("input", {
     type: "range", min: 0, max: 100, step: 5, "aria-label": `${item.text} 0: ${item.low}, 100: ${item.high}`, class: "unmarked",
@@ -128,7 +128,7 @@ function questionnaire(study) {
     }
     if (missing.length) {
       at(`item ${missing[0].name}`).querySelector("input").focus();
-      at("said").textContent = `${missing.length === 1 ? "One question is" : `${missing.length} questions are`} not answered yet.`;
+      at("said").textContent = `${missing.length === 1 ? "One question is" : `${missing.length} questions are`} unanswered.`;
       return;
     }
     onward({ ...answers });
@@ -142,7 +142,7 @@ function title(text) {
   document.title = `${text}: ${form.title}`;
 }
 
-/** The first one submits the form; another one is given what it does. */
+/** The first button submits the form; each further button has its own action. */
 function buttons([word, _], ...others) {
   return element("p", { class: "buttons" }, element("button", { type: "submit", class: "main" }, word), ...others.map(([text, act]) => {
     const made = element("button", { type: "button" }, text);
@@ -153,7 +153,7 @@ function buttons([word, _], ...others) {
 
 function text(heading, name, ...words) {
   title(heading);
-  at("body").innerHTML = form.texts[name]; // the researchers' own, made HTML by the service; scripts in it do not run
+  at("body").innerHTML = form.texts[name]; // written by the researchers and converted to HTML by the service; scripts in it do not run
   at("form").append(buttons(...words));
   at("form").onsubmit = (event) => {
     event.preventDefault();
@@ -189,13 +189,13 @@ const STAGES = {
   questionnaire,
   thanks: ends,
   declined: () => plain("You chose not to take part", "Nothing more is recorded about you. You can close this page."),
-  withdrew: () => plain("You have left the study", "Thank you for the time that you gave. You can close this page."),
+  withdrew: () => plain("You have left the study", "Thank you for your time. You can close this page."),
   gone: () => {
     plain("Welcome back", "You were away for a while. One moment, please.");
     send("return", {});
   },
   full: () => {
-    plain("The study is full", "While you were away, your session was reassigned. A place may become free again: you can try.");
+    plain("The study is full", "While you were away, your session was reassigned. You can try again later, since places may become free.");
     at("form").append(buttons(["Try again", null]));
     at("form").onsubmit = (event) => {
       event.preventDefault();
@@ -220,9 +220,12 @@ function show() {
   at("progress").hidden = !(under || study.kind === "thanks");
   at("progress").max = study.of;
   at("progress").value = study.number;
-  at("leave").hidden = !under || leaves || study.kind === "consent";
-  at("leaving").hidden = !(leaves && under);
-  at("stage").hidden = leaves && under;
+  const ended = study.kind === "thanks"; // data can be withdrawn afterwards, too
+  at("leave").hidden = !(under || ended) || leaves || study.kind === "consent";
+  at("leave-button").textContent = at("leave-now").textContent = ended ? "Withdraw my data" : "Leave the study";
+  at("stay").textContent = ended ? "Keep my data in the study" : "Stay";
+  at("leaving").hidden = !(leaves && (under || ended));
+  at("stage").hidden = leaves && (under || ended);
   for (const button of document.querySelectorAll("main .buttons button")) button.disabled = outbox.busy;
   if (shown === key(study) && !(leaves && under)) return;
   const first = shown === null;
@@ -240,7 +243,7 @@ function show() {
   }
 }
 
-// What is done.
+// Requests.
 
 function send(what, body) {
   complain(null);
@@ -261,7 +264,7 @@ const outbox = new Outbox("part", {
     show();
   },
   waiting() {
-    complain("Not sent yet. It will be sent as soon as the connection is back.");
+    complain("Not sent yet. It will be sent when the connection is restored.");
   },
 });
 
@@ -277,7 +280,7 @@ async function refresh() {
   } catch (error) {
     if (error instanceof Refused && [401, 403, 404].includes(error.status)) {
       channel.end();
-      complain(`This link does not lead to a place: ${error.message}.`);
+      complain(`This link is not valid: ${error.message}.`);
     }
   }
 }
@@ -310,7 +313,7 @@ async function load() {
     show();
   } catch (error) {
     if (passes(error)) setTimeout(load, 1000);
-    else complain(`This link does not lead to a place: ${error.message}.`);
+    else complain(`This link is not valid: ${error.message}.`);
   }
 }
 load();

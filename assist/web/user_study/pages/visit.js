@@ -1,4 +1,4 @@
-// The join link: everybody who opens it gets a place, in one browser always the same one.
+// The page of the join link: each browser becomes one participant, always the same one.
 
 import { Refused, address, askJson, newId, passes, token } from "../../pages/connection.js";
 
@@ -17,11 +17,11 @@ function keep(visit) {
   try {
     localStorage.setItem(KEY, JSON.stringify(visit));
   } catch {
-    // no storage: the address of the page that follows is theirs
+    // no storage: the address of the next page identifies the participant
   }
 }
 
-/** Who is sent by somebody else's system comes with an id of theirs, and has one place on every device. */
+/** Participants sent by another system bring its id, and are the same participant on every device. */
 function sent() {
   const id = new URLSearchParams(location.search).get("participant");
   return id ? `participant ${id}`.slice(0, 128) : null;
@@ -57,12 +57,12 @@ async function enter(id) {
     location.replace(address(seat.part));
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    if (error.status !== 409) tell(`This link does not lead to a study: ${error.message}.`);
-    else tell("The study is full at the moment. A place may become free when somebody leaves: you can try again.", { begin: "Try again" });
+    if (error.status !== 409) tell(`This link is not valid: ${error.message}.`);
+    else tell("The study is full at the moment. You can try again later, since places may become free.", { begin: "Try again" });
   }
 }
 
-/** In a laboratory one browser is many people's: who has finished makes room for the next. */
+/** In a laboratory, several participants use one browser. After one has finished, the next may begin. */
 async function begin() {
   const id = sent() ?? kept()?.id ?? null;
   if (id === null) {
@@ -83,7 +83,7 @@ async function begin() {
 }
 
 function next(seat) {
-  tell("Somebody has taken part in this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: address(seat.part) });
+  tell("A participant has already used this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: address(seat.part) });
 }
 
 at("begin").addEventListener("click", () => enter(sent() ?? newId()));

@@ -1,0 +1,265 @@
+"""The team as it is at a decision, from which the decision is explained later.
+
+A `DecisionPoint` copies what events change: states, beliefs, open suggestions and the robot's place. So it costs
+little while a decision is made, and all else is computed only if somebody asks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import CostToGo
+
+from ..explain.contrast import Contrast, contrast
+from ..explain.explanation import Explanation, Prospect, WhyNothing, WhyPerson, WhyStep
+from ..large_tasks.truncated_policy import TruncatedPolicy
+from ..people.choices import Choices
+from ..people.decision import Floats
+from ..team.state import by_model, worth_of_actions
+from .live_task import InapplicableError, LiveTask, TaskPart
+from .roster import Roster
+
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class DecisionPoint:
+    """The team of P people at a decision.
+
+    Attributes
+    ----------
+    names : tuple of str
+    problems : tuple of LiveTask
+    parts : list of TaskPart
+    x, model : int arrays, shape (P,)
+        Row of each person's state, and the number of its part.
+    robot : int array, shape (P,)
+        Robot action towards each person that is open; 0 for none.
+    present, ended, erred : bool arrays, shape (P,)
+    belief : float array, shape (P, B, T)
+    here : int
+        Place of the robot before the decision; -1 for its base.
+    moving : float array, shape (P,)
+        Cost of the robot's way to each person, in cost units.
+    rule : str
+        Name of the team's policy.
+    """
+
+    names: tuple[str, ...]
+    problems: tuple[LiveTask, ...]
+    parts: list[TaskPart]
+    x: NDArray[np.int64]
+    model: NDArray[np.int64]
+    robot: NDArray[np.int64]
+    present: NDArray[np.bool_]
+    ended: NDArray[np.bool_]
+    erred: NDArray[np.bool_]
+    belief: Floats
+    here: int
+    moving: Floats
+    rule: str
+
+    @classmethod
+    def of(cls, team: Roster, here: int, moving: Floats, rule: str) -> DecisionPoint:
+        """Return the present state of a team; other arguments as in the attributes."""
+        count = len(team.records)
+
+        def copy(array: NDArray[T]) -> NDArray[T]:
+            return array[:count].copy()
+
+        return cls(
+            tuple(team.by_name), tuple([record.problem for record in team.records]), list(team.parts),
+            copy(team.x), copy(team.model), copy(team.robot), copy(team.present), copy(team.ended), copy(team.erred),
+            copy(team.belief), here, moving[:count], rule,
+        )  # fmt: skip
+
+    def explanation(
+        self, place: int | None, attended: int | None, *, arrived: bool, against: str | None = None
+    ) -> Explanation:
+        """Return why a person has their suggestion, or none.
+
+        Parameters
+        ----------
+        place : int or None
+            The person's place; None to explain why nobody has got a suggestion.
+        attended : int or None
+            Place of the person to whom the robot attends.
+        arrived : bool
+            Whether it is there.
+        against : str, optional
+            As in `suggested`.
+
+        Raises
+        ------
+        UnknownError, InapplicableError
+            As in `suggested`.
+        """
+        if place is None:
+            return self.nothing_at_all()
+        robot, coming = int(self.robot[place]), attended == place and not arrived
+        if robot or coming:
+            return self.suggested(place, robot, arrived=not coming, against=against)
+        self._require_none(place, against)
+        return self.nothing_for(place, attended)
+
+    def suggested(self, place: int, robot: int, *, arrived: bool, against: str | None = None) -> Explanation:
+        """Return why a person is attended to, and why with this suggestion.
+
+        Parameters
+        ----------
+        place : int
+            The person's place.
+        robot : int
+            The robot action; 0 without a suggestion.
+        arrived : bool
+            Whether the robot is there.
+        against : str, optional
+            An action with which the suggested step is to be compared.
+
+        Raises
+        ------
+        UnknownError
+            The task has no such action.
+        InapplicableError
+            The action is not applicable now, or there is no suggestion with which it could be compared.
+        """
+        person = self._why_person(place, robot, arrived)
+        if robot == 0:
+            self._require_none(place, against)
+            return Explanation(now=person)
+        step = self._why_step(place, robot)
+        asked = None
+        if against is not None:
+            problem, part, row = self._at(place)
+            slot = problem.slot(part, row, against)
+            name = part.choices.name(row, slot)
+            asked = self._contrast(place, step.step, name, float(self._chances(place)[slot]))
+        return self._in_words(place, Explanation(step, person, None, asked))
+
+    def nothing_for(self, place: int, attended: int | None) -> Explanation:
+        """Return why a person has no suggestion.
+
+        Parameters
+        ----------
+        place : int
+        attended : int or None
+            Place of the person to whom the robot attends.
+        """
+        name, rule = self.names[place], self.rule
+        if self.ended[place]:
+            return Explanation(nothing=WhyNothing("finished", rule, about=name))
+        if rule == "none":
+            return Explanation(nothing=WhyNothing("never", rule, about=name))
+        if rule == "reactive":
+            nothing = WhyNothing("mistake-elsewhere" if self.erred[place] else "no-mistake", rule, about=name)
+            return Explanation(nothing=nothing)
+        prospect = self._prospects.get(place)
+        if prospect is None:
+            return Explanation(nothing=WhyNothing("no-step", rule, about=name))
+        return self._too_little(place, prospect, elsewhere=attended not in (None, place), about=name)
+
+    def nothing_at_all(self) -> Explanation:
+        """Return why nobody has got a suggestion."""
+        working = self.present & ~self.ended
+        if not working.any():
+            return Explanation(nothing=WhyNothing("nobody", self.rule))
+        if self.rule == "none":
+            return Explanation(nothing=WhyNothing("never", self.rule))
+        if not (working & (self.robot == 0)).any():
+            return Explanation(nothing=WhyNothing("waiting", self.rule))
+        if self.rule == "reactive":
+            return Explanation(nothing=WhyNothing("no-mistake", self.rule))
+        if not self._prospects:
+            return Explanation(nothing=WhyNothing("no-step", self.rule))
+        place = max(self._prospects, key=lambda one: self._prospects[one].score)
+        return self._too_little(place, self._prospects[place], elsewhere=False, about=None)
+
+    def _too_little(self, place: int, prospect: Prospect, *, elsewhere: bool, about: str | None) -> Explanation:
+        exact = self.rule == "attention"
+        nothing = WhyNothing("cost", self.rule, prospect, exact=exact, elsewhere=elsewhere, about=about)
+        return self._in_words(place, Explanation(nothing=nothing))
+
+    def _in_words(self, place: int, explanation: Explanation) -> Explanation:
+        return explanation.in_words(self.problems[place].words(explanation.actions))
+
+    def _require_none(self, place: int, against: str | None) -> None:
+        """Check that no comparison is asked for, since nothing is suggested."""
+        if against is not None:
+            raise InapplicableError(
+                f"nothing is suggested to {self.names[place]} now, so that no step can be compared with {against[:80]}"
+            )
+
+    def _at(self, place: int) -> tuple[LiveTask, TaskPart, int]:
+        return self.problems[place], self.parts[self.model[place]], int(self.x[place])
+
+    def _known(self, place: int) -> tuple[Choices | CostToGo, int]:
+        """Return all choices of a person's task, and their state there."""
+        problem, part, row = self._at(place)
+        if isinstance(problem.policy, TruncatedPolicy):
+            return problem.policy.known, part.state(row)
+        return part.choices, row
+
+    def _contrast(self, place: int, step: str, alternative: str, probability: float) -> Contrast:
+        say = self.problems[place].say
+        return contrast(*self._known(place), step, alternative, probability=probability, say=say)
+
+    def _chances(self, place: int) -> Floats:
+        """Return how likely a person is to make each choice without a suggestion, shape (A,), under the belief."""
+        _, part, row = self._at(place)
+        pomdp, choices = part.policy.pomdp, part.choices
+        applicable = choices.applicable[row]
+        p = pomdp.chosen[row] @ self.belief[place].sum(axis=1)
+        return np.where(applicable, (1 - pomdp.model.lapse) * p + pomdp.model.lapse / applicable.sum(), 0.0)
+
+    def _why_step(self, place: int, robot: int) -> WhyStep:
+        _, part, row = self._at(place)
+        choices, own = part.choices, int(part.policy.pomdp.suggested[row, robot])
+        chances = self._chances(place)
+        in_all = np.where(choices.applicable[row], choices.costs[row] + choices.h[choices.targets[row]], -np.inf)
+        others = choices.applicable[row] & (np.arange(len(chances)) != own)
+        worse = others & (in_all > in_all[own])
+        likely = None
+        if others.any():
+            slot = int(np.where(worse if worse.any() else others, chances, -1.0).argmax())
+            names = choices.name(row, own), choices.name(row, slot)
+            likely = self._contrast(place, *names, float(chances[slot]))
+        return WhyStep(choices.name(row, own), float(chances[own]), likely)
+
+    def _why_person(self, place: int, robot: int, arrived: bool) -> WhyPerson:
+        mine, others = self._prospect(place, robot), list[Prospect]()
+        if self.rule != "reactive":  # which does not compare people
+            others = [one for other, one in self._prospects.items() if other != place]
+        others.sort(key=lambda one: -one.score)
+        return WhyPerson(mine, self.here == place, arrived, tuple(others), self.rule)
+
+    def _prospect(self, place: int, robot: int) -> Prospect:
+        """Return the prospect of one robot action, or of the best suggestion for 0."""
+        part = self._at(place)[1]
+        q = worth_of_actions(part.policy, self.x[place : place + 1], self.belief[place : place + 1])[0]
+        robot = robot or (1 + int(q[1:].argmax()) if len(q) > 1 else 0)
+        return self._of_action(place, q, robot)
+
+    def _of_action(self, place: int, q: Floats, robot: int) -> Prospect:
+        _, part, row = self._at(place)
+        cost = float(part.policy.pomdp.robot_costs[row, robot])
+        return Prospect(
+            self.names[place], part.policy.pomdp.suggestion(row, robot), float(q[robot] - q[0]) + cost, cost,
+            float(self.moving[place]),
+        )  # fmt: skip
+
+    @cached_property
+    def _prospects(self) -> dict[int, Prospect]:
+        """The best suggestion to each person who is at work, has no suggestion, and could get one."""
+        rows = np.flatnonzero(self.present & ~self.ended & (self.robot == 0))
+        found = {}
+        for number, mine in by_model(self.model, rows, len(self.parts)):
+            values = worth_of_actions(self.parts[number].policy, self.x[mine], self.belief[mine])
+            for place, q in zip(mine.tolist(), values, strict=True):
+                if len(q) > 1 and np.isfinite(q[1:].max()):
+                    found[place] = self._of_action(place, q, 1 + int(q[1:].argmax()))
+        return dict(sorted(found.items()))
