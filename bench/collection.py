@@ -1,18 +1,18 @@
-"""Other people's tasks: the first instance of each domain of the public collection `aibasel/downward-benchmarks`.
+"""Tasks of the public collection `aibasel/downward-benchmarks`: the first instance of each domain, solved or read.
 
     DOWNWARD_BENCHMARKS=FOLDER python bench/collection.py [DOMAIN...] [--read] [--all] [--instance K] [--out FILE]
                                                           [--busy N] [--compare SECONDS] [--count SECONDS]
 
-Every instance is read, and unless `--read` is given solved, in a process of its own, within limits of time and memory.
-Of each that is swept, 20 states are then compared with Fast Downward's A*, for `--compare` seconds at most; of the
-others the states are counted, for `--count` seconds at most, as far as `solve` would enumerate them. The result is one
-line of JSON for each (status, method, states, seconds, what was said), and a table; with `--before FILE`, an earlier
-run's `--out`, the table has its figures beside. What `--out FILE` has already is not run again. On a machine that
-others use, `--busy N` allows N times as much time on the clock; processor time is limited in any case. `--record FILE`
-writes the table for the documentation, and how many instances came to what into `FILE-outcomes.json`.
+Each instance is solved in a process of its own, within limits of time and memory; with `--read` it is only read. If it
+is swept, 20 states are compared with Fast Downward's A*, for at most `--compare` seconds. Otherwise its states are
+counted, for at most `--count` seconds and up to the number that `solve` enumerates. The result is a line of JSON for
+each instance (status, method, states, seconds, message) and a table. With `--before FILE`, the `--out` of an earlier
+run, the table contains its outcomes too. Instances in `--out FILE` are not run again. On a shared machine, `--busy N`
+allows N times as much wall-clock time; processor time is limited in any case. `--record FILE` writes the table for the
+documentation, and the numbers of instances by outcome to `FILE-outcomes.json`.
 
-With `--read` each is compared with what Fast Downward's translator alone makes of the files: the same task, another
-one, or refused. Domains made for satisficing and agile tracks, and split ones, are left out unless `--all` is given.
+With `--read`, the task is compared with the output of Fast Downward's translator alone: the same task, another task, or
+refused. Domains of satisficing and agile tracks and split domains are omitted unless `--all` is given.
 """
 
 from __future__ import annotations
@@ -35,20 +35,19 @@ import click
 from tables import Columns, cell, record_option, write_record
 
 from planner import Task, find_instances, instance
-from planner.search import forward_search
 from planner.system.limits import MAX_STATES
 from planner.system.machine import processors
 
 LEFT_OUT = ("sat", "agl", "mco", "split")
-GRACE = 30.0  # seconds that a process may take to end by itself
-STATES = 20  # of each instance that are compared with Fast Downward's A*
-SEARCHES = (None, "astar(blind())")  # are tried for each state at the same time
-COUNT_MEMORY = 12e9  # bytes in which states are counted
+GRACE = 30.0  # seconds that a process may exceed its limit, for cleaning up
+STATES = 20  # states of each instance that are compared with Fast Downward's A*
+SEARCHES = (None, "astar(blind())")  # run concurrently for each state
+COUNT_MEMORY = 12e9  # bytes for counting states
 UNCHECKED = "read by Fast Downward's translator, not checked by unified-planning: "
 
 
 def instances(folder: Path, number: int, *, every: bool) -> list[tuple[Path, Path]]:
-    """The n-th problem of each domain, with its domain file, however the two are named."""
+    """Return the n-th problem of each domain with its domain file, whatever their names."""
     found = []
     for place in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
         if every or not any(word in place.name for word in LEFT_OUT):
@@ -57,12 +56,12 @@ def instances(folder: Path, number: int, *, every: bool) -> list[tuple[Path, Pat
 
 
 def name_of(problem: Path) -> str:
-    """The name of an instance in the collection."""
+    """Return the name of an instance in the collection."""
     return "/".join(problem.parts[-2:] if problem.parent.name != "mprime-renamed" else problem.parts[-3:])
 
 
 def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
-    """Read an instance, and compare it with what Fast Downward's translator alone makes of the files."""
+    """Read an instance, and compare it with the output of Fast Downward's translator alone."""
     from planner import LimitError, Limits, PDDLError, load
 
     try:
@@ -81,7 +80,7 @@ def read(domain: str, problem: str, seconds: float) -> dict[str, Any]:
 
 
 def translated(domain: str, problem: str, seconds: float) -> Task | None:
-    """What Fast Downward's translator makes of files as they are; None where it refuses them."""
+    """Return the task that Fast Downward's translator makes of unchanged files; None if it refuses them."""
     from planner.grounding.fast_downward import TRANSLATE_OPTIONS
     from planner.grounding.load import from_sas
 
@@ -119,8 +118,9 @@ def solve(domain: str, problem: str, seconds: float, memory: float, patience: fl
 
 
 def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
-    """Count states, up to as many as `solve` enumerates."""
+    """Count states, up to the number that `solve` enumerates."""
     from planner import LimitError, load
+    from planner.costtogo.sweep import explored
     from planner.system.limits import Budget
 
     found, task, why = 1, load(instance(problem, domain)), None
@@ -130,20 +130,20 @@ def count(domain: str, problem: str, seconds: float) -> dict[str, Any]:
         found = states
 
     try:
-        forward_search.counted(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), processors(), told)
+        explored(task, Budget(MAX_STATES, COUNT_MEMORY, time.monotonic() + seconds), processors(), told)
     except LimitError as error:
         why = str(error)
     return {"at_least": found, "counted": why is None, "count_said": why}
 
 
 def processor_seconds(*of: int) -> float:
-    """How long processors have worked so far, for this process or for those that it has started and that are over."""
+    """Return the processor seconds of this process, or of its finished child processes."""
     return sum(used.ru_utime + used.ru_stime for used in map(resource.getrusage, of))
 
 
 @dataclass(frozen=True)
 class Limited:
-    """What an instance may take: seconds of each stage on an idle machine, how much slower this one is, and MB."""
+    """Limits of an instance: seconds of each stage on an idle machine, the slowdown of this machine, and MB."""
 
     seconds: float
     compare: float
@@ -153,19 +153,19 @@ class Limited:
 
     @property
     def most(self) -> dict[str, float]:
-        """Give the seconds that each piece of work may take on the clock."""
-        compare = 3 * self.compare  # a search that begins as the time is over, and the comparison with what comes after
+        """Wall-clock limit of each kind of work, in seconds."""
+        compare = 3 * self.compare  # a search that starts just before the limit, and the comparison of its successors
         seconds = {"read": 2 * self.seconds, "solve": self.seconds + compare, "count": self.seconds + self.count}
         return {what: one * self.busy + GRACE for what, one in seconds.items()}
 
     def options(self) -> list[str]:
-        """Give them as a command's options."""
+        """Return the limits as command-line options."""
         given = ("seconds", "compare", "count", "busy", "memory")
         return [word for name in given for word in (f"--{name}", str(getattr(self, name)))]
 
 
 def done(what: str, domain: str, problem: str, limits: Limited) -> dict[str, Any]:
-    """Do a piece of work in this process."""
+    """Run one kind of work in this process."""
     _, most = resource.getrlimit(resource.RLIMIT_CPU)
     seconds = limits.most[what] if what != "solve" else limits.seconds + limits.compare + GRACE
     resource.setrlimit(resource.RLIMIT_CPU, (int(seconds * processors()), most))
@@ -197,7 +197,7 @@ def counted(domain: Path, problem: Path, limits: Limited) -> dict[str, Any]:
 
 
 def started(what: str, domain: Path, problem: Path, limits: Limited) -> dict[str, Any]:
-    """Do a piece of work in a new process."""
+    """Run one kind of work in a new process."""
     own = [sys.executable, __file__, "--one", what, str(domain), str(problem), *limits.options()]
     patience = limits.most[what]
     try:
@@ -212,14 +212,14 @@ def started(what: str, domain: Path, problem: Path, limits: Limited) -> dict[str
 
 
 def outcome(row: dict[str, Any]) -> str:
-    """What came of an instance, in a word."""
+    """Return the outcome of an instance in a word or two."""
     if row["status"] != "solved" and row["status"] != "unsolvable":
         return str(row["status"])
     return {"sweep": "swept", "on-demand": "on demand", None: row["status"]}[row["method"]]
 
 
 def remark(row: dict[str, Any]) -> str:
-    """What was said of an instance, as short as a table has it."""
+    """Return the message about an instance, shortened for a table."""
     said = row.get("said") or ""
     if said.startswith(UNCHECKED):
         said = "not checked by unified-planning" + "".join(f"; {part}" for part in said.split("; ")[1:])
@@ -231,7 +231,7 @@ def number(value: float | None, form: str = ",") -> str:
 
 
 def states(row: dict[str, Any]) -> str:
-    """How many states an instance has, as far as that is known."""
+    """Return the number of states, or the known bound on it."""
     if row.get("states") is not None or row.get("at_least") is None:
         return number(row.get("states"))
     if row["at_least"] > MAX_STATES:
@@ -240,7 +240,7 @@ def states(row: dict[str, Any]) -> str:
 
 
 def columns_of(before: dict[str, dict[str, Any]]) -> Columns:
-    """The columns of the table, with those of an earlier run if there is one."""
+    """Return the columns of the table, including the outcome of an earlier run if there is one."""
     columns = {
         "instance": lambda row: f"`{row['instance'].removesuffix('.pddl')}`",
         "outcome": outcome,
@@ -256,7 +256,7 @@ def columns_of(before: dict[str, dict[str, Any]]) -> Columns:
 
 
 def outcomes(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Sum up what came of how many."""
+    """Count the instances with each outcome."""
     parts: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         found = outcome(row)
@@ -285,17 +285,17 @@ OUTCOMES: Columns = {
     "states compared": lambda row: number(row["verified"] or None),
     f"with {STATES} or all of them compared": lambda row: number(row["enough"] or None),
 }
-"""How the documentation shows what came of how many."""
+"""Columns of the table of outcomes in the documentation."""
 
 
 def rows_of(file: Path | None) -> dict[str, dict[str, Any]]:
-    """The rows in a file by the instance's name, the last of each."""
+    """Return the rows in a file by instance; the last row of each counts."""
     lines = [] if file is None or not file.is_file() else file.read_text().splitlines()
     return {row["instance"]: row for row in map(json.loads, lines)}
 
 
 def keep(found: dict[str, dict[str, Any]], row: dict[str, Any], out: Path | None) -> None:
-    """Take a row in, and write it to a file."""
+    """Store a row, and append it to a file."""
     found[row["instance"]] = row
     print(f"{row['instance']}: {row['status']}, {states(row)} states, {row['seconds']} s", file=sys.stderr)
     if out is not None:
@@ -322,7 +322,7 @@ def main(
     busy: float, memory: float, out: Path | None, before: Path | None, record: Path | None,
     one: tuple[str, str, str] | None,
 ) -> None:  # fmt: skip
-    """Read and solve an instance of each domain of a collection."""
+    """Read or solve an instance of each domain of the collection."""
     limits = Limited(seconds, compare, counting, busy, memory)
     if one is not None:
         print(json.dumps(done(*one, limits)))

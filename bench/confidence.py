@@ -1,13 +1,13 @@
-"""How often bounds from sample paths lie below the mean that they bound, and below the best policy's value.
+"""Coverage of bounds from sample paths: how often they lie below the mean that they bound, and below the optimal value.
 
-    python bench/confidence.py [--seeds N] [--paths N] [--record FILE]
+    python bench/confidence.py [--seeds N] [--samples N] [--record FILE]
 
-Teams of two on the tiny kit. In five settings the robot believes in a few betas and thetas, so that the whole problem
-is solved between bounds (`joint.py`); in the others it believes in 60 pairs, and sample paths have longer tails: there
-are half as many seeds there, as their paths take longer. In each setting, and for each share alpha of the conflicts
-that a bound may choose, as many groups of sample paths are drawn as there are seeds. A bound is taken from each group:
-with the present interval, and with Student's t at 95 %. The mean over all groups stands for the mean that is bounded.
-At most 5 % of the bounds may lie below it, and three standard errors of this share.
+The teams are pairs of people on the tiny kit. In five settings the robot's grid has two betas and three thetas, so that
+the joint problem can be solved exactly (`joint.py`). In the others the grid has 60 pairs, and sample paths have longer
+tails; their paths take longer, so there are half as many seeds. For each setting and each share alpha of the conflicts,
+one group of sample paths is drawn per seed. A bound is computed from each group, with the present interval and with
+Student's t at 95 %. The mean over all groups stands for the mean that is bounded. At most 5 % of the bounds, plus three
+standard errors of this share, may lie below it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ from tables import cell, record_option, write_record
 
 from assist.certify.information_relaxation.belief_nodes import BeliefNodes
 from assist.certify.information_relaxation.confidence import CONFIDENCE, FEWEST, SampledBound
-from assist.certify.information_relaxation.sampled_bound import ALPHAS, InformationRelaxation
+from assist.certify.information_relaxation.options import RelaxationOptions
+from assist.certify.information_relaxation.sampled_bound import InformationRelaxation
 from assist.certify.prices import kinds_of, search, window_of
+from assist.certify.team_bound import BoundOptions
+from assist.cli.options.help import Command
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -39,14 +42,14 @@ from assist.team.settings import Setting
 from planner import cost_to_go, load
 
 SETTINGS = [(0.95, 0.2, 0.3), (0.95, 0.05, 0.1), (0.9, 0.1, 0.0), (0.95, 0.4, 0.0), (0.8, 0.02, 0.02)]
-"""gamma, cost of a suggestion, cost of a move."""
+"""gamma, c_suggest and c_move."""
 
 POOLS = (0, 2)
-"""Seeds of teams whom the robot knows less of, in the first setting."""
+"""Seeds of the teams with the full grid, in the first setting."""
 
 
 def known(name: str, form: str) -> Callable[[dict[str, Any]], str]:
-    """Show an entry where the best policy is known."""
+    """Format an entry, if the optimal value is known."""
     return lambda row: "" if math.isnan(row["truth"]) else format(row[name], form)
 
 
@@ -60,7 +63,7 @@ SHOWN = {
 
 
 def pool_of(gamma: float, c_suggest: float, c_move: float, seed: int = 0) -> Pool:
-    """Return two people whose misconceptions the robot knows, and of whom it believes in two betas and three thetas."""
+    """Return two people whose misconceptions the robot knows, with a grid of two betas and three thetas."""
     choices = Choices.of(cost_to_go(load("kitting/tiny")))
     setting = Setting(gamma=gamma, c_suggest=c_suggest, c_move=c_move)
     population = Population(sigma=(0.5, 1.0))
@@ -78,11 +81,15 @@ def pool_of(gamma: float, c_suggest: float, c_move: float, seed: int = 0) -> Poo
 
 
 def relaxation(pool: Pool) -> InformationRelaxation:
-    """Return the information relaxation of a team of two at prices that a search found."""
+    """Return the information relaxation of a team of two at prices that were optimised."""
     travel = pool.setting.travel(2)
     window = window_of(pool, (0, 1), 0)
     kinds = kinds_of(pool, (0, 1), travel, window)
-    price = search(kinds, window, seed=0, deadline=math.inf, tell=lambda *_: None)
+    usual = BoundOptions()
+    price = search(
+        kinds, window, rounds=usual.price_rounds, episodes=usual.price_episodes, seed=0, deadline=math.inf,
+        tell=lambda *_: None,
+    )  # fmt: skip
     lattices = []
     for kind in kinds:
         visits = kind.at(price)
@@ -91,12 +98,12 @@ def relaxation(pool: Pool) -> InformationRelaxation:
 
 
 def teams() -> list[tuple[tuple[float, float, float], int | None]]:
-    """Return the settings, each with the seed of a pool where the whole problem is not solved."""
+    """Return the settings, each with the seed of a pool if the joint problem is not solved."""
     return [*((setting, None) for setting in SETTINGS), *((SETTINGS[0], seed) for seed in POOLS)]
 
 
 def coverage(number: int, paths: int, seeds: int) -> Iterator[dict[str, Any]]:
-    """Yield how many of the bounds from so many paths lie below the mean, and the truth, in a setting at each alpha."""
+    """Yield the coverage of bounds from `paths` sample paths, for a setting and each alpha."""
     (gamma, c_suggest, c_move), seed = teams()[number]
     seeds = seeds if seed is None else max(2, seeds // 2)
     if seed is None:
@@ -105,13 +112,13 @@ def coverage(number: int, paths: int, seeds: int) -> Iterator[dict[str, Any]]:
     else:
         setting = Setting(gamma=gamma, c_suggest=c_suggest, c_move=c_move)
         pool, truth = Pool.sample(cost_to_go(load("kitting/tiny")), 2, seed=seed, setting=setting), math.nan
-    robot = relaxation(pool)
-    found = np.empty((len(ALPHAS), paths * seeds))
+    robot, alphas = relaxation(pool), RelaxationOptions().alphas
+    found = np.empty((len(alphas), paths * seeds))
     for n in range(paths * seeds):
         (path,) = robot.paths([np.random.default_rng(n)])
-        found[:, n] = [robot.bound(path, alpha) for alpha in ALPHAS]
+        found[:, n] = [robot.bound(path, alpha) for alpha in alphas]
     pairs = math.prod(pool.policies[0].pomdp.grid.shape)
-    for alpha, values in zip(ALPHAS, found, strict=True):
+    for alpha, values in zip(alphas, found, strict=True):
         groups = [SampledBound.of(own, paths, alpha) for own in values.reshape(seeds, paths)]
         mean, student = float(values.mean()), float(stdtrit(paths - 1, CONFIDENCE))
         yield {
@@ -125,13 +132,13 @@ def coverage(number: int, paths: int, seeds: int) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
 
 
-@click.command()
+@click.command(cls=Command)
 @click.option("--seeds", type=click.IntRange(min=2), default=200, show_default=True, help="Bounds in each setting.")
-@click.option("--paths", type=click.IntRange(min=2), default=FEWEST, show_default=True, help="Sample paths of a bound.")
+@click.option("--samples", "paths", type=click.IntRange(min=2), default=FEWEST, show_default=True, help="Sample paths.")
 @click.option("--settings", type=click.IntRange(1, len(teams())), default=len(teams()), show_default=True)
 @record_option
 def main(seeds: int, paths: int, settings: int, record: Path | None) -> None:
-    """Measure the coverage of sampled bounds; exit with 1 where too many are below their mean."""
+    """Measure the coverage of sampled bounds; exit with 1 if too many are below their mean."""
     rows = []
     for number in range(settings):
         for row in coverage(number, paths, seeds):

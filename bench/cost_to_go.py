@@ -1,22 +1,22 @@
-"""Time and memory for the exact cost-to-go of every reachable state, beside other tools.
+"""Time and memory of computing the cost-to-go of every reachable state, compared with other tools.
 
     python bench/cost_to_go.py [INSTANCE...] [--out DIR] [--timeout S] [--peers a,b] [--record FILE]
 
-An INSTANCE is a problem file (its `domain.pddl` beside it) or `kitting-C-I`: the kitting domain with C
-containers, and I items that fit all of I slots. Every tool runs on every instance in a process of its
-own (`bench/peers/cost_to_go.py`):
+An INSTANCE is a problem file, with `domain.pddl` in its folder, or `kitting-C-I`: the kitting domain with C containers,
+and I items that fit each of I slots. Every tool runs on every instance in a process of its own
+(`bench/peers/cost_to_go.py`):
 
 - `kitassist`: this project;
-- `pymimir`: its state space, which holds the goal distance of every state;
-- `pyperplan`: its blind search, run through all states (it enumerates them, without their h*);
+- `pymimir`: its state space, which contains the goal distance of every state;
+- `pyperplan`: its blind search, run through all states (it enumerates them without their h*);
 - `fd-astar`: one Fast Downward A* per state, on a task that is translated once;
 - `fd-oneshot`: one call of unified-planning's `OneshotPlanner` per state.
 
-The last two are measured on a sample of states and extrapolated, which the results say. All exact
-answers are compared: the number of states, h* of the initial one, and how many states have which h*.
+The last two are measured on a sample of states and extrapolated; the results say so. All exact answers are compared:
+the number of states, h* of the initial state, and the histogram of h*.
 
-The environment variable PEER_PYTHON names the Python that has pymimir and pyperplan, where that is not
-the one that runs this file. Written are `results.json`, `cost_to_go.png` and `cost_to_go.svg`.
+The environment variable PEER_PYTHON names a Python interpreter with pymimir and pyperplan, if they are not installed
+for this one. The results are written to `results.json`, `cost_to_go.png` and `cost_to_go.svg`.
 """
 
 from __future__ import annotations
@@ -50,14 +50,15 @@ FAMILY = ("kitting-3-4", "kitting-4-5", "kitting-4-6", "kitting-4-7")
 SMALL = ("tiny", "unsolvable", "paper-fixed", "paper", "sealed", "costs/ways")
 LARGE = "kitting-4-8"  # 7,208,645 states
 OWN = "kitassist"
-ELSEWHERE = ("pymimir", "pyperplan")  # the peers that PEER_PYTHON runs
+ELSEWHERE = ("pymimir", "pyperplan")  # peers that run with PEER_PYTHON
 STATE_BY_STATE = ("fd-astar", "fd-oneshot")
 PEERS = (OWN, *ELSEWHERE, *STATE_BY_STATE)
 OUT = Path("build/bench/cost_to_go")
 NO_SAMPLE = '{"count": null, "states": [], "atoms": []}'
-QUICK = 5.0  # seconds; what takes longer is not repeated
+QUICK = 5.0  # seconds; slower runs are not repeated
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; markers and dashes say the same again.
+# Colours of Okabe and Ito, which can be distinguished with any colour vision; markers and dashes repeat the
+# distinction.
 STYLES: dict[str, tuple[str, str, str, str]] = {
     OWN: ("#0072B2", "o", "-", "kitassist"),
     "pymimir": ("#D55E00", "s", "-", "pymimir"),
@@ -69,7 +70,7 @@ STYLES: dict[str, tuple[str, str, str, str]] = {
 
 @dataclass(frozen=True)
 class Instance:
-    """A name for the table, and the two files."""
+    """The name of an instance and its two files."""
 
     name: str
     domain: Path
@@ -77,10 +78,10 @@ class Instance:
 
 
 def kitting_problem(containers: int, items: int) -> str:
-    """Write a problem of the kitting family: `items` slots that all take every item.
+    """Return a problem of the kitting family, in which every item fits each of `items` slots.
 
-    As in the paper's example the first containers have the items that remain when all have the same
-    number. The task has (containers + 1) * sum over k of binomial(items, k)^2 * k! states.
+    As in the paper's example, the items are divided evenly among the containers, and the first containers hold the
+    remaining ones. The task has (containers + 1) * sum over k of binomial(items, k)^2 * k! states.
     """
     boxes = [f"box-{number}" for number in range(1, containers + 1)]
     things = [f"item-{number}" for number in range(1, items + 1)]
@@ -104,7 +105,7 @@ def kitting_problem(containers: int, items: int) -> str:
 
 
 def find_instance(name: str, folder: Path) -> Instance:
-    """Find the files of an instance; those of the kitting family are written into `folder`."""
+    """Return the files of an instance; problems of the kitting family are written to `folder`."""
     if match := re.fullmatch(r"kitting-(\d+)-(\d+)", name):
         containers, items = int(match[1]), int(match[2])
         if containers and items:
@@ -123,20 +124,20 @@ def find_instance(name: str, folder: Path) -> Instance:
 
 
 def default_instances() -> list[str]:
-    """The small problems that come with this project, then the kitting family, small to large."""
+    """Return the small bundled problems, followed by the kitting family in order of size."""
     return [*(str(DOMAINS / "kitting" / f"{name}.pddl") for name in SMALL), *FAMILY]
 
 
 def run(peer: str, instance: Instance, options: dict[str, Any], timeout: float) -> Row:
-    """Run one peer on one instance in a fresh process."""
+    """Run one peer on one instance in a new process."""
     python = os.environ.get("PEER_PYTHON", sys.executable) if peer in ELSEWHERE else sys.executable
     program, domain, problem = map(str, (HERE / "peers" / "cost_to_go.py", instance.domain, instance.problem))
     failed: Row = {"peer": peer, "instance": instance.name, "extrapolated": peer in STATE_BY_STATE}
     try:
         process = subprocess.Popen(
             [python, program, peer, domain, problem, json.dumps(options)],
-            # Hash seeds fixed: the same grounding in the process that samples states and in those that
-            # solve them.
+            # A fixed hash seed, so that the processes that sample states and that solve them ground the task in the
+            # same way.
             env={**os.environ, "PYTHONHASHSEED": "0"},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
@@ -163,7 +164,7 @@ def run(peer: str, instance: Instance, options: dict[str, Any], timeout: float) 
 
 
 def repeat(count: int, peer: str, instance: Instance, options: dict[str, Any], timeout: float) -> Row:
-    """Run a peer several times, and keep the run of the median time; once is enough where it is slow."""
+    """Run a peer several times, unless it is slow, and return the run with the median time."""
     rows = [run(peer, instance, options, timeout)]
     while len(rows) < count and not rows[0]["extrapolated"] and (rows[-1].get("seconds") or QUICK) < QUICK:
         rows.append(run(peer, instance, options, timeout))
@@ -175,7 +176,7 @@ def repeat(count: int, peer: str, instance: Instance, options: dict[str, Any], t
 
 
 def disagreements(rows: Sequence[Row]) -> list[str]:
-    """Say where two answers that both claim to be exact are not the same, or this project gives none."""
+    """Describe where two exact answers differ, or where this project failed."""
     failed = (row for row in rows if row["peer"] == OWN and row["status"] == "failed")
     found = [f"{row['instance']}: {OWN} failed: {row['note']}" for row in failed]
     for name in dict.fromkeys(row["instance"] for row in rows):
@@ -195,17 +196,17 @@ def disagreements(rows: Sequence[Row]) -> list[str]:
 
 
 def seconds(row: Row) -> float:
-    """Time from the files to the values."""
+    """Return the seconds from the files to the values."""
     return float(row["seconds"])
 
 
 def net_mb(row: Row) -> float:
-    """Memory beyond that of the interpreter with everything imported."""
+    """Return the peak memory in MB beyond that of the interpreter with all imports."""
     return max(0.0, float(row["peak_mb"] - row["baseline_mb"]))
 
 
 def took(peer: str) -> Callable[[dict[str, Any]], str]:
-    """Show what a peer took on an instance, whose rows are kept by peer."""
+    """Return a formatter of a peer's result on an instance, whose rows are keyed by peer."""
 
     def shown(answers: dict[str, Any]) -> str:
         row = answers.get(peer, {"status": "not run"})
@@ -226,7 +227,7 @@ SHOWN: Columns = {
 
 
 def as_table(rows: Sequence[Row]) -> Table:
-    """Lay out the rows for the terminal."""
+    """Return the rows as a table for the terminal."""
     table = Table(title="Exact cost-to-go of every state: PDDL files to values in memory")
     table.add_column("instance", no_wrap=True)
     table.add_column("peer", no_wrap=True)
@@ -257,7 +258,7 @@ def as_table(rows: Sequence[Row]) -> Table:
 
 
 def plot(rows: Sequence[Row], folder: Path) -> list[Path]:
-    """Draw seconds and memory against the number of states, both axes logarithmic."""
+    """Plot seconds and memory against the number of states, on logarithmic axes."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -266,17 +267,17 @@ def plot(rows: Sequence[Row], folder: Path) -> list[Path]:
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     for peer, (colour, marker, dashes, label) in STYLES.items():
         good = [row for row in rows if row["peer"] == peer and row["status"] == "ok" and row["states"]]
-        # The family is a curve; the other instances are single points, which no line should join.
+        # The family forms a curve; other instances are single points that no line should join.
         good.sort(key=lambda row: row["states"])
         family = [row for row in good if row["instance"].startswith("kitting-")]
         single = [row for row in good if row not in family]
-        inside = "white" if peer in STATE_BY_STATE else colour  # hollow: not measured, extrapolated
+        inside = "white" if peer in STATE_BY_STATE else colour  # hollow markers: extrapolated
         look = {"color": colour, "marker": marker, "markersize": 6, "markerfacecolor": inside}
         for axis, value, least in zip(axes, (seconds, net_mb), (0.001, 0.1), strict=True):
             if axis is axes[1] and peer in STATE_BY_STATE:
-                continue  # most of it is in Fast Downward's own processes, which are not counted
+                continue  # most memory is used by Fast Downward's own processes, which are not measured
             for group, line in ((family, dashes), (single, "none")):
-                # A tiny instance may need no further page of memory, and 0 is on no logarithmic axis.
+                # A tiny instance may need no further page of memory, and a logarithmic axis has no 0.
                 points = [(row["states"], max(value(row), least)) for row in group]
                 if points:
                     axis.plot(*zip(*points, strict=True), linestyle=line, **look)
@@ -298,19 +299,19 @@ def plot(rows: Sequence[Row], folder: Path) -> list[Path]:
 
 
 def machine() -> dict[str, Any]:
-    """Describe the machine as far as the numbers depend on it."""
+    """Describe the machine, as far as the results depend on it."""
     cpu = platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         cpu = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), cpu)
     except OSError:
-        pass  # not Linux; the architecture has to do
+        pass  # not Linux; report the architecture only
     system, python = platform.system(), platform.python_version()
     return {"cpu": cpu, "cores": os.cpu_count(), "system": system, "python": python}
 
 
 def choose_peers(peers: str) -> list[str]:
-    """Read the list of peers; those that go state by state need this project's states."""
+    """Parse the list of peers. Peers that solve single states need this project's states."""
     wanted = [peer.strip() for peer in peers.split(",") if peer.strip()]
     if unknown := [peer for peer in wanted if peer not in PEERS]:
         raise click.BadParameter(f"{', '.join(unknown)}: not among {', '.join(PEERS)}", param_hint="--peers")
@@ -326,9 +327,9 @@ def measure_all(
     repeats: int,
     console: Console,
 ) -> list[Row]:
-    """Run every peer on every instance; one that ran out of time or memory is spared larger instances."""
+    """Run every peer on every instance. A peer that exceeded a limit skips larger instances."""
     rows: list[Row] = []
-    largest: dict[str, int] = {}  # by peer, the number of states that was too much for it
+    largest: dict[str, int] = {}  # for each peer, the number of states at which it exceeded a limit
     for instance in instances:
         states = 0
         Path(options["sample_file"]).write_text(NO_SAMPLE, encoding="utf-8")
@@ -353,15 +354,15 @@ def measure_all(
               help="Folder of results.json and the figure.")  # fmt: skip
 @click.option("--timeout", type=click.FloatRange(min=1), default=300.0, show_default=True,
               help="Seconds for one peer on one instance.")  # fmt: skip
-@click.option("--peers", default=",".join(PEERS), show_default=True, help="Which to run, with commas.")
+@click.option("--peers", default=",".join(PEERS), show_default=True, help="Peers to run, separated by commas.")
 @click.option("--memory", type=click.IntRange(min=500), default=12_000, show_default=True,
               help="MB of address space for one peer.")  # fmt: skip
 @click.option("--repeat", "repeats", type=click.IntRange(min=1), default=3, show_default=True,
               help=f"Runs that take less than {QUICK:g} s are repeated; the median counts.")  # fmt: skip
 @click.option("--sample", type=click.IntRange(min=1), default=50, show_default=True,
-              help="States that the peers which go state by state solve.")  # fmt: skip
+              help="Number of states for peers that solve single states.")  # fmt: skip
 @click.option("--sample-seconds", type=click.FloatRange(min=0), default=10.0, show_default=True,
-              help="They begin no further state after this time.")  # fmt: skip
+              help="Seconds after which these peers start no further state.")  # fmt: skip
 @click.option("--large", is_flag=True, help=f"Add {LARGE} to the default instances: minutes, and gigabytes.")
 @record_option
 def main(
@@ -376,7 +377,7 @@ def main(
     large: bool,
     record: Path | None,
 ) -> None:
-    """Compare how long, and how much memory, it takes to get h* of every reachable state."""
+    """Compare the time and memory for computing h* of every reachable state."""
     chosen = choose_peers(peers)
     console = Console(width=None if sys.stdout.isatty() else 150)
     with tempfile.TemporaryDirectory(prefix="cost-to-go-") as scratch:
@@ -418,7 +419,7 @@ def main(
     shared = sum(exact.count(name) > 1 for name in set(exact))
     sampled = sum(row.get("sampled", 0) for row in rows)
     if shared or sampled:
-        told = f"{shared} instances have equal tables, {sampled} states solved one by one are equal"
+        told = f"{shared} instances have equal tables, {sampled} states solved singly are equal"
         console.print(f"All answers agree: {told}.")
     else:
         console.print("Nothing to compare: no two peers gave an exact answer.")

@@ -1,4 +1,4 @@
-"""Which lines and branches of each folder the tests run: the table of what coverage.py has found.
+"""Coverage of lines and branches by the tests, by folder, from the data of coverage.py.
 
 make coverage && python bench/covered.py [--data FILE] [--record FILE]
 """
@@ -32,10 +32,10 @@ COLUMNS: Columns = {
 
 
 @click.command()
-@click.option("--data", default=ROOT / ".coverage" / "data", show_default=True, help="What `make coverage` has left.")
+@click.option("--data", default=ROOT / ".coverage" / "data", show_default=True, help="Data file of `make coverage`.")
 @record_option
 def main(data: Path, record: Path | None) -> None:
-    """Print the shares of lines and branches, by folder."""
+    """Print the shares of covered lines and branches by folder."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "report.json"
         command = [sys.executable, "-m", "coverage", "json", "--quiet", "-o", str(out), "--data-file", str(data)]

@@ -1,9 +1,9 @@
-"""How many person-steps per second environments give a learner, observations, masks and rewards included.
+"""Person-steps per second of the learning environments, including observations, masks and rewards.
 
     python bench/environments.py [--teams 1024] [--steps 100] [--repeat 5] [--instance NAME] [--record FILE]
 
-Actions are drawn beforehand. Seconds are those of one processor, the median of several rounds after one that counts
-for nothing; who has ended begins again meanwhile, and their steps are not counted.
+Actions are drawn beforehand. The rate is the median over several rounds, after one round that is not counted, in
+seconds of one processor. Finished teams are reset during the rounds; their steps are not counted.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def rate(pool: Pool, teams: int, humans: int, *, beliefs: bool, steps: int, repe
     for _ in range(1 + repeat):
         acted, start = 0, time.process_time()
         for step in range(steps):
-            acted += int(seen["active"].sum())  # whose teams have ended: nobody is active there
+            acted += int(seen["active"].sum())  # in teams that have ended, nobody is active
             seen, *_ = env.step(actions[step])
         rates.append(acted / (time.process_time() - start))
     return {"teams": teams, "humans": humans, "beliefs": beliefs, "rate": statistics.median(rates[1:])}

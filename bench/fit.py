@@ -1,9 +1,9 @@
-"""What is recovered of people from their recorded actions: simulated people whose parameters are known.
+"""Recovery of people's parameters from recorded actions of simulated people.
 
     python bench/fit.py COMMAND [--record FILE [--more]] [--help]
 
-`recover` estimates people with known parameters and counts how many intervals cover them, `information` says how
-well anybody could estimate them, `misconceptions` estimates sigma, `time` runs the command on large tasks.
+`recover` estimates people with known parameters and measures the coverage of intervals, `information` computes bounds
+on any estimator, `misconceptions` estimates sigma, and `time` times the command on large tasks.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ KITTING = ROOT / "domains" / "kitting"
 
 
 def joined(name: str) -> Callable[[dict[str, Any]], str]:
-    """Show what every seed has of one thing."""
+    """Return a formatter that joins the values of all seeds."""
     return lambda row: ", ".join(row[name])
 
 
@@ -74,21 +74,21 @@ TIME: Columns = {
     "instance": cell("instance"), "states": cell("states", ","), "run": cell("run"), "seconds": cell("seconds", ".1f"),
     "states in the cache then": cell("kept", ","),
 }  # fmt: skip
-STATES = 1_173_311_155  # of ladder-4x10, which no table has room for here
+STATES = 1_173_311_155  # of ladder-4x10, whose table does not fit into memory
 
 BETA_MOMENTS = ("mean", "of these", "true", "spread", "of these ", "true ")
 THETA_MOMENTS = ("theta mean", "true theta mean", "theta spread", "true theta spread")
 
 
 def uniform(rng: np.random.Generator, low: float, high: float, count: int, distribution: str) -> np.ndarray:
-    """Draw numbers between two bounds, evenly or evenly in the logarithm."""
+    """Draw numbers between two bounds, uniformly or log-uniformly."""
     if distribution == "log-uniform":
         return np.exp(rng.uniform(np.log(low), np.log(high), count))
     return rng.uniform(low, high, count)
 
 
 def moments(low: float, high: float, distribution: str) -> np.ndarray:
-    """Give mean and standard deviation of what `uniform` draws from."""
+    """Return the mean and standard deviation of the distribution of `uniform`."""
     if distribution == "log-uniform":
         width = np.log(high / low)
         mean, square = (high - low) / width, (high**2 - low**2) / (2 * width)
@@ -100,11 +100,11 @@ def moments(low: float, high: float, distribution: str) -> np.ndarray:
 def best_correlation(
     observations: list[Observations], people: People, low: float, high: float, distribution: str
 ) -> float:
-    """Give the rank correlation with beta that no estimator exceeds on average.
+    """Return the largest rank correlation with beta that any estimator has on average.
 
-    A rank is the share F(beta) of people below, up to chance. Of all that can be said of it from what was recorded,
-    its posterior mean correlates best with it. That mean is taken for granted here by somebody who knows the
-    distribution of beta, each person's theta, and eta.
+    The rank of a person is F(beta), the distribution function of beta, up to sampling error. Among all functions of the
+    data, the posterior mean of the rank correlates best with it. It is computed here with knowledge of the distribution
+    of beta, of each person's theta, and of eta.
     """
     rank = np.linspace(0.0, 1.0, 200)
     if distribution == "log-uniform":
@@ -120,10 +120,10 @@ def best_correlation(
 
 
 def standard_error(observations: list[Observations], people: People) -> float:
-    """Give the Cramer-Rao bound on beta's standard error, of people who all have one beta; theta and eta are known."""
+    """Return the Cramér-Rao bound on the standard error of beta, for people of equal beta; theta and eta are known."""
     width = 0.01
     beta = people.beta[0] + width * np.array([-1.0, 0.0, 1.0])
-    method = Method(lapse=1e-12)  # nobody lapses here
+    method = Method(lapse=1e-12)  # there are no lapses in these data
     bend = [
         log_likelihood(o, beta, np.array([theta]), np.array([people.eta]), method).ravel() @ [1.0, -2.0, 1.0]
         for o, theta in zip(observations, people.theta, strict=True)
@@ -133,7 +133,7 @@ def standard_error(observations: list[Observations], people: People) -> float:
 
 @click.group()
 def main() -> None:
-    """Measure what is recovered of people from their recorded actions."""
+    """Measure the recovery of people's parameters from recorded actions."""
 
 
 @main.command()
@@ -145,13 +145,13 @@ def main() -> None:
 @click.option("--theta", nargs=2, type=float, default=(0.3, 0.95), show_default=True)
 @click.option("--sigma", type=float, default=0.0, show_default=True)
 @click.option("--suggest", type=float, default=0.5, show_default=True, help="Share of steps with a suggestion.")
-@click.option("--eta", type=float, help="Tell the fit the rate of the trust update (0.2).")
+@click.option("--eta", type=float, help="Rate of the trust update given to the fit (0.2). Estimated unless given.")
 @click.option("--largest-beta", type=float)
 @click.option("--seeds", type=int, default=1, show_default=True)
 @click.option("--first-seed", type=int, default=0, show_default=True)
 @click.option(
     "--rows", "kind", type=click.Choice(["seeds", "instance", "population"]), default="seeds", show_default=True,
-    help="What --record has rows of.",
+    help="Kind of rows in --record.",
 )  # fmt: skip
 @record_option
 @more_option
@@ -160,10 +160,10 @@ def recover(
     theta: tuple[float, float], sigma: float, suggest: float, eta: float | None, largest_beta: float | None, seeds: int,
     first_seed: int, kind: str, record: Path | None, more: bool,
 ) -> None:  # fmt: skip
-    """Estimate people whose parameters are known, and say how many intervals cover them.
+    """Estimate people with known parameters, and measure the coverage of intervals.
 
-    Means and spreads of beta are given for the population fitted, the people recorded as it sees them ("of these"), and
-    those people in truth ("true"). Below are their errors over all seeds.
+    Means and standard deviations of beta are printed for the fitted population, for the recorded people as it sees them
+    ("of these"), and for their true values ("true"). The errors over all seeds follow.
     """
     table = sweep(load(ROOT / "domains" / f"{instance}.pddl"))
     method = Method(eta=eta, largest_beta=largest_beta)
@@ -242,7 +242,7 @@ def recover(
 
 
 def show(rows: list[dict[str, Any]], title: str, without: tuple[str, ...] = ()) -> None:
-    """Print rows as a table, but for some of their entries."""
+    """Print rows as a table, without some of their entries."""
     shown = Grid(title=title)
     names = [name for name in rows[0] if name not in without]
     for name in names:
@@ -262,10 +262,10 @@ def show(rows: list[dict[str, Any]], title: str, without: tuple[str, ...] = ()) 
 def information(
     instances: tuple[str, ...], count: int, episodes: int, suggest: float, record: Path | None, more: bool
 ) -> None:
-    """Say how well anybody could estimate beta in [0.1, 5] on INSTANCES (kitting/paper), whatever the method.
+    """Compute bounds on the accuracy of any estimator of beta in [0.1, 5] on INSTANCES (kitting/paper).
 
-    The standard errors are the Cramer-Rao bounds for people of that beta. Rank correlations are those that no estimator
-    exceeds on average. People's own mistakes are those that nobody suggested to them, in all episodes.
+    Standard errors are Cramér-Rao bounds for people of this beta. Rank correlations are the largest of any estimator on
+    average. "Own mistakes" are mistakes that were not suggested, in all episodes.
     """
     rows, betas = [], (1.0, 2.0, 3.0, 5.0)
     for instance in instances or ("kitting/paper",):
@@ -335,7 +335,7 @@ def misconceptions(instance: str, count: int, numbers: tuple[int, ...], record: 
 
 
 def first_actions(rows: list[dict], actions: int) -> list[dict]:
-    """Keep each person's first actions."""
+    """Return each person's first actions."""
     kept: list[dict] = []
     counts: dict[str, int] = {}
     for row in sorted(rows, key=lambda row: (row["person"], int(row["episode"]), row["step"])):
@@ -346,9 +346,9 @@ def first_actions(rows: list[dict], actions: int) -> list[dict]:
 
 
 def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> list[dict]:
-    """Write down people of whom each follows a cheapest plan but for a share of random actions.
+    """Return the log of people who follow an optimal plan except for a share of random actions.
 
-    For tasks that are too large to look up every alternative: one search for each mistake will do.
+    This is for tasks that are too large to evaluate every alternative: each mistake needs one search only.
     """
     asked = OnDemand(task)
     rows: list[dict] = []
@@ -372,7 +372,7 @@ def wander(task: Task, count: int, actions: int, rng: np.random.Generator) -> li
 @click.option("--instance", default="kitting/ladder-2x8", show_default=True)
 @click.option("--people", "count", type=int, default=32, show_default=True)
 @click.option("--actions", type=int, default=40, show_default=True)
-@click.option("--huge", is_flag=True, help="Also a task of 1.2e9 states, killed on the way and begun again.")
+@click.option("--huge", is_flag=True, help="Also run a task of 1.2e9 states, killed once and restarted.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("build/bench/fit"), show_default=True)
 @record_option
 def timing(instance: str, count: int, actions: int, huge: bool, out: Path, record: Path | None) -> None:
@@ -408,7 +408,7 @@ def timing(instance: str, count: int, actions: int, huge: bool, out: Path, recor
 
 
 def run(instance: Path, log: Path, out: Path, kill_after: float | None = None) -> dict[str, Any]:
-    """Run the command; say what it took, and how many states its cache has."""
+    """Run the command; return its seconds and the number of states in its cache."""
     command = [str(Path(sys.executable).with_name("kitassist")), "fit", str(instance), str(log), "--jobs", "2"]
     command += ["--out", str(out / "people.jsonl"), "--population", str(out / "population.json")]
     command += ["--figures", str(out / "figures"), "--cache", str(out / "cache")]

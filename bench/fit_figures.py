@@ -1,4 +1,4 @@
-"""Pictures of what recorded actions can and cannot tell apart, and of the online belief beside the estimate.
+"""Figures of the identifiability of parameters from recorded actions, and of the online belief and the estimate.
 
 python bench/fit_figures.py [--out FOLDER]
 """
@@ -33,7 +33,7 @@ DOMAINS = Path(__file__).resolve().parent.parent / "domains"
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/fit"), show_default=True
 )
 def main(instance: str, out: Path) -> None:
-    """Draw what recorded actions can and cannot tell apart, and the online belief beside the estimate."""
+    """Draw figures of identifiability, and of the online belief and the estimate."""
     table = sweep(load(DOMAINS / f"{instance}.pddl"))
     out.mkdir(parents=True, exist_ok=True)
     draw_identify(table, out / "fit_identify.png")
@@ -47,7 +47,7 @@ def main(instance: str, out: Path) -> None:
 
 
 def panel(figure: Figure, place: int, title: str, x: str, y: str) -> Axes:
-    """A panel of a figure with two rows of two."""
+    """Return a panel of a figure with two rows of two."""
     axis = figure.add_subplot(2, 2, place)
     axis.set_title(title, fontsize=10, loc="left")
     axis.set(xlabel=x, ylabel=y)
@@ -57,7 +57,7 @@ def panel(figure: Figure, place: int, title: str, x: str, y: str) -> Axes:
 
 
 def draw_identify(table: Table, file: Path) -> None:
-    """Draw log-likelihoods, less their maximum; what lies above -1.92 is in the 95 % interval."""
+    """Plot log-likelihoods relative to their maximum; values above -1.92 are in the 95 % interval."""
     figure = Figure(figsize=(9.6, 7.6), layout="constrained")
     drop = -1.92
     noise = np.random.default_rng(1).standard_normal((1, len(table)))
@@ -80,7 +80,7 @@ def draw_identify(table: Table, file: Path) -> None:
         axis.minorticks_off()
         axis.legend(frameon=True, loc="upper left")
 
-    axis = panel(figure, 3, "theta: what suggestions tell", "influence θ at the beginning", "log-likelihood, profile")
+    axis = panel(figure, 3, "theta: information in suggestions", "initial influence θ", "log-likelihood, profile")
     theta = np.linspace(0, 1, 101)
     plan = table.optimal_plan() or []
     taken = [
@@ -125,7 +125,7 @@ def draw_identify(table: Table, file: Path) -> None:
 
 
 def draw_online(table: Table, file: Path) -> None:
-    """Draw the belief about beta after each action beside the estimate from all actions so far."""
+    """Plot the belief about beta after each action, and the estimate from all actions so far."""
     person = People(np.array([0.9]), np.array([0.6]))
     rows = record(table, person, episodes=25, rng=np.random.default_rng(4))
     rows.sort(key=lambda row: (int(row["episode"]), row["step"]))

@@ -1,12 +1,12 @@
-"""Time and memory of the sweep on encodings that are not this project's, beside its own kitting ladder.
+"""Time and memory of the sweep on other encodings, relative to this project's kitting ladder.
 
-    python bench/foreign.py [NAME...] [--sparse] [--record FILE]
+    python bench/foreign.py [NAME...] [--record FILE]
 
-Encodings that this file writes (`counters`, `stacks`, `grid`, `transport`), `domains/depot`, and instances of the
-public benchmark collection, where the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs in a
-process of its own, after a first small instance, with `domains/kitting/ladder-4x8.pddl` before all others: `ratio` is
-how many times fewer states a second of processor time are swept than there. `bytes` are what the process took beyond
-what it had before, at its peak, per state. `--sparse` forbids bitmaps, so that everything goes through the hash table.
+The instances are encodings that this file generates (`counters`, `stacks`, `grid`, `transport`), `domains/depot`, and
+instances of the public benchmark collection if the environment variable DOWNWARD_BENCHMARKS names its folder. Each runs
+in a process of its own, after small instances that load the compiled code. `domains/kitting/ladder-4x8.pddl` runs
+first: `ratio` is its rate of states per processor second, divided by the instance's rate. `bytes` is the peak memory
+per state, beyond that before the sweep.
 
     python bench/foreign.py --write FOLDER
 
@@ -85,7 +85,7 @@ TRANSPORT = """(define (domain vans) (:requirements :strips)
 
 
 def problem(domain: str, objects: Iterable[str], init: Iterable[str], goal: Iterable[str]) -> str:
-    """Write a problem file."""
+    """Return the text of a problem file."""
     return (
         f"(define (problem large) (:domain {domain})\n  (:objects {' '.join(objects)})\n"
         f"  (:init {' '.join(init)})\n  (:goal (and {' '.join(goal)})))\n"
@@ -93,12 +93,12 @@ def problem(domain: str, objects: Iterable[str], init: Iterable[str], goal: Iter
 
 
 def successors(numbers: int) -> list[str]:
-    """Say of the numbers from 0 which follows which."""
+    """Return facts that order the numbers from 0."""
     return [f"(next n{n} n{n + 1})" for n in range(numbers - 1)]
 
 
 def counters(places: int, totals: tuple[int, ...], space: int) -> tuple[str, str]:
-    """Goods of several kinds, counted at each place and on a van with space for so many."""
+    """Return a task with goods of several kinds, counted at each place and on a van with limited space."""
     kinds = [f"k{k}" for k in range(len(totals))]
     sites = [f"p{p}" for p in range(places)]
     numbers = [f"n{n}" for n in range(max(*totals, space) + 1)]
@@ -111,7 +111,7 @@ def counters(places: int, totals: tuple[int, ...], space: int) -> tuple[str, str
 
 
 def stacks(boxes: int, stands: int) -> tuple[str, str]:
-    """Boxes that stand on each other or on stands."""
+    """Return a task with boxes that are stacked on each other or on stands."""
     names, bases = [f"b{n}" for n in range(boxes)], [f"s{n}" for n in range(stands)]
     init = ["(free)", f"(on b0 {bases[0]})", f"(clear {names[-1]})", *(f"(clear {base})" for base in bases[1:])]
     init += [f"(on {above} {below})" for below, above in itertools.pairwise(names)]
@@ -120,7 +120,7 @@ def stacks(boxes: int, stands: int) -> tuple[str, str]:
 
 
 def grid(width: int, height: int, tokens: int) -> tuple[str, str]:
-    """Tokens on a board, one on a cell."""
+    """Return a task with tokens on a board, at most one in each cell."""
     cells = {(x, y): f"c{x}-{y}" for x in range(width) for y in range(height)}
     names = [f"t{n}" for n in range(tokens)]
     init = []
@@ -135,7 +135,7 @@ def grid(width: int, height: int, tokens: int) -> tuple[str, str]:
 
 
 def transport(places: int, vans: int, parcels: int, capacity: int) -> tuple[str, str]:
-    """Parcels, and vans that hold so many."""
+    """Return a task with parcels, and vans of limited capacity."""
     sites, cars, goods = ([f"{letter}{n}" for n in range(count)] for letter, count in
                           (("a", places), ("v", vans), ("p", parcels)))  # fmt: skip
     init = [*successors(capacity + 1), *(f"(parcel {p}) (at {p} a{n % 2})" for n, p in enumerate(goods))]
@@ -169,7 +169,7 @@ COLUMNS: Columns = {
 
 
 def write(name: str, folder: Path) -> Path:
-    """Write a generated instance, its domain beside it."""
+    """Write a generated instance with its domain."""
     target = folder / name
     target.mkdir(parents=True, exist_ok=True)
     domain, text = GENERATED[name]()
@@ -178,15 +178,12 @@ def write(name: str, folder: Path) -> Path:
     return target / "large.pddl"
 
 
-def measure(file: Path, sparse: bool) -> dict[str, Any]:
+def measure(file: Path) -> dict[str, Any]:
     """Sweep one instance in this process."""
     from planner import load
     from planner.system.machine import peak_memory_mb, reset_peak_memory, used_mb
 
     module = importlib.import_module("planner.costtogo.sweep")
-    if sparse:
-        forward_search = importlib.import_module("planner.search.forward_search")
-        forward_search.SMALL_BITMAP = forward_search.SPARSE = 0  # type: ignore[attr-defined]
     for small in ("kitting/tiny.pddl", "kitting/costs/ways.pddl", "depot/two-columns.pddl"):
         module.sweep(load(DOMAINS / small))
     domain = next(d for d in (file.parent / f"{file.stem}-domain.pddl", file.parent / "domain.pddl") if d.is_file())
@@ -207,14 +204,13 @@ def measure(file: Path, sparse: bool) -> dict[str, Any]:
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--sparse", is_flag=True, help="Forbid bitmaps.")
 @record_option
 @click.option("--write", "target", type=click.Path(path_type=Path), help="Write the generated instances instead.")
 @click.option("--one", type=click.Path(path_type=Path), hidden=True)
-def main(names: tuple[str, ...], sparse: bool, record: Path | None, target: Path | None, one: Path | None) -> None:
-    """Sweep instances in other people's encodings, and the kitting ladder."""
+def main(names: tuple[str, ...], record: Path | None, target: Path | None, one: Path | None) -> None:
+    """Sweep instances in other encodings, and the kitting ladder."""
     if one is not None:
-        click.echo(json.dumps(measure(one, sparse)))
+        click.echo(json.dumps(measure(one)))
         return
     if target is not None:
         for name in GENERATED:
@@ -231,7 +227,7 @@ def main(names: tuple[str, ...], sparse: bool, record: Path | None, target: Path
             f"{'instance':34}{'states':>12}{'M states/s':>12}{'ratio':>7}{'trans.':>8}{'bytes':>8}{'indices':>10}"
         )
         for name in chosen:
-            command = [sys.executable, __file__, "--one", str(files[name]), *(["--sparse"] if sparse else [])]
+            command = [sys.executable, __file__, "--one", str(files[name])]
             done = subprocess.run(command, capture_output=True, text=True, check=False)
             if done.returncode:
                 click.echo(f"{name:34}{(done.stderr.strip().splitlines() or ['?'])[-1][:80]}")

@@ -1,4 +1,4 @@
-"""Tasks whose states are the nodes of a graph, for tests and checks on random tasks."""
+"""Tasks whose states are the nodes of a graph, for tests on random tasks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from planner.grounding.load import from_sas
 
 
 def graph_task(edges: list[tuple[int, int, int]], goal: int = 0, start: int = 1) -> Task:
-    """Return a task whose states are the nodes of a graph; an edge (from, to, cost) is an action `(go number)`."""
+    """Return a task whose states are the nodes of a graph. An edge (from, to, cost) is an action `(go number)`."""
     nodes = 1 + max(goal, start, *(node for edge in edges for node in edge[:2]))
     lines = ["begin_version", "3", "end_version", "begin_metric", "1", "end_metric", "1"]
     lines += [

@@ -1,9 +1,10 @@
-"""How the time per state grows with the number of states: sweeps of the kitting and gripper ladders.
+"""Time per state of the sweep as a function of the number of states, on ladders of instances.
 
     python bench/growth.py [--out DIR] [--repeat N] [--steps N]
 
-What is timed is the sweep alone, from the grounded task to h* of all states, and beside it reading and grounding the
-PDDL files, which does not depend on the number of states. Written are `growth.json`, `growth.png` and `growth.svg`.
+The sweep is timed from the grounded task to h* of all states. Reading and grounding the PDDL files, which does not
+depend on the number of states, is timed separately. The results are written to `growth.json`, `growth.png` and
+`growth.svg`.
 """
 
 from __future__ import annotations
@@ -32,11 +33,13 @@ COLOURS = {"kitting": "#0072B2", "gripper": "#D55E00", "blocks": "#009E73"}
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench/growth"), show_default=True
 )
-@click.option("--repeat", type=click.IntRange(min=1), default=7, show_default=True, help="The median counts.")
-@click.option("--steps", type=click.IntRange(min=1), help="Of each ladder; all unless given.")
+@click.option(
+    "--repeat", type=click.IntRange(min=1), default=7, show_default=True, help="Number of runs; the median is reported."
+)
+@click.option("--steps", type=click.IntRange(min=1), help="Number of instances of each ladder. All unless given.")
 def main(out: Path, repeat: int, steps: int | None) -> None:
     """Measure the time per state of the sweep."""
-    sweep(load(DOMAINS / "kitting" / "tiny.pddl"))  # compiles
+    sweep(load(DOMAINS / "kitting" / "tiny.pddl"))  # loads the compiled code
     rows = []
     grid = Grid("instance", "states", "load s", "sweep s", "microseconds per state", title="Time per state")
     for domain, names in LADDERS.items():
@@ -65,7 +68,7 @@ def main(out: Path, repeat: int, steps: int | None) -> None:
 
 
 def draw(rows: list[dict], out: Path) -> None:
-    """Draw microseconds per state against the number of states."""
+    """Plot microseconds per state against the number of states."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4.2), layout="constrained")

@@ -1,12 +1,12 @@
-"""People with habits, and robots that know them or not: the protocol `people`, and the documentation's tables of it.
+"""People with habits, and robots that know them or not: the protocol `people` and its tables in the documentation.
 
     python bench/habits.py [--pools N] [--people N] [--humans K] [--instance NAME] [--jobs N] [--out DIR] [--into DIR]
 
-The episodes in `--out` are kept, and the study goes on from them: `kitassist study --protocol people --out DIR` makes
-the same. Of what was found three tables are made, each over pools (`assist.reports.statistics`): what people do under
-each policy (`habits-policies`), what a robot pays that takes people with habits for people who mind cost alone
-(`habits-unknown`), and what attention switching saves (`habits-savings`). A pool is one observation, all instances and
-team sizes together. `--into` writes them as records.
+Episodes in `--out` are kept and the study is resumed; `kitassist study --protocol people --out DIR` gives the same. The
+results are three tables with means over pools (`assist.reports.statistics`): the actions under each policy
+(`habits-policies`), the loss of a robot that models people with habits by cost alone (`habits-unknown`), and the
+savings of attention switching (`habits-savings`). A pool is one observation, over all instances and team sizes.
+`--into` writes the tables as records.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ MEASURES = {
 }  # fmt: skip
 ARM = ["condition", "prior"]
 SEED = 0
-"""Of the bootstrap, as in a study's own report."""
+"""Seed of the bootstrap, as in a study's own report."""
 
 
 def of_pools(episodes: pd.DataFrame) -> pd.DataFrame:
-    """Give the mean of each measure in each pool, one row for each arm, policy and pool."""
+    """Return the mean of each measure in each pool, one row for each arm, policy and pool."""
     keys = [*ARM, "policy", "repeat"]
     means = episodes.groupby(keys, observed=True, sort=False)[list(MEASURES.values())].mean()
     return means.rename(columns={column: name for name, column in MEASURES.items()})
 
 
 def shown(estimate: IntervalEstimate) -> str:
-    """Write a number and its interval."""
+    """Format a number with its interval."""
     return f"{estimate.value:.2f} ({estimate.low:.2f} to {estimate.high:.2f})"
 
 
 def policies(pools: pd.DataFrame) -> list[list[str]]:
-    """Show what happens in each arm under each policy."""
+    """Return the table of measures in each arm under each policy."""
     rows = [["people", "the robot takes them for", "policy", *MEASURES]]
     for (condition, prior, policy), own in pools.groupby([*ARM, "policy"], observed=True, sort=False):
         rows.append([condition, prior, policy, *(shown(mean(own[measure])) for measure in MEASURES)])
@@ -53,7 +53,7 @@ def policies(pools: pd.DataFrame) -> list[list[str]]:
 
 
 def unknown(pools: pd.DataFrame) -> list[list[str]]:
-    """Show what is lost, pool by pool, where the robot takes people for others than they are."""
+    """Return the table of losses, paired by pool, if the robot's prior differs from the population."""
     rows = [["people", "policy", *(f"{measure}, more" for measure in MEASURES)]]
     for condition, own in pools.groupby("condition", observed=True, sort=False):
         priors = own.index.get_level_values("prior").unique()
@@ -61,14 +61,14 @@ def unknown(pools: pd.DataFrame) -> list[list[str]]:
             known, mistaken = own.xs("own", level="prior"), own.xs(prior, level="prior")
             difference = (mistaken - known).dropna()
             for policy, pairs in difference.groupby("policy", observed=True, sort=False):
-                if policy in ("none", "reactive"):  # they believe nothing of anybody
+                if policy in ("none", "reactive"):  # these policies have no beliefs
                     continue
                 rows.append([condition, policy, *(shown(mean(pairs[measure])) for measure in MEASURES)])
     return rows
 
 
 def savings(pools: pd.DataFrame, policy: str = "attention") -> list[list[str]]:
-    """Show what a policy saves against both baselines, in percent, in each arm."""
+    """Return the table of savings of a policy against both baselines in each arm, in percent."""
     against = {"none": ["actions a person"], "reactive": ["actions a person", "interventions"]}
     heads = [f"{measure}, against {other}" for other, measures in against.items() for measure in measures]
     rows = [["people", "the robot takes them for", *heads]]
@@ -83,7 +83,7 @@ def savings(pools: pd.DataFrame, policy: str = "attention") -> list[list[str]]:
 
 
 def study_of(pools: int, people: int, humans: tuple[int, ...], instance: str | None) -> Study:
-    """Give the protocol, or a smaller study like it."""
+    """Return the protocol, or a smaller version of it."""
     study = read("people", repeats=pools)
     instances = tuple(pair for pair in study.instances if instance in (None, pair[0]))
     names = tuple(name for name, _ in instances)
@@ -97,13 +97,17 @@ def study_of(pools: int, people: int, humans: tuple[int, ...], instance: str | N
 @click.option("--humans", type=click.IntRange(min=1), multiple=True, help="Team sizes; those of the protocol if none.")
 @click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the episodes, and go on from them.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder of the episodes; an existing study is resumed.",
+)
 @click.option("--into", type=click.Path(path_type=Path, file_okay=False), help="Write records here.")
 def main(
     pools: int, people: int, humans: tuple[int, ...], instance: str | None, jobs: int, out: Path | None,
     into: Path | None,
 ) -> None:  # fmt: skip
-    """Carry the study out."""
+    """Run the study."""
     with tempfile.TemporaryDirectory(prefix="habits-") as scratch:
         folder = out or Path(scratch)
         failed = run_study(study_of(pools, people, humans, instance), folder, jobs=jobs, resume=True)

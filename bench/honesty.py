@@ -1,15 +1,15 @@
-"""The price of honesty: what one person's help is worth with optimal suggestions only, and with all.
+"""The price of honesty: the value of one person's assistance with optimal suggestions only, and with all suggestions.
 
     python bench/honesty.py [--quick] [--instances a,b] [--gammas ...] [--costs ...] [--sigmas ...] [--etas ...]
                             [--gap G] [--time-limit S] [--record FILE [--more]]
 
-A case is a kitting instance, a population's range of theta, the rate eta at which suggestions move it, gamma,
-c_suggest, and the sigma of the person's misconception, which the robot knows. Printed is a table, which `--record`
-writes for the documentation: the bounds of both values in the initial state, the price (how much less optimal
-suggestions are worth), its share of the return, and whether it is proven that there is one.
+A case consists of a kitting instance, the population's range of theta, the rate eta of the trust update, gamma,
+c_suggest, and the sigma of the person's misconception, which the robot knows. The table, which `--record` writes for
+the documentation, contains the bounds of both values in the initial state. It also contains the price (the loss with
+optimal suggestions only), its share of the return, and whether a positive price is proven.
 
-Optimal suggestions are among all of them, so that whatever policy is found for them is one for all as well, and what
-no policy with all of them exceeds, none with some does: each pair of bounds is tightened by the other.
+Every policy with optimal suggestions only is also a policy with all suggestions. The lower bound of the former and the
+upper bound of the latter are therefore valid for both, and each pair of bounds tightens the other.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ THETAS = ((0.05, 0.5), (0.5, 0.95))
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Two cases of each instance only.")
+@click.option("--quick", is_flag=True, help="Only two cases of each instance.")
 @click.option("--instances", default="paper-fixed,paper", show_default=True)
 @click.option("--etas", default="0.2,0", show_default=True)
 @click.option("--gammas", default="0.99,0.95", show_default=True)
 @click.option("--costs", default="0.05,0.2,0.5,1", show_default=True, help="Values of c_suggest.")
 @click.option("--sigmas", default="0,0.5,1", show_default=True)
 @click.option("--gap", default=5e-4, show_default=True, help="Stop at this relative gap.")
-@click.option("--time-limit", default=10.0, show_default=True, help="Seconds for each search at the most.")
+@click.option("--time-limit", default=10.0, show_default=True, help="Seconds for each search.")
 @record_option
 @more_option
 def main(
@@ -63,7 +63,7 @@ def main(
         choices = Choices.of(sweep(load(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl"))))
         for theta, eta, gamma, c_suggest, sigma in itertools.product(THETAS, *values):
             h = perceived_cost_to_go(choices, sigma, np.random.default_rng(0))
-            model = HumanModel.own(choices, Human(1.0, 0.5, sigma, h), eta=eta)  # of which only h is used
+            model = HumanModel.own(choices, Human(1.0, 0.5, sigma, h), eta=eta)  # only h is used
 
             def bounds(suggestions: Suggestions, model=model, theta=theta, gamma=gamma, c=c_suggest):
                 pomdp = AssistPOMDP.of(
@@ -75,7 +75,7 @@ def main(
             (some_lower, some_upper), (all_lower, all_upper) = bounds("optimal"), bounds("all")
             some_upper, all_lower = min(some_upper, all_upper), max(all_lower, some_lower)
             least, most = max(all_lower - some_upper, 0.0), all_upper - some_lower
-            # The return is negative: the smallest share is that of the lowest value with optimal suggestions.
+            # The return is negative, so the smallest share refers to the lowest value with optimal suggestions.
             shares = 100 * least / -some_lower, 100 * most / -some_upper
             rows.append(
                 {"task": name, "theta": f"{theta[0]:g} to {theta[1]:g}", "eta": f"{eta:g}", "gamma": f"{gamma:g}",

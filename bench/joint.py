@@ -1,15 +1,15 @@
-"""The problem of a whole team solved between bounds, for teams and tasks that are tiny.
+"""Exact solution of a team's joint POMDP between bounds, for tiny teams and tasks.
 
-Nothing is relaxed or taken apart here: observed is where everybody's task and the robot are, hidden are everybody's
-beta and theta. The numbers of both are products over people, so that two people with a task of some dozens of
-states are about as much as there can be. For those it is the yardstick of whatever scales: of team policies, and of
-the bound for large teams (`assist.certify.team_bound`).
+Nothing is relaxed or decomposed. Observed are the states of all tasks and the robot's location; hidden are beta and
+theta of all people. The numbers of both are products over people, so that two people with a task of some dozen states
+are about the limit. The solution is the reference for scalable methods: team policies, and the bound for large teams
+(`assist.certify.team_bound`).
 
-The problem is written out from each person's `AssistPOMDP` (`joint_problem.py`) and solved by heuristic search value
-iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004) in its plain form: below, alpha
-vectors, of which never helping is the first; above, the values with everything seen, lowered at single beliefs and by
-the sawtooth rule between them. It shares no code with the solver of one person's problem, so that each is a check of
-the other.
+The problem is built from each person's `AssistPOMDP` (`joint_problem.py`). It is solved by heuristic search value
+iteration (Smith and Simmons, "Heuristic search value iteration for POMDPs", 2004) in its basic form. The lower bound
+consists of alpha vectors, the first of which is the policy that never helps. The upper bound consists of the MDP values
+with everything observed, and of points with sawtooth interpolation. The code is independent of the solver of one
+person's POMDP, so that each checks the other.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from assist.team.state import NOBODY
 from assist.team.travel import Travel
 
 DEPTH = 500
-"""Steps that a trial looks ahead, at the most."""
+"""Largest number of steps of a trial."""
 
 SETTLED = 1e-9
-"""Values are worked out until a sweep changes none by more, in cost units."""
+"""Value iteration stops when a sweep changes no value by more, in cost units."""
 
 MARGIN = 1e-10
-"""The bounds are moved apart by this share, which is more than rounding adds up to."""
+"""The bounds are widened by this relative margin, which exceeds the accumulated rounding error."""
 
 AIM = 0.5
 """A trial ends where the bounds are closer than this share of their distance at the root, discounted."""
 
 FINEST, LEAST = 1e-2, 1e-6
-"""What is stored must gain this share of what a trial aims at; first, and in the end."""
+"""An improvement is stored if it exceeds this share of a trial's target: at first, and at the end."""
 
 NONE = -1
 
 
 @dataclass(frozen=True)
 class JointBounds:
-    """What the best policy for a team gets, between bounds.
+    """Bounds on the optimal value of a team.
 
     Attributes
     ----------
     lower : float
-        Mean discounted return of some policy from the beginning of an episode on, in cost units.
+        Expected discounted return of some policy from the beginning of an episode, in cost units.
     upper : float
-        What no policy's exceeds.
+        Upper bound on that of every policy.
     never : float
         That of never helping.
     states : int
-        Observed states: where everybody's task and the robot are.
+        Number of observed states: the states of all tasks and the robot's location.
     hidden : int
-        Hidden states: everybody's beta and theta.
+        Number of hidden states: beta and theta of all people.
     seconds : float
     """
 
@@ -85,28 +85,28 @@ def joint_bounds(
     gap: float = 1e-3,
     time_limit: float | None = None,
 ) -> JointBounds:
-    """Solve the problem of a team in which all work from the beginning, in the robot's model.
+    """Solve the POMDP of a team in which all people start together, in the robot's model.
 
-    The robot goes to somebody only to say or do something there: nothing is gained by going earlier, as long as no
-    way around is shorter than the direct one.
+    The robot moves to a person only to act there. Moving earlier has no advantage as long as the distances satisfy the
+    triangle inequality.
 
     Parameters
     ----------
     pool : Pool
     team : tuple of int, optional
-        Who is at each place; the whole pool unless given.
+        Indices of the team's people; the whole pool unless given.
     travel : Travel, optional
-        The way between them, which takes no time; that of the setting unless given.
+        Distances, without travel times; those of the setting unless given.
     gap : float
         Stop when (upper - lower) / |lower| is at most this.
     time_limit : float, optional
-        Stop the search after so many seconds. The first bounds are worked out in any case. Compiling, which takes
-        place once after an installation, does not count.
+        Seconds for the search. The initial bounds are computed in any case. Compilation, which happens once after an
+        installation, does not count.
 
     Raises
     ------
     ValueError
-        The problem is too large to be written out, or moving takes time or is cheaper by a way around.
+        The problem is too large, moving takes time, or the distances violate the triangle inequality.
     """
     start = time.perf_counter()
     team = tuple(range(len(pool.people))) if team is None else team
@@ -116,10 +116,10 @@ def joint_bounds(
     m = written_out(people, travel)
     belief = product_of([pomdp.prior.ravel() for pomdp in people])
     tasks = np.ravel_multi_index([p.model.choices.initial for p in people], [len(p.robot_actions) for p in people])
-    root = int(tasks) * len(m.way) + len(people)  # the base comes last
+    root = int(tasks) * len(m.way) + len(people)  # the base is the last location
     states, hidden = len(m.way) * (len(m.first) - 1), len(belief)
-    # Costs are 0 or more: every sweep leaves values that begin with 0 too high, and those that begin with the dearest
-    # step for ever too low.
+    # Costs are nonnegative. From 0, every iterate is an upper bound; from the largest cost in every step, a lower
+    # bound.
     seen = np.zeros((states, hidden))
     never = np.full((states, hidden), m.reward.min() / (1 - m.gamma))
     for value, helping in ((seen, True), (never, False)):
@@ -128,7 +128,7 @@ def joint_bounds(
     plans, points = _Store.of(never, np.arange(states)), _Store.of(np.empty((0, hidden)), np.full(states, NONE))
     path, beliefs = np.full(DEPTH, root), np.tile(belief, (DEPTH, 1))
     plans, points, finest = plans.with_room(), points.with_room(), FINEST
-    _trial(path, beliefs, np.inf, finest, plans, points, seen, m)  # nothing but compiled code, which takes its time
+    _trial(path, beliefs, np.inf, finest, plans, points, seen, m)  # loads or compiles the code
     begun = time.perf_counter()
     while True:
         lower, upper = _lower(root, belief, plans)[0], _upper(root, belief, seen, points)
@@ -139,7 +139,7 @@ def joint_bounds(
         aim = max(gap * abs(lower), AIM * (upper - lower))
         if not _trial(path, beliefs, aim, finest, plans, points, seen, m):
             finest /= 2
-            if finest < LEAST:  # what is left is rounding
+            if finest < LEAST:  # the rest is rounding error
                 break
     return JointBounds(
         lower=lower - MARGIN * abs(lower), upper=upper + MARGIN * abs(upper), never=float(never[root] @ belief),
@@ -148,21 +148,21 @@ def joint_bounds(
 
 
 class _Store(NamedTuple):
-    """Vectors of observed states, each state's in a list of their own.
+    """Vectors of observed states, in a linked list for each state.
 
-    Below these are alpha vectors. Above they are beliefs, at which the upper bound is lower by `drop` than the
-    values with everything seen.
+    In the lower bound they are alpha vectors. In the upper bound they are beliefs, at which the bound is lower by
+    `drop` than the MDP value.
 
     Attributes
     ----------
     row : float array, shape (C, H)
     drop : float array, shape (C,)
     after : int array, shape (C,)
-        The next one of the same state.
+        Index of the next vector of the same state.
     head : int array, shape (S,)
-        The first one of each state.
+        Index of the first vector of each state.
     used : int array, shape (1,)
-        How many there are.
+        Number of vectors.
     """
 
     row: Floats
@@ -173,11 +173,11 @@ class _Store(NamedTuple):
 
     @classmethod
     def of(cls, row: Floats, head: Ints) -> _Store:
-        """Begin with one vector for each state, or none."""
+        """Return a store with one vector for each state, or none."""
         return cls(row, np.zeros(len(row)), np.full(len(row), NONE), head, np.array([len(row)]))
 
     def with_room(self) -> _Store:
-        """Make room for what a trial may store."""
+        """Return a store with room for the vectors of a trial."""
         size, room = len(self.row), max(len(self.row), DEPTH)
         if size - self.used[0] >= DEPTH:
             return self
@@ -185,10 +185,10 @@ class _Store(NamedTuple):
         return self._replace(row=row, drop=np.resize(self.drop, size + room), after=np.resize(self.after, size + room))
 
 
-# Loops, where a line on whole arrays would do: those take several times as long to compile.
+# Loops, since array expressions take several times as long to compile.
 @numba.njit(cache=True)
 def _dot(a: Floats, b: Floats) -> float:
-    """Give a . b."""
+    """Return a . b."""
     total = 0.0
     for h in range(len(a)):
         total += a[h] * b[h]
@@ -211,7 +211,7 @@ def _copy(a: Floats, b: Floats, mass: float) -> None:
 
 @numba.njit(cache=True)
 def _nowhere_below(a: Floats, b: Floats) -> bool:
-    """Tell whether a >= b."""
+    """Return whether a >= b in every entry."""
     for h in range(len(a)):  # noqa: SIM110  numba has no generators
         if not a[h] >= b[h]:
             return False
@@ -220,10 +220,10 @@ def _nowhere_below(a: Floats, b: Floats) -> bool:
 
 @numba.njit(cache=True)
 def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
-    """Store a vector, and let go of those of its state that it makes superfluous."""
+    """Store a vector, and remove the vectors of its state that it dominates."""
     before, i = NONE, store.head[s]
     while i != NONE:
-        if drop > 0.0:  # the upper bound there without it
+        if drop > 0.0:  # in the upper bound
             share = np.inf
             for h in range(len(row)):
                 if row[h] > 0.0 and store.row[i, h] < share * row[h]:
@@ -246,7 +246,7 @@ def _put(s: int, row: Floats, drop: float, store: _Store) -> None:
 
 @numba.njit(cache=True)
 def _ends(d: int, s: int, m: JointProblem) -> tuple[int, float]:
-    """Give the robot's place after a deed, and what the way there costs."""
+    """Return the robot's location after an action, and the cost of moving there."""
     place = s % len(m.way)
     to = place if m.person[d] == NOBODY else m.person[d]
     return to, m.way[place, to]
@@ -254,7 +254,9 @@ def _ends(d: int, s: int, m: JointProblem) -> tuple[int, float]:
 
 @numba.njit(cache=True)
 def _back(d: int, o: int, value: Floats, m: JointProblem, total: Floats) -> None:
-    """Add to `total`, shape (H,), what an outcome of a deed is worth, if `value`, shape (H,), is what is reached."""
+    """Add the discounted value of an outcome to `total`, shape (H,), where `value`, shape (H,), is that of its
+    target.
+    """
     for h in range(len(total)):
         moved = (1.0 - m.weight[d, h]) * value[m.low[d, h]] + m.weight[d, h] * value[m.high[d, h]]
         total[h] += m.gamma * m.chance[o, h] * moved
@@ -262,7 +264,7 @@ def _back(d: int, o: int, value: Floats, m: JointProblem, total: Floats) -> None
 
 @numba.njit(cache=True)
 def _sweep(value: Floats, helping: bool, m: JointProblem) -> float:
-    """Improve all values with everything seen, shape (S, H), of the best policy or of never helping, once.
+    """Update all values with everything observed, shape (S, H), of the optimal policy or of never helping, once.
 
     Returns the largest change.
     """
@@ -287,7 +289,7 @@ def _sweep(value: Floats, helping: bool, m: JointProblem) -> float:
 
 @numba.njit(cache=True)
 def _lower(s: int, belief: Floats, plans: _Store) -> tuple[float, int]:
-    """Give the largest product of an alpha vector and a belief, which need not add up to 1, and whose it is."""
+    """Return the largest product of an alpha vector and a belief, which may be unnormalised, and the vector's index."""
     best, which, i = -np.inf, NONE, plans.head[s]
     while i != NONE:
         product = 0.0
@@ -301,16 +303,15 @@ def _lower(s: int, belief: Floats, plans: _Store) -> tuple[float, int]:
 
 @numba.njit(cache=True)
 def _upper(s: int, belief: Floats, seen: Floats, points: _Store) -> float:
-    """Give the sawtooth bound at a belief, which need not add up to 1.
+    """Return the sawtooth bound at a belief, which may be unnormalised.
 
-    A belief holds a share of each stored one, and with it that share of its drop.
+    The belief contains a multiple of each stored belief, and the bound that multiple of its drop.
     """
     corner, most, i = 0.0, 0.0, points.head[s]
     for h in range(len(belief)):
         corner += seen[s, h] * belief[h]
     while i != NONE:
-        # The share shrinks from one hidden state to the next, until it is all that it was or the drop is no larger
-        # than another one.
+        # The share decreases from one hidden state to the next, until its drop does not exceed the largest one so far.
         share = np.inf
         for h in range(len(belief)):
             if points.row[i, h] > 0.0 and belief[h] < share * points.row[i, h]:
@@ -324,7 +325,7 @@ def _upper(s: int, belief: Floats, seen: Floats, points: _Store) -> float:
 
 @numba.njit(cache=True)
 def _reach(d: int, o: int, belief: Floats, m: JointProblem, after: Floats) -> float:
-    """Fill `after` with the belief after an outcome of a deed, times the outcome's chance, which is returned."""
+    """Fill `after` with the belief after an outcome, times the outcome's probability, which is returned."""
     _fill(after, 0.0)
     total = 0.0
     for h in range(len(belief)):
@@ -339,9 +340,9 @@ def _reach(d: int, o: int, belief: Floats, m: JointProblem, after: Floats) -> fl
 def _trial(
     path: Ints, beliefs: Floats, gap: float, finest: float, plans: _Store, points: _Store, seen: Floats, m: JointProblem
 ) -> int:
-    """Walk from the state and belief at the beginning of the path to where the bounds are close, and improve them.
+    """Follow a path from its first state and belief to where the bounds are close, then back up along it.
 
-    Returns how many vectors have been stored.
+    Returns the number of stored vectors.
     """
     places, after, depth = len(m.way), np.empty(beliefs.shape[1]), 0
     deeds = 0
@@ -386,9 +387,9 @@ def _trial(
 def _backup(
     s: int, belief: Floats, q: Floats, finest: float, plans: _Store, points: _Store, seen: Floats, m: JointProblem
 ) -> int:
-    """Improve both bounds at a belief by looking one step ahead; returns how many of them.
+    """Improve both bounds at a belief by a Bellman backup; return the number of improved bounds.
 
-    Deeds that by `q` get less than what some plan is known to get need not be looked at.
+    Actions whose upper bound `q` is below the lower bound are skipped.
     """
     stored = 0
     places, y = len(m.way), s // len(m.way)

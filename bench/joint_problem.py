@@ -1,4 +1,4 @@
-"""A whole team's problem, written out from each person's `AssistPOMDP`: every deed, its outcomes, their chances."""
+"""A team's joint POMDP, built from each person's `AssistPOMDP`: all actions, their outcomes and probabilities."""
 
 from __future__ import annotations
 
@@ -17,34 +17,35 @@ from assist.team.travel import Travel
 Ints = NDArray[np.int64]
 
 MOST = 10_000_000
-"""Chances that are written out, at the most: one for each outcome of a step and each hidden state."""
+"""Largest number of probabilities: one for each outcome of a step and each hidden state. They take 80 MB."""
 
 
 class JointProblem(NamedTuple):
-    """A team's problem, written out, for compiled code.
+    """A team's joint POMDP for compiled code.
 
-    What people's tasks are is one number y, and with the robot's place k (K: the base) the observed state
-    y * (K + 1) + k. What the robot can do there is alike for all places but for the way: its deeds are numbered
-    through all y, and the outcomes, what people do then, through all deeds.
+    The states of all tasks form one number y. With the robot's location k (K: the base), the observed state is y * (K +
+    1) + k. The robot's actions at y are the same for all locations, except for the cost of moving. They are numbered
+    consecutively over all y, and the outcomes, which are people's actions, over all robot actions.
 
     Attributes
     ----------
     gamma : float
     way : float array, shape (K + 1, K + 1)
-        What moving costs.
+        Cost of moving.
     first : int array, shape (Y + 1,)
-        The deeds at y are `first[y]`, to do nothing, up to `first[y + 1]`.
+        The actions at y are `first[y]`, which is to do nothing, up to `first[y + 1]`.
     person : int array, shape (D,)
-        To whom each deed is done, or `NOBODY`.
+        The person whom each action concerns, or `NOBODY`.
     reward : float array, shape (D, H)
-        Minus what the deed and people's actions cost, without the way.
+        Minus the expected costs of the robot's and people's actions, without moving.
     low, high : int arrays, shape (D, H); weight : float array, shape (D, H)
-        The hidden states between which each is shared after the deed; `high` has `weight`.
+        The two hidden states between which each is divided after the action; `high` has `weight`.
     begin : int array, shape (D + 1,)
-        The outcomes of deed d are `begin[d]` up to `begin[d + 1]`.
+        The outcomes of action d are `begin[d]` up to `begin[d + 1]`.
     target : int array, shape (O,)
-        To what y each outcome leads.
+        The y after each outcome.
     chance : float array, shape (O, H)
+        Probability of each outcome.
     """
 
     gamma: float
@@ -61,17 +62,17 @@ class JointProblem(NamedTuple):
 
 
 def check(people: list[AssistPOMDP], travel: Travel) -> None:
-    """Refuse what is too large, or another problem than that of this module."""
+    """Raise `ValueError` if the problem is too large, or has features that are not modelled here."""
     if len(people) != len(travel):
-        raise ValueError(f"{len(people)} people, and a way between {len(travel)}: expected as many")
+        raise ValueError(f"{len(people)} people, but distances for {len(travel)}: expected the same number")
     if travel.steps.any():
-        raise ValueError("travel: expected a way that takes no time")
+        raise ValueError("travel: expected no travel time")
     around = (travel.distance[:, :, None] + travel.distance[None]).min(axis=1)
     if (around < travel.distance - 1e-9).any():
-        raise ValueError("distance: expected no way around that is shorter than the direct one")
+        raise ValueError("distance: expected the triangle inequality")
     if any(pomdp.frontier is not None for pomdp in people):
-        raise ValueError("team: expected problems of all states, and one breaks off at a frontier")
-    # Somebody is left alone in each of their states, or gets one of the robot's actions there.
+        raise ValueError("team: expected problems of whole tasks, and one is truncated")
+    # For each state of a person: the number of outcomes alone, and with each of the robot's actions.
     count = [np.where(p.model.choices.goal, 1, p.model.choices.applicable.sum(axis=1)) for p in people]
     alone = [int(c.sum()) for c in count]
     helped = [
@@ -83,13 +84,13 @@ def check(people: list[AssistPOMDP], travel: Travel) -> None:
     if outcomes * hidden > MOST:
         states = (len(people) + 1) * math.prod(len(p.robot_actions) for p in people)
         raise ValueError(
-            f"team of {len(people)}: too large to be solved as a whole, with {states:,} observed and {hidden:,} hidden "
-            f"states; expected {MOST:,} chances at the most, and there are {outcomes * hidden:,}"
+            f"team of {len(people)}: too large to be solved jointly, with {states:,} observed and {hidden:,} hidden "
+            f"states; expected at most {MOST:,} probabilities, not {outcomes * hidden:,}"
         )
 
 
 class _Act(NamedTuple):
-    """What one person may do next, and what comes of it: L outcomes.
+    """The L outcomes of one person's next action.
 
     Attributes
     ----------
@@ -104,9 +105,9 @@ class _Act(NamedTuple):
 
 
 def _act(pomdp: AssistPOMDP, x: int, robot: int) -> _Act:
-    """Give what comes of a person in a state to whom the robot does something."""
+    """Return the outcomes of a person in a state under an action of the robot."""
     choices, place = pomdp.model.choices, int(pomdp.afterstate[x, robot])
-    if choices.goal[place]:  # finished, or the robot's execution has done it
+    if choices.goal[place]:  # finished, or finished by the robot's execution
         return _Act(np.array([place]), np.zeros(1), np.ones((1, pomdp.prior.size)))
     slots = np.flatnonzero(choices.applicable[place])
     chance = pomdp.likelihood(np.full_like(slots, x), np.full_like(slots, robot), slots)
@@ -115,7 +116,7 @@ def _act(pomdp: AssistPOMDP, x: int, robot: int) -> _Act:
 
 
 def product_of(chances: list[Floats]) -> Floats:
-    """Give what is likely of all people together; what is the last person's varies fastest, in every axis."""
+    """Return the joint probabilities of all people; the last person's index varies fastest on every axis."""
     joint: Floats = np.ones((1,) * chances[0].ndim)
     for one in chances:
         joint = np.asarray(np.kron(joint, one), dtype=float)
@@ -123,7 +124,7 @@ def product_of(chances: list[Floats]) -> Floats:
 
 
 def written_out(people: list[AssistPOMDP], travel: Travel) -> JointProblem:
-    """Write the problem out."""
+    """Return the joint problem."""
     sizes, shape = [len(p.robot_actions) for p in people], [n for p in people for n in p.grid.shape]
     every = np.arange(math.prod(shape))
     grid = np.array(np.unravel_index(every, shape))  # each person's beta and theta, as rows

@@ -1,9 +1,9 @@
-"""How long one observation and the next recommendation take in a large team, and what that takes of memory.
+"""Latency and memory of the live assistant: one observation and the next recommendation in a large team.
 
     python bench/live.py [--people 1000] [--instance domains/kitting/paper.pddl] [--steps 300] [--record FILE]
 
-People at random act (follow the suggestion that stands, or do anything): each a few times before, so that they are in
-different places, and then one after the other, and after each the assistant is asked.
+Random people act: they follow the present suggestion, or take a random action. Each takes a few actions beforehand, so
+that people are in different states. Then one person at a time acts, and the assistant is asked after each action.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ COLUMNS = {
 @click.option("--people", multiple=True, type=click.IntRange(min=1), default=(10, 1000, 10_000))
 @click.option("--policy", "policies", multiple=True, default=("attention", "priority"))
 @click.option("--steps", type=click.IntRange(min=2), default=300)
-@click.option("--before", type=click.IntRange(min=0), default=5, help="Steps of each person before.")
+@click.option("--before", type=click.IntRange(min=0), default=5, help="Steps of each person before the measurement.")
 @record_option
 def main(
     instances: tuple[str, ...], people: tuple[int, ...], policies: tuple[str, ...], steps: int, before: int,
@@ -93,7 +93,7 @@ def _measured(table: Any, policy: str, count: int, steps: int, before: int) -> d
 
 
 def _act(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[str, str]:
-    """Give who acts and how."""
+    """Return a person's name and next action."""
     person = desk.person(name)
     if person.finished:
         desk.begin(name)
@@ -111,7 +111,7 @@ def _step(desk: Assistant, name: str, rng: np.random.Generator) -> tuple[float, 
 
 
 def _resident() -> float:
-    """Give the memory that the process holds, in MB."""
+    """Return the memory of the process in MB."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 

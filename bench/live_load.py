@@ -1,12 +1,12 @@
-"""Many people at once, each acting every few seconds, on a service that may be killed again and again.
+"""Load test of the live service: many people who act every few seconds, and a service that may be killed repeatedly.
 
     python bench/live_load.py [--people 200] [--seconds 300] [--every 2] [--kills 0]... [--instance FILE] [--data DIR]
                               [--record FILE]
 
-Everybody has a connection on which what they see is pushed, posts an action, and notes how long it takes from there
-until what was decided after it is pushed to them. A post that is not answered is repeated, under its id, until it is.
-At the end the log must hold what was acknowledged, in its order and once, and an uninterrupted run of the same events,
-worked out anew, must give the same beliefs to the last bit.
+Each person has a connection that receives pushed views, posts actions, and measures the time from a post to the
+resulting push. An unanswered post is repeated under the same id until it is answered. At the end, the log must contain
+exactly the acknowledged actions, in order and once each. An uninterrupted run of the same events must give the same
+beliefs to the last bit.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ from websockets.exceptions import WebSocketException
 
 from assist.live.course import Event
 from assist.live.session import Session
-from assist.people.human import Population
 from assist.team.settings import Setting
 from planner import cost_to_go, load
 
@@ -45,7 +44,7 @@ C_SUGGEST = 0.2
 
 @dataclass
 class Seen:
-    """What was seen."""
+    """Measurements of a run."""
 
     latencies: list[float] = field(default_factory=list)
     answers: list[float] = field(default_factory=list)
@@ -64,7 +63,7 @@ class Seen:
 
 
 class Worker:
-    """Somebody at work: one connection that listens, one that posts."""
+    """A simulated client: one connection that listens, and one that posts."""
 
     def __init__(self, link: str, every: float, seed: int, seen: Seen) -> None:
         self.parts = urlsplit(link)
@@ -92,7 +91,7 @@ class Worker:
                 await asyncio.sleep(RETRY)
 
     async def post(self, what: str, body: dict) -> dict:
-        """Post until it is answered."""
+        """Post a request until it is answered."""
         content = json.dumps(body).encode()
         head = (
             f"POST /api/people/{quote(self.name)}/{what} HTTP/1.1\r\nHost: {self.parts.netloc}\r\n"
@@ -163,7 +162,7 @@ class Worker:
 
 
 class Service:
-    """The process that serves, started again on the same port and data."""
+    """The process of the service, which is restarted on the same port and data."""
 
     def __init__(self, instance: Path, people: int, data: Path, *options: str) -> None:
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -174,7 +173,7 @@ class Service:
         ]  # fmt: skip
 
     def start(self) -> dict:
-        """Start it; give what it says when it is ready."""
+        """Start the process; return its first line of output."""
         self.process = subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         said = json.loads(self.process.stdout.readline())
@@ -182,12 +181,12 @@ class Service:
         return said
 
     def processor(self) -> float:
-        """Seconds of processor time, of all threads."""
+        """Return the processor seconds of all threads."""
         fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def worked(self) -> float:
-        """Seconds of processor time since it was ready."""
+        """Return the processor seconds since the service was ready."""
         return self.processor() - self.before
 
     def memory(self) -> float:
@@ -198,7 +197,7 @@ class Service:
 
 
 async def run(instance: Path, people: int, seconds: float, every: float, kills: int, data: Path, seed: int = 0) -> Seen:
-    """Let people work, and kill the service so many times; check what it has kept."""
+    """Let people work, and kill the service `kills` times; check the saved data."""
     seen, service = Seen(), Service(instance, people, data)
     said = await asyncio.to_thread(service.start)
     seen.ready = time.monotonic()
@@ -239,9 +238,9 @@ async def run(instance: Path, people: int, seconds: float, every: float, kills: 
 
 
 def check(instance: Path, data: Path, seen: Seen) -> None:
-    """Compare what was acknowledged with what was kept, and that with an uninterrupted run."""
+    """Compare the acknowledged actions with the log, and the beliefs with an uninterrupted run."""
     tasks = {instance.stem: cost_to_go(load(instance))}
-    options = {"setting": Setting(c_suggest=C_SUGGEST), "population": Population((0.1, 3.0), (0.5, 0.95))}
+    options = {"setting": Setting(c_suggest=C_SUGGEST)}
     kept = Session(tasks, data / "journal.jsonl", **options)
     found: dict[str, list[str]] = {person: [] for person in kept.people}
     for row in kept.log():
@@ -257,7 +256,7 @@ def check(instance: Path, data: Path, seen: Seen) -> None:
         for _, record in kept._journal:
             if "event" in record:
                 facts = {name: record.get(name) for name in ("person", "action", "followed", "task", "id")}
-                # What was not heard then is said by what was seen: nothing.
+                # A suggestion that was not seen then is marked by the view on which the person acted: none.
                 anew.report([Event(record["event"], **facts, seen=0 if record.get("unheard") else None)])
         assert anew.beliefs() == kept.beliefs(), "the beliefs are those of an uninterrupted run"
         assert anew.recommend() == kept.recommend()
@@ -288,14 +287,20 @@ COLUMNS: Columns = {
 @click.option("--people", default=200, show_default=True)
 @click.option("--seconds", default=300.0, show_default=True)
 @click.option("--every", default=2.0, show_default=True, help="Seconds between two actions of a person.")
-@click.option("--kills", default=(0,), show_default=True, multiple=True, help="May be repeated: a run for each.")
+@click.option(
+    "--kills",
+    default=(0,),
+    show_default=True,
+    multiple=True,
+    help="Number of kills. May be repeated, for a run with each.",
+)
 @click.option("--data", type=Path)
 @record_option
 def main(
     instance: Path, people: int, seconds: float, every: float, kills: tuple[int, ...], data: Path | None,
     record: Path | None,
 ) -> None:  # fmt: skip
-    """Print what was seen, and write it down."""
+    """Run the tests and print the measurements."""
     rows = []
     for count in kills:
         with tempfile.TemporaryDirectory() as folder:

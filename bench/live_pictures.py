@@ -1,10 +1,11 @@
-"""The pictures of pages in `docs/live.md` and `docs/userstudy.md`, seen in a browser.
+"""Screenshots of pages for `docs/live.md` and `docs/userstudy.md`.
 
-A service has four people, of whom two are simulated. A study has been rehearsed, and then somebody takes part in it.
+The live service has four people, two of whom are simulated. The user study is rehearsed, and another participant takes
+part in it.
 
     python bench/live_pictures.py [--only live|study] [--out docs/figures]
 
-Needs Chromium, and the extra `test`.
+Needs Chromium and the extra `test`.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from tables import ROOT
 from assist.web.client import Client
 from planner import Table, cost_to_go, load
 
-OPTIONS = ("--simulate", "2", "--pace", "0.4", "--c-move", "0.05", "--beta", "0.1", "2.0")
+OPTIONS = ("--simulate", "2", "--pace", "3", "--c-move", "0.05", "--beta", "0.1", "2.0")
 MISTAKES = ("(fetch box-a)", "(place pliers slot-1 box-a)", *("(return box-a)", "(fetch box-a)") * 6)
 SIZES = {"desk": (1280, 800), "phone": (390, 844), "tablet": (820, 1000)}
 COLOURS = 160
@@ -39,13 +40,13 @@ SCALES = ("mental", "physical", "temporal", "performance", "effort", "frustratio
 
 
 class Camera:
-    """A browser that looks at pages."""
+    """A browser that takes screenshots."""
 
     def __init__(self, browser: Any, out: Path) -> None:
         self.browser, self.out = browser, out
 
     def look(self, link: str, name: str, size: str = "desk", *, dark: bool = False, press: str | None = None) -> None:
-        """Take a picture of a page, after something has been pressed there."""
+        """Take a screenshot of a page, after clicking an element if one is given."""
         width, height = SIZES[size]
         context = self.browser.new_context(
             viewport={"width": width, "height": height}, color_scheme="dark" if dark else "light",
@@ -64,7 +65,7 @@ class Camera:
         shrink(file)
 
     def participant(self, link: str, tables: dict[str, Table]) -> None:
-        """Take pictures of what somebody sees who takes part in the study, on the way to its end."""
+        """Take screenshots of a participant's pages over the course of a study."""
         page = self.browser.new_page(viewport={"width": 820, "height": 640})
 
         def shot(name: str, width: int, height: int, *, dark: bool = False) -> None:
@@ -104,13 +105,13 @@ class Camera:
 
 
 def shrink(file: Path) -> None:
-    """Leave few colours, of which pages have few."""
+    """Reduce the number of colours, which makes files smaller."""
     Image.open(file).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
 
 
 @contextmanager
 def study(data: Path) -> Iterator[dict[str, Any]]:
-    """Serve the study; give what it says when it is ready."""
+    """Serve the study; yield its first line of output."""
     command = [str(Path(sys.executable).with_name("kitassist")), "serve", "--study", str(STUDY), "--port", "0"]
     process = subprocess.Popen([*command, "--data", str(data)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
@@ -122,13 +123,13 @@ def study(data: Path) -> Iterator[dict[str, Any]]:
 
 
 def rehearse(data: Path) -> None:
-    """Let simulated people take all places of the study."""
+    """Let simulated participants take all places of the study."""
     command = [str(Path(sys.executable).with_name("kitassist")), "serve", "--study", str(STUDY), "--rehearse", "24"]
     subprocess.run([*command, "--data", str(data)], check=True, stdout=subprocess.DEVNULL)
 
 
 def finish(table: Table, ann: Client, operator: Client) -> None:
-    """Do the rest of a task without a mistake."""
+    """Complete a task optimally."""
     while not ann.see()["finished"]:
         mine = [row["action"] for row in operator.log() if row["person"] == ann.name]
         plan = table.optimal_plan(table.space.follow(mine))
@@ -138,9 +139,11 @@ def finish(table: Table, ann: Client, operator: Client) -> None:
 
 @click.command()
 @click.option("--out", type=Path, default=Path("docs/figures"), show_default=True)
-@click.option("--only", type=click.Choice(["live", "study"]), help="The pages of one of both.")
+@click.option(
+    "--only", type=click.Choice(["live", "study"]), help="Only the pages of the live assistant, or of the study."
+)
 def main(out: Path, only: str | None) -> None:
-    """Write the pictures."""
+    """Take the screenshots."""
     if only != "study":
         live(out)
     if only != "live":
@@ -148,7 +151,7 @@ def main(out: Path, only: str | None) -> None:
 
 
 def studied(out: Path) -> None:
-    """Look at the pages of a study."""
+    """Take the screenshots of a study."""
     tables = {file.stem: cost_to_go(load(file)) for file in (PAPER, TINY)}
     with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
@@ -166,17 +169,17 @@ def studied(out: Path) -> None:
 
 
 def live(out: Path) -> None:
-    """Look at the pages of people at work."""
+    """Take the screenshots of people's and operators' pages."""
     table = cost_to_go(load(PAPER))
     assert isinstance(table, Table)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         service = Service(PAPER, 4, Path(folder), *OPTIONS)
         said = service.start()
         link, ann, operator = said["join"]["person-1"], Client(said["join"]["person-1"]), Client(said["operator"])
+        time.sleep(9)  # simulated people act a few times; the robot stays with a person for several pictures
         for number, action in enumerate(MISTAKES):
             if ann.act(action)["suggestion"] and number > 2:
                 break
-        time.sleep(2)
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
         camera = Camera(browser, out)
         camera.look(link, "worker", press="summary:text('Why?')")

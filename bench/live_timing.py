@@ -1,10 +1,10 @@
-"""What it costs that real people are not in step: lockstep against a decision after every event.
+"""The cost of asynchrony: lockstep compared with a decision after every event.
 
     python bench/live_timing.py [--instance FILE]... [--humans K]... [--episodes 100] [--record FILE]
 
-The same simulated people, each with the same luck in a choice of their own, work either in lockstep (the robot does one
-thing, then everybody acts once) or each at their own pace: the time between two of their actions is drawn anew each
-time (gamma, mean 1, coefficient of variation 0.5), the robot decides after every action, and after a while without one.
+The same simulated people, with common random numbers, work either in lockstep (the robot acts once, then everybody acts
+once) or each at their own pace. At their own pace, the time between two actions of a person is gamma-distributed (mean
+1, coefficient of variation 0.5). The robot decides after every action, and after a while without one.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ KITTING = Path(__file__).parent.parent / "domains/kitting"
 DEFAULT = (KITTING / "tiny.pddl", KITTING / "paper-fixed.pddl")
 
 TICK = 2.0 / 3.0
-"""Of the mean time between two actions: 2 s of 3 s, as served."""
+"""Time without an action after which the robot decides again, relative to the mean time between actions: 2 s of 3 s,
+the defaults of `serve`.
+"""
 
 LONGEST = 500.0
 
 
 def act(desk: Assistant, task: CostToGo, name: str, person: SimulatedPerson) -> bool:
-    """Let somebody act; whether a suggestion had been made to them."""
+    """Let a person act; return whether a suggestion had been made."""
     known = desk.person(name)
     desk.observe(name, person.act(task, known.state, known.applicable, known.suggestion))
     return known.suggestion is not None
 
 
 def episode(task: CostToGo, setting: Setting, humans: int, seed: int, timing: str, policy: str) -> tuple[float, float]:
-    """Give actions and suggestions per person."""
+    """Return the numbers of actions and suggestions per person."""
     names = [str(number) for number in range(humans)]
     people = {name: SimulatedPerson(Population(), seed=1000 * seed + number) for number, name in enumerate(names)}
     desk = Assistant(task, names, policy=policy, setting=setting)
@@ -61,7 +63,7 @@ def episode(task: CostToGo, setting: Setting, humans: int, seed: int, timing: st
     desk.recommend()
     while due and now < LONGEST:
         after, name = heapq.heappop(due)
-        while timing == "own pace" and now + TICK < after:  # nobody acts for a while
+        while timing == "own pace" and now + TICK < after:  # no action for a while
             now += TICK
             desk.elapse()
             desk.recommend()
@@ -86,12 +88,12 @@ TIMINGS = {
     "in step": ("lockstep", "attention"),
     "own pace, a decision after every action, and when idle": ("own pace", "attention"),
     "own pace, a decision after every action": ("own pace, no tick", "attention"),
-    "in step, nobody helps": ("lockstep", "none"),
+    "in step, no help": ("lockstep", "none"),
 }
 
 
 def compare(task: CostToGo, setting: Setting, humans: int, episodes: int) -> Iterator[dict[str, Any]]:
-    """Give for each timing what people do, and by how much that is more than in lockstep, paired."""
+    """Yield for each timing the actions and suggestions, and the paired difference from lockstep."""
     found: dict[str, Any] = {}
     for name, (timing, policy) in TIMINGS.items():
         found[name] = np.array([episode(task, setting, humans, seed, timing, policy) for seed in range(episodes)])
@@ -113,7 +115,7 @@ def compare(task: CostToGo, setting: Setting, humans: int, episodes: int) -> Ite
 def main(
     instances: tuple[Path, ...], episodes: int, humans: tuple[int, ...], c_suggest: float, record: Path | None
 ) -> None:
-    """Print actions and suggestions per person, and the difference from lockstep, paired, with its standard error."""
+    """Print actions and suggestions per person, and the paired difference from lockstep with its standard error."""
     setting, rows = Setting(c_suggest=c_suggest, knowledge="exact"), []
     for instance in instances:
         task = cost_to_go(load(instance))

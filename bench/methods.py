@@ -1,11 +1,12 @@
-"""Sweeping all states, asking for single ones, and `cost_to_go`, which does both until one of them is done.
+"""The methods for the cost-to-go of some states: a sweep, single searches, and `cost_to_go`, which runs both in
+parallel.
 
     python bench/methods.py [NAME...] [--repeat N] [--limit S]
 
-Cases of which some are swept by far faster and some asked for by far faster: a task, and states of random walks through
-it whose cost-to-go is wanted. Each method runs in a process of its own, which reads the task and loads compiled code
-before the clock starts, the methods in turn; seconds are medians. `times` is how many times as long `cost_to_go` takes
-as the better of the two, and is not to exceed 2.
+Each case consists of a task and states of random walks in it, whose cost-to-go is wanted. A sweep is far faster in some
+cases, single searches in others. Each method runs in a process of its own, which reads the task and loads compiled code
+before the clock starts. The methods alternate; the results are medians in seconds. `times` is the time of `cost_to_go`
+divided by that of the faster method, and should not exceed 2.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from planner import OnDemand, cost_to_go, load, sweep
 
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 
-# For each case: the task, and how many states are wanted.
+# For each case: the task, and the number of states that are wanted.
 CASES = {
     "kitting/tiny, 5 states": ("kitting/tiny", 5),
     "kitting/paper, 100 states": ("kitting/paper", 100),
@@ -47,7 +48,7 @@ CASES = {
 }
 METHODS = ("sweep", "on demand", "cost_to_go")
 LARGEST = 100_000_000
-"""States that are swept at most."""
+"""Largest number of states of a sweep."""
 
 
 def number(value: float | None) -> str:
@@ -92,7 +93,7 @@ def seconds_of(method: str, task_name: str, count: int) -> dict[str, Any]:
 
 
 def measured(name: str, method: str, limit: float) -> dict[str, Any]:
-    """Time one method in a new process; no seconds where that takes longer than the limit."""
+    """Time one method in a new process; `seconds` is None if it exceeds the limit."""
     task, count = CASES[name]
     command = [sys.executable, __file__, "--one", method, task, str(count)]
     try:
@@ -113,7 +114,7 @@ def measured(name: str, method: str, limit: float) -> dict[str, Any]:
 def main(
     names: tuple[str, ...], repeat: int, limit: float, record: Path | None, one: tuple[str, str, int] | None
 ) -> None:
-    """Compare the ways to come by the cost-to-go of some states."""
+    """Compare the methods for the cost-to-go of some states."""
     if one is not None:
         click.echo(json.dumps(seconds_of(*one)))
         return
@@ -123,7 +124,7 @@ def main(
         runs: dict[str, list[dict[str, Any]]] = {method: [] for method in METHODS}
         for _ in range(repeat):
             for method, done in runs.items():
-                if not done or done[-1]["seconds"] is not None:  # what took too long once is not tried again
+                if not done or done[-1]["seconds"] is not None:  # a method that exceeded the limit is not tried again
                     done.append(measured(name, method, limit))
         finished = {m: [r for r in done if r["seconds"] is not None] for m, done in runs.items()}
         if len({r["sum"] for done in finished.values() for r in done}) > 1:

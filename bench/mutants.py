@@ -1,12 +1,12 @@
-"""Whether tests notice when a program says something else: mutants, each with one small change, and who kills them.
+"""Mutation tests: one small change of a function at a time, and whether a test fails.
 
     python bench/mutants.py [MODULE]... [--sample N] [--seed S] [--only TESTS] [--record FILE [--more]]
 
-A change is another comparison or sign, a number that is one larger, a condition the other way round, an argument or a
-statement left out. It is made in a function while the tests stand ready, in a process of its own that only runs those
-that call this function, the fastest first. It ends with the first that fails, or that has used up several times its
-processor time without a change. Left out are compiled functions, module-level code, words of errors, default
-values, and tests that are marked as long or slow.
+A change replaces a comparison or an operator, increases a number by one, negates a condition, or removes an argument or
+a statement. The tests are collected once. Each mutant then runs, in a forked process, the tests that call the changed
+function, fastest first. The mutant is killed when a test fails, or exceeds a multiple of its processor time without the
+change. Compiled functions, module-level code, error messages, default values and tests that are marked as long or slow
+are excluded.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ TESTS = {
     "assist/certify/certificate.py": "test_certify",
     "assist/certify/prices.py": "test_certify test_upper_bound",
 }
-"""The modules, and the tests that are to hold them."""
+"""The modules, and the tests that should detect changes of them."""
 
 COLUMNS: Columns = {
     "module": lambda row: f"`{row['module']}`",
@@ -68,13 +68,13 @@ SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
 NAMES = {"min": "max", "any": "all", "argmin": "argmax", "minimum": "maximum", "zeros": "ones", "floor": "ceil"}
 NAMES |= {other: name for name, other in NAMES.items()}
 WRAPPED = ("__wrapped__", "__func__", "fget", "func")
-"""Where a function is in what decorators make of it."""
-MOST = 5  # times the processor time of a test without a change, and
-LEAST = 5  # seconds of it, since what several tests share is set up for the first
+"""Attributes in which decorators store the decorated function."""
+MOST = 5  # times the processor time of a test without the change, plus
+LEAST = 5  # seconds, since the first test also pays for shared fixtures
 
 
 def others(node: ast.AST) -> Iterator[ast.AST]:
-    """Give what may stand instead of a node."""
+    """Yield the replacements of a syntax node."""
 
     def with_(**fields: Any) -> ast.AST:
         other = copy.copy(node)
@@ -112,7 +112,7 @@ def others(node: ast.AST) -> Iterator[ast.AST]:
 
 
 class Change(ast.NodeTransformer):
-    """Makes one of the changes of a function; all of them are counted, and told."""
+    """Applies one of the changes of a function. All changes are counted and described."""
 
     def __init__(self, wanted: int | None = None) -> None:
         self.wanted, self.count, self.told = wanted, 0, list[str]()
@@ -145,18 +145,18 @@ class Change(ast.NodeTransformer):
 
 
 def shown(node: ast.AST) -> str:
-    """Give a node's first line."""
+    """Return the first line of a node's source."""
     return ast.unparse(node).splitlines()[0][:100]
 
 
 class Mutant:
-    """One change of one function of a module, by the name that Python gives it."""
+    """One change of one function of a module, with the function's qualified name."""
 
     def __init__(self, tree: ast.Module, path: list[str], name: str, number: int, told: str) -> None:
         self.tree, self.path, self.name, self.number, self.told = tree, path, name, number, told
 
     def program(self) -> ast.Module:
-        """Give the module with the change."""
+        """Return the syntax tree of the module with the change."""
         tree = copy.deepcopy(self.tree)
         parent: Any = tree
         for part in self.path:
@@ -166,7 +166,7 @@ class Mutant:
         return ast.fix_missing_locations(tree)
 
     def take_place(self, module: types.ModuleType) -> None:
-        """Let the module's function do what the changed one does."""
+        """Replace the code of the module's function by the changed code."""
         code = compile(self.program(), str(module.__file__), "exec")
         function = function_of(module, self.path)
         assert function is not None
@@ -174,7 +174,7 @@ class Mutant:
 
 
 def codes(code: types.CodeType) -> Iterator[types.CodeType]:
-    """Give the code of all that is in it, too."""
+    """Yield a code object and all nested ones."""
     yield code
     for inner in code.co_consts:
         if isinstance(inner, types.CodeType):
@@ -182,7 +182,7 @@ def codes(code: types.CodeType) -> Iterator[types.CodeType]:
 
 
 def function_of(module: types.ModuleType, path: list[str]) -> types.FunctionType | None:
-    """Find what Python runs under a name in a module, below whatever is wrapped around it; None for compiled code."""
+    """Return the undecorated function of a path in a module; None for compiled code."""
     found: Any = module
     for part in path:
         found = vars(found)[part]
@@ -194,7 +194,7 @@ def function_of(module: types.ModuleType, path: list[str]) -> types.FunctionType
 
 
 def mutants_of(module: types.ModuleType) -> list[Mutant]:
-    """Give all mutants of the functions and methods of a module that Python runs."""
+    """Return all mutants of the interpreted functions and methods of a module."""
     tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
     found = []
     places = [([node.name], node) for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)]
@@ -210,16 +210,18 @@ def mutants_of(module: types.ModuleType) -> list[Mutant]:
 
 
 class Run:
-    """As a plugin of pytest: when all tests are there, runs those that each mutant calls for."""
+    """A pytest plugin that runs the tests of each mutant after all tests were collected."""
 
     def __init__(self, file: str, sample: int | None, seed: int) -> None:
         self.file, self.sample, self.seed = file, sample, seed
-        self.called: dict[str, dict[str, float]] | None = None  # by function: the tests that call it, with seconds
+        self.called: dict[str, dict[str, float]] | None = (
+            None  # for each function: the tests that call it, with their seconds
+        )
         self.count, self.results = 0, list[tuple[Mutant, str]]()
-        self.allowed: dict[str, float] = {}  # the tests of a mutant, with the seconds that they take without a change
+        self.allowed: dict[str, float] = {}  # tests of a mutant, with their seconds without the change
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        """Instead of running the tests once."""
+        """Run the mutants, instead of the tests once."""
         module = importlib.import_module(self.file.removesuffix(".py").replace("/", "."))
         called = self.calls(session, module)
         mutants = mutants_of(module)
@@ -234,7 +236,7 @@ class Run:
         return True
 
     def calls(self, session: pytest.Session, module: types.ModuleType) -> dict[str, dict[str, float]]:
-        """Run all tests as they are; what is called while something is set up may be used by all of them."""
+        """Run the unchanged tests; return the tests that call each function. Calls during setup count for all tests."""
 
         def work() -> dict[str, dict[str, float]] | None:
             self.called, self.module_file = defaultdict(dict), str(module.__file__)
@@ -253,7 +255,9 @@ class Run:
         if item.nodeid in self.allowed:
             seconds = int(time.process_time() + MOST * self.allowed[item.nodeid] + LEAST)
             resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
-            signal.alarm(60 * (int(MOST * self.allowed[item.nodeid]) + LEAST))  # it may wait for ever without working
+            signal.alarm(
+                60 * (int(MOST * self.allowed[item.nodeid]) + LEAST)
+            )  # for a test that waits without computing
         return (yield from self.watched("setup", item))
 
     @pytest.hookimpl(wrapper=True)
@@ -261,7 +265,7 @@ class Run:
         return (yield from self.watched("call", item))
 
     def watched(self, phase: str, item: pytest.Item) -> Iterator[None]:
-        """Take note of the module's functions that are called meanwhile."""
+        """Record the functions of the module that are called."""
         if self.called is None:
             return (yield)
         names, begun = set[str](), time.process_time()
@@ -282,32 +286,32 @@ class Run:
                     self.called[name][item.nodeid] = time.process_time() - begun
 
     def end_of(self, session: pytest.Session, module: types.ModuleType, mutant: Mutant, tests: dict[str, float]) -> str:
-        """Tell what becomes of a mutant."""
+        """Return the outcome of a mutant."""
         if (child := os.fork()) == 0:
             self.allowed = tests
             session.items[:] = sorted((i for i in session.items if i.nodeid in tests), key=lambda i: tests[i.nodeid])
             mutant.take_place(module)
             os._exit(run(session))
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        if status < 0:  # SIGXCPU: its time was used up; SIGALRM: it stood still, or the machine had no time for it
+        if status < 0:  # SIGXCPU: processor time exceeded; SIGALRM: wall-clock time exceeded
             return f"killed by {signal.Signals(-status).name}"
         return "killed" if status else "survived"
 
 
 def run(session: pytest.Session) -> int:
-    """Run the tests of a session in this process, without a word; give 1 if one fails."""
+    """Run the tests of a session in this process, silently; return 1 if a test fails."""
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     try:
         all_tests(session)
-    except BaseException:  # noqa: BLE001 the first failure ends it
+    except BaseException:  # noqa: BLE001  the first failure ends the session
         return 1
     return int(session.testsfailed > 0)
 
 
 def forked(work: Callable[[], Any]) -> Any:
-    """Give what comes of some work in a process of its own, which leaves nothing else behind; None if it breaks off."""
+    """Return the result of a function that runs in a forked process, or None if it fails."""
     reading, writing = os.pipe()
     sys.stdout.flush()
     if (child := os.fork()) == 0:
@@ -318,7 +322,7 @@ def forked(work: Callable[[], Any]) -> Any:
             with os.fdopen(writing, "wb") as stream:
                 pickle.dump(found, stream)
             code = 0
-        except Exception:  # noqa: BLE001 said here, since nobody else is there to say it
+        except Exception:  # noqa: BLE001  printed here, since the parent does not see it
             traceback.print_exc()
         finally:
             sys.stdout.flush()
@@ -331,7 +335,7 @@ def forked(work: Callable[[], Any]) -> Any:
 
 
 def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[int, list[tuple[str, str]]]:
-    """Run the mutants of a module; count all there are, and tell what became of those that were run."""
+    """Run the mutants of a module; return their total number, and the outcomes of those that were run."""
     plugin = Run(file, sample, seed)
     tests = [str(ROOT / "tests" / f"{name}.py") for name in TESTS[file].split()]
     with tempfile.TemporaryDirectory() as folder:
@@ -352,21 +356,25 @@ def mutate(file: str, sample: int | None, seed: int, only: str | None) -> tuple[
 
 @click.command()
 @click.argument("modules", nargs=-1, type=click.Choice(list(TESTS)))
-@click.option("--sample", type=click.IntRange(1), help="So many of a module's mutants, drawn at random; else all.")
+@click.option(
+    "--sample", type=click.IntRange(1), help="Number of a module's mutants, drawn at random. All unless given."
+)
 @click.option("--seed", default=0, show_default=True)
-@click.option("--only", help="The tests whose names match, as pytest's -k has it.")
+@click.option("--only", help="Run only tests that match this expression (pytest's -k).")
 @record_option
 @more_option
 def main(
     modules: tuple[str, ...], sample: int | None, seed: int, only: str | None, record: Path | None, more: bool
 ) -> None:
-    """Make mutants of modules, and print what becomes of each."""
+    """Run the mutants of modules, and print those that survive."""
     os.chdir(ROOT)
     settings.register_profile("mutants", phases=[Phase.explicit, Phase.generate], database=None)
     settings.load_profile("mutants")
     rows = []
     for module in modules or TESTS:
-        found = forked(functools.partial(mutate, module, sample, seed, only))  # tests are collected anew for each
+        found = forked(
+            functools.partial(mutate, module, sample, seed, only)
+        )  # tests are collected in a new process for each module
         if found is None or not found[0]:
             sys.exit(1)
         count, results = found

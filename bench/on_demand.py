@@ -1,9 +1,9 @@
-"""Cost-to-go on demand of a task that is too large to enumerate: cold, and from the cache.
+"""Cost-to-go on demand for a task that is too large to enumerate: without a cache, and from the cache.
 
     python bench/on_demand.py [--states N] [--jobs N]
 
-The initial state of `ladder-6x12` (3.7e11 states) and the states of a random walk: first without a cache, in a
-process that has read the task, then by a new process with the cache that the first has filled.
+The states are the initial state of `ladder-6x12` (3.7e11 states) and those of a random walk. They are solved without a
+cache first, and then looked up by a new process in the cache that the first has written.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ HUGE = Path(__file__).resolve().parent.parent / "domains" / "kitting" / "ladder-
 
 
 def ask(folder: Path, states: int, jobs: int | None) -> None:
-    """Look a random walk's states up, and say how long that took."""
+    """Look up the states of a random walk, and print the times."""
     start = time.perf_counter()
     task = load(HUGE, cache=folder)
     loaded = time.perf_counter()
@@ -43,7 +43,9 @@ def ask(folder: Path, states: int, jobs: int | None) -> None:
 
 @click.command()
 @click.option("--states", type=click.IntRange(min=1), default=100, show_default=True)
-@click.option("--jobs", type=click.IntRange(min=1), help="Searches at a time; one per processor unless given.")
+@click.option(
+    "--jobs", type=click.IntRange(min=1), help="Number of concurrent searches. One per processor unless given."
+)
 @click.option("--cache", type=click.Path(path_type=Path), hidden=True)
 def main(states: int, jobs: int | None, cache: Path | None) -> None:
     """Measure cost-to-go on demand."""

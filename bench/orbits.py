@@ -1,10 +1,10 @@
-"""Tasks with too many states to sweep, by one state of each orbit under their symmetries.
+"""Sweeps of orbits: tasks with too many states, reduced by their symmetries to one state of each orbit.
 
     python bench/orbits.py [NAME...] [--compare N] [--seconds S]
 
-For each task, in a process of its own with one thread: how many symmetries and orbits it has, processor time and memory
-at the peak, and of states that a random walk from the initial one comes to how many were compared with Fast Downward's
-A*, all equal.
+Each task runs in a process of its own with one thread. The table contains the numbers of symmetries and orbits,
+processor time and peak memory. It also contains the number of states of a random walk that were compared with Fast
+Downward's A*; a difference is an error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from planner.costtogo.orbits import orbits
 DOMAINS = Path(__file__).resolve().parent.parent / "domains"
 NAMES = ("kitting/ladder-4x8", "kitting/ladder-4x9", "kitting/ladder-4x10", "kitting/ladder-6x12")
 STEPS = 20
-"""Of the walk, from one state that is compared to the next."""
+"""Steps of the walk between two states that are compared."""
 
 COLUMNS: Columns = {
     "instance": lambda row: f"`{row['name']}`",
@@ -70,8 +70,10 @@ def measured(name: str, compare: int, seconds: float) -> dict[str, Any]:
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--compare", type=click.IntRange(min=0), default=20, show_default=True, help="States, with A*.")
-@click.option("--seconds", type=float, default=30.0, show_default=True, help="For comparing, per task.")
+@click.option(
+    "--compare", type=click.IntRange(min=0), default=20, show_default=True, help="Number of states compared with A*."
+)
+@click.option("--seconds", type=float, default=30.0, show_default=True, help="Seconds for comparing, per task.")
 @record_option
 @click.option("--one", hidden=True)
 def main(names: tuple[str, ...], compare: int, seconds: float, record: Path | None, one: str | None) -> None:

@@ -1,12 +1,12 @@
-"""Which choice models predict real people, and whether the weights of simulated people are recovered.
+"""Choice models that predict real people, and recovery of the weights of simulated people.
 
     python bench/people.py COMMAND [--help]
 
-`tower` reads recordings of people at the Tower of London from the folder that the environment variable TOWER_RECORDINGS
-names (the folder of `data/tower_of_london/subject_data` of https://github.com/WeiJiMaLab/rush_hour, see `recordings`),
-fits choice models to some people and some problems, and predicts other people at other problems. `recover` simulates
-people with known weights and counts how many intervals cover them. `huge` times `kitassist fit --compare` on a log of
-a task with millions of states.
+`tower` reads recordings of people at the Tower of London from the folder in the environment variable TOWER_RECORDINGS
+(`data/tower_of_london/subject_data` of https://github.com/WeiJiMaLab/rush_hour, see `recordings`). It fits choice
+models to some people and problems, and predicts other people at other problems. `recover` simulates people with known
+weights and measures the coverage of intervals. `huge` times `kitassist fit --compare` on a log of a task with millions
+of states.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ WEIGHTS = (0.5, -1.0, 0.6, -1.0), (0.5, 1.0, 0.6, 0.8)  # of simulated people: m
 
 
 def best(table: Table, s: Situation) -> np.ndarray:
-    """Whether an action begins a cheapest way."""
+    """Return whether each action begins an optimal plan."""
     q = np.where(s.applicable, np.asarray(table.task.costs)[s.actions] + table.h[s.targets], np.inf)
     return q == q.min(axis=1, keepdims=True)
 
 
 def settled(table: Table, s: Situation) -> np.ndarray:
-    """How many more goal facts hold and need not be given up again: the goal can be reached while they hold."""
+    """Return the change in the number of goal facts that hold and can be kept until the goal is reached."""
     rows, sources = table.space.transitions, table.space.sources
     count = np.zeros(len(table), dtype=np.int64)
     for fact in table.task.goal:
@@ -66,7 +66,7 @@ def settled(table: Table, s: Situation) -> np.ndarray:
 
 
 def opens(table: Table, s: Situation) -> np.ndarray:
-    """How many goal facts the next action could gain."""
+    """Return the largest number of goal facts that the next action can add."""
     rows, sources = table.space.transitions, table.space.sources
     count = sum(table.space.numbering.where([fact]).astype(np.int64) for fact in table.task.goal)
     found = np.zeros(len(table), dtype=np.int64)
@@ -75,12 +75,12 @@ def opens(table: Table, s: Situation) -> np.ndarray:
 
 
 def horizon(depth: int, table: Table, s: Situation) -> np.ndarray:
-    """Minus the cost of the rest, as far as somebody sees it who looks a few actions ahead of the goal."""
+    """Return minus the cost-to-go, limited to `depth`, as perceived by a person who plans only near the goal."""
     return -np.minimum(table.h[s.targets], depth)
 
 
 def subject(s: Situation) -> np.ndarray:
-    """Whether the first argument is the last action's first argument."""
+    """Return whether an action's first argument is that of the last action."""
     first = np.array([*(hash(name[1:-1].split()[1]) for name in s.names), 0])
     return (first[s.actions] == first[s.last][:, None]) & (s.last >= 0)[:, None]
 
@@ -92,7 +92,9 @@ OWN: dict[str, Callable[[Table, Situation], np.ndarray]] = {
 
 
 def context(recording: Recording, solved: Mapping[tuple[str, str], Solved], table: Table) -> dict[str, np.ndarray]:
-    """What is known of each step besides, shape (N,): how far the goal is, the time taken, which problem it is."""
+    """Return further properties of each step, shape (N,): distance to the goal, time taken, and order of the
+    problem.
+    """
     places = zip(recording.person, recording.episode, strict=True)
     numbers = [solved[recording.people[person], recording.episodes[episode]] for person, episode in places]
     seconds = np.array([one.seconds[step] for one, step in zip(numbers, recording.step, strict=True)])
@@ -105,7 +107,7 @@ def context(recording: Recording, solved: Mapping[tuple[str, str], Solved], tabl
 
 
 def revisits(recording: Recording) -> np.ndarray:
-    """Whether a choice leads to where its episode has been, shape (N, A)."""
+    """Return whether a choice leads to a state visited before in its episode, shape (N, A)."""
     result = np.zeros(recording.targets.shape)
     seen: set[int] = set()
     for row, (step, state) in enumerate(zip(recording.step.tolist(), recording.state.tolist(), strict=True)):
@@ -122,7 +124,7 @@ CROSSED = {
 
 @dataclass(frozen=True)
 class Data:
-    """What all people did at all problems; everything in the order of the likelihood's steps."""
+    """The choices of all people at all problems, in the order of the likelihood's steps."""
 
     likelihood: Likelihood
     problem: np.ndarray
@@ -130,7 +132,7 @@ class Data:
 
 
 def observations_of(problem: int, every: list[Solved], folder: Path) -> list[Observations]:
-    """Write a problem and its log in PDDL, replay it and work out all terms."""
+    """Write a problem and its log, replay the log, and compute all terms."""
     file = folder / f"problem-{problem}.pddl"
     file.write_text(problem_text(f"problem-{problem}", every[0].initial, every[0].target))
     table = cost_to_go(load(Instance(file, TOWER)))
@@ -156,7 +158,7 @@ def observations_of(problem: int, every: list[Solved], folder: Path) -> list[Obs
 
 
 def read_data(every: list[Solved]) -> Data:
-    """Bring all problems together."""
+    """Return the data of all problems."""
     found: list[Observations] = []
     with tempfile.TemporaryDirectory() as folder:
         for problem in sorted({one.problem for one in every}):
@@ -169,7 +171,7 @@ def read_data(every: list[Solved]) -> Data:
 
 
 def crossed(data: Data, people: int, problems: int) -> Iterable[Fold]:
-    """Predict some people at some problems from other people at other problems, each pair once."""
+    """Yield folds that predict some people at some problems from other people at other problems, each pair once."""
     who, what = data.likelihood.steps.person % people, data.problem % problems
     for k in range(people):
         for j in range(problems):
@@ -192,7 +194,7 @@ MORE = {
     "response times": ("cost x slow", "best x slow"), "learning over problems": ("cost x later", "best x later"),
     "first moves": ("best x begin", "goals x begin", "settled x begin"),
 }  # fmt: skip
-"""What is added to the best model to see whether it helps."""
+"""Terms that are added to the best model, to see whether they improve it."""
 
 
 COLUMNS = {
@@ -206,12 +208,12 @@ COVERED = {
 
 @click.group()
 def main() -> None:
-    """Compare choice models on real people, and recover simulated ones."""
+    """Compare choice models on real people, and recover the weights of simulated ones."""
 
 
 @main.command()
-@click.option("--made-up", type=int, metavar="N", help="Sessions of N people whom nobody has recorded, in their stead.")
-@click.option("--quick", is_flag=True, help="Nothing but the models, by person.")
+@click.option("--made-up", type=int, metavar="N", help="Use generated sessions of N people instead of recordings.")
+@click.option("--quick", is_flag=True, help="Compare the models only, with folds of people.")
 @record_option
 def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
     """Predict people at the Tower of London."""
@@ -234,7 +236,7 @@ def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
     references: dict[str, np.ndarray] = {}
 
     def add(name: str, logs: np.ndarray, parameters: int, kind: str = "", some: np.ndarray = whole) -> None:
-        """Sum up; models of a kind are compared with the one of that kind that is called boltzmann."""
+        """Add a row; models of a kind are compared with the Boltzmann model of the same kind."""
         mean, error, each = summed_up(replace(likelihood, steps=steps.only(some)), logs[some])
         if name == "boltzmann":
             means[kind], references[kind] = mean, each
@@ -272,7 +274,7 @@ def tower(made_up: int | None, quick: bool, record: Path | None) -> None:
 
 
 def personal(likelihood: Likelihood, folds: Iterable[Fold]) -> np.ndarray:
-    """Predict each choice with the person's own weights, from what they did at other problems."""
+    """Predict each choice with the person's own weights, fitted to other problems."""
     result = np.zeros(len(likelihood.steps))
     for learned, predicted in folds:
         people = fit_hierarchy(replace(likelihood, steps=likelihood.steps.only(learned)), 12)
@@ -287,7 +289,7 @@ def personal(likelihood: Likelihood, folds: Iterable[Fold]) -> np.ndarray:
 @click.option("--seeds", type=int, default=3, show_default=True)
 @record_option
 def recover(instance: str, people: int, actions: int, seeds: int, record: Path | None) -> None:
-    """Count how many intervals cover the beta and the weights of simulated people."""
+    """Measure the coverage of intervals for the beta and the weights of simulated people."""
     table = cost_to_go(load(ROOT / "domains" / f"{instance}.pddl"))
     rows = []
     for kind in ("with terms", "without terms"):

@@ -1,23 +1,24 @@
-"""Bounds against time on one person's problem: this project's solver beside SARSOP, and pomdp-py's planners.
+"""Bounds against time on one person's POMDP: this project's solver, SARSOP, and pomdp-py's planners.
 
     python bench/pomdp.py [--instances a,b] [--settings G/C/S]... [--seeds N] [--timeout S] [--solvers a,b] [--no-cold]
         [--out DIR]
 
-A case is a kitting instance, gamma, c_suggest, sigma and the seed of the person's misconception, which the robot knows.
-Every solver gets the same problem in the same run, SARSOP as the POMDPX file that `assist.interop.pomdpx` writes:
+A case consists of a kitting instance, gamma, c_suggest, sigma, and the seed of the person's misconception, which the
+robot knows. Every solver solves the same problem in the same run; SARSOP reads it from a POMDPX file of
+`assist.interop.pomdpx`.
 
-- `kitassist`: `assist.person.solver`, in a fresh process whose code is compiled and loaded (warm); the first case is
-  also run cold, with nothing compiled yet, unless that is left out;
-- `sarsop`: APPL's `pomdpsol`, the program that the environment variable SARSOP names;
-- `pomdp-py`: what its POUCT and POMCP get in simulation, by the time of a decision. They give no bounds, so that they
-  have no gap. The environment variable PEER_PYTHON names a Python that has this project and pomdp-py.
+- `kitassist`: `assist.person.solver` in a new process, with compiled code loaded (warm). The first case is also run
+  cold, without compiled code, unless `--no-cold` is given.
+- `sarsop`: APPL's `pomdpsol`, the program in the environment variable SARSOP.
+- `pomdp-py`: the simulated returns of its POUCT and POMCP, by time per decision. They compute no bounds and so have no
+  gap. The environment variable PEER_PYTHON names a Python interpreter with this project and pomdp-py.
 
-The relative gap is (upper - lower) / |lower| in the initial state. Seconds count from where the problem is in memory
-(of SARSOP's initialisation too): reading the model and the whole process stand apart. They are the processor's, so
-that a busy machine favours nobody: SARSOP's own clock and time limit are that; the time limit of this project's solver
-is the clock's. SARSOP reports its bounds every 50 backups or so, this project's solver every tenth of a second: both
-are late by up to that. Written are `results.jsonl` (a line per solver and case, with the curve) and `pomdp.png`. The
-program ends with exit code 1 where two solvers' bounds exclude each other.
+The relative gap is (upper - lower) / |lower| in the initial state. The time begins when the problem is in memory and
+includes SARSOP's initialisation; reading the model and the whole process are reported separately. Times are processor
+seconds, so that other load does not matter, except for the time limit of this project's solver. SARSOP reports its
+bounds about every 50 backups, this project's solver every tenth of a second; both are late by up to that. The results
+are written to `results.jsonl` (a line per solver and case, with the curve) and `pomdp.png`. The exit code is 1 if the
+bounds of two solvers exclude each other.
 """
 
 from __future__ import annotations
@@ -52,19 +53,19 @@ INSTANCES = ("paper-fixed", "paper", "ladder-5x5")
 SETTINGS = ("0.95/0.5/0.5", "0.95/1/1", "0.99/0.2/0.5", "0.99/0.5/0.5", "0.99/1/0.5")
 GAPS = (1e-2, 1e-3, 1e-4)
 SEARCHES = [["POUCT", 100], ["POUCT", 1000], ["POMCP", 1000]]
-ROUNDING = 2e-5  # relative: SARSOP prints six digits
+ROUNDING = 2e-5  # relative, since SARSOP prints six digits
 
 Row = dict[str, Any]
 
-# Okabe and Ito's colours; the dashes say the same again.
+# Colours of Okabe and Ito; the dashes repeat the distinction.
 STYLES = {"kitassist": ("#0072B2", "-"), "sarsop": ("#D55E00", "--")}
 
 
 class Memory(threading.Thread):
-    """Watches a process's peak memory in MB, and ends it above a limit.
+    """Monitors the peak memory of a process in MB, and kills the process above a limit.
 
-    A limit of the address space would not do: SARSOP asks for far more than it uses. And what `wait4` tells of a child
-    includes what its parent had before.
+    Limiting the address space would not work, since SARSOP reserves far more than it uses. The maximum that `wait4`
+    reports for a child includes that of its parent before the fork.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], limit: float) -> None:
@@ -78,7 +79,7 @@ class Memory(threading.Thread):
                 found = re.search(r"VmHWM:\s+(\d+)", file.read_text())
             except OSError:
                 return
-            if found is None:  # it has ended
+            if found is None:  # the process has ended
                 return
             self.peak = int(found[1]) * 1024 / 1e6
             if self.peak > self.limit:
@@ -90,9 +91,9 @@ class Memory(threading.Thread):
 def run(
     command: Sequence[str], on_line: Callable[[float, str], None], limit: float, memory: int, **environment: str
 ) -> tuple[int, dict[str, float], str]:
-    """Run a program on a terminal of its own, so that each line comes when it is printed.
+    """Run a program on a pseudo-terminal, so that each line arrives when it is printed.
 
-    Returns the exit code; seconds on the clock and of the processor, and peak memory in MB; the last line printed.
+    Returns the exit code; wall-clock seconds, processor seconds and peak memory in MB; and the last line printed.
     """
     inner, outer = pty.openpty()
     start = time.perf_counter()
@@ -109,7 +110,7 @@ def run(
         while True:
             try:
                 data = os.read(inner, 1 << 16)
-            except OSError:  # Linux says so when the other side is closed
+            except OSError:  # Linux reports a closed terminal as an error
                 break
             if not data:
                 break
@@ -157,12 +158,12 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
             row["curve"].append([float(match[1]), float(match[4]), float(match[5])])
             row["vectors"], row["backups"] = int(match[7]), int(match[3])
 
-    # Its precision is absolute: the gap relative to QMDP's value, which is the smaller of the two that count.
+    # SARSOP's precision is absolute. The gap is taken relative to QMDP's value, the smaller of the two relevant ones.
     precision = options["gap"] * abs(reference["qmdp"])
     timeout, policy = f"{options['timeout']:g}", str(model.with_suffix(".policy"))
     command = [program, "--timeout", timeout, "--precision", f"{precision:g}",
                "--memory", str(options["memory"]), "--output", policy, str(model)]  # fmt: skip
-    # Its own time limit is asked for between trials only, begins when the model is read, and is processor time.
+    # SARSOP checks its time limit between trials only, from the end of reading, in processor time.
     code, measured, last = run(command, on_line, 20 * options["timeout"] + 900, options["memory"])
     row["note"] = warnings[0] if warnings else last if code else ""
     row |= {**measured, "load": marks.get("loading"), "initialise": marks.get("initialization")}
@@ -171,7 +172,7 @@ def sarsop(model: Path, reference: dict[str, float], options: dict[str, Any]) ->
 
 
 def own(case: Case, options: dict[str, Any], cache: Path | None, *, warm: bool) -> Row:
-    """Run this project's solver, with compiled code in a folder, or else where it is kept."""
+    """Run this project's solver, with compiled code in the given folder or in the usual one."""
     row: Row = {"solver": "kitassist" if warm else "kitassist (cold)", "curve": []}
 
     def on_line(_: float, line: str) -> None:
@@ -212,7 +213,7 @@ def searches(case: Case, options: dict[str, Any]) -> list[Row]:
 
 
 def finish(row: Row) -> Row:
-    """Work out what the table shows: final bounds, and when the gap was first reached."""
+    """Add the final bounds, and the time at which each gap was reached first."""
     if row.get("curve"):
         _, row["lower"], row["upper"] = row["curve"][-1]
         row["gap"] = (row["upper"] - row["lower"]) / abs(row["lower"])
@@ -223,7 +224,7 @@ def finish(row: Row) -> Row:
 
 
 def references(case: Case, model: Path) -> tuple[dict[str, float], Row]:
-    """Export the problem, and give values between which the best lies: of two simple policies, and QMDP's bound."""
+    """Export the problem; return the values of two simple policies and QMDP's bound."""
     pomdp = case.problem()
     start = time.perf_counter()
     write_pomdpx(pomdp, model)
@@ -236,7 +237,7 @@ def references(case: Case, model: Path) -> tuple[dict[str, float], Row]:
 
 
 def disagreements(name: str, rows: Sequence[Row], reference: dict[str, float]) -> list[str]:
-    """Say where what one solver claims is impossible if another, or a simple policy's exact value, is right."""
+    """Describe bounds that contradict each other, or contradict the exact value of a simple policy."""
     known = [("never", reference["never"], np.inf), ("always", reference["always"], np.inf)]
     known += [("QMDP", -np.inf, reference["qmdp"])]
     known += [(row["solver"], row["lower"], row["upper"]) for row in rows if "lower" in row]
@@ -250,7 +251,7 @@ def disagreements(name: str, rows: Sequence[Row], reference: dict[str, float]) -
 
 
 def losses(name: str, rows: Sequence[Row]) -> list[str]:
-    """Say where SARSOP is ahead of this project's solver."""
+    """Describe where SARSOP is ahead of this project's solver."""
     ours = next((row for row in rows if row["solver"] == "kitassist" and "gap" in row), None)
     theirs = next((row for row in rows if row["solver"] == "sarsop" and "gap" in row), None)
     if ours is None or theirs is None:
@@ -314,7 +315,7 @@ def as_table(results: Sequence[Row]) -> Table:
 
 
 def draw(results: Sequence[Row], file: Path) -> None:
-    """Draw the gap against time, one panel per case."""
+    """Plot the gap against time, with one panel per case."""
     from matplotlib.figure import Figure
 
     cases = list(dict.fromkeys(row["case"] for row in results if row.get("curve")))
@@ -359,7 +360,9 @@ def parse(settings: Sequence[str]) -> list[tuple[float, float, float]]:
 
 
 @click.command()
-@click.option("--instances", default="paper-fixed", show_default=True, help=f"Of {', '.join(INSTANCES)}; with commas.")
+@click.option(
+    "--instances", default="paper-fixed", show_default=True, help=f"From {', '.join(INSTANCES)}, separated by commas."
+)
 @click.option("--settings", multiple=True, default=SETTINGS, show_default=True, metavar="G/C/S",
               help="gamma/c_suggest/sigma; repeat it.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="People per setting.")
@@ -367,8 +370,10 @@ def parse(settings: Sequence[str]) -> list[tuple[float, float, float]]:
               help="Seconds for one solver on one case.")  # fmt: skip
 @click.option("--gap", type=click.FloatRange(min=0, min_open=True), default=GAPS[-1], show_default=True)
 @click.option("--memory", type=click.IntRange(min=500), default=12_000, show_default=True, help="MB for one solver.")
-@click.option("--solvers", default=",".join(SOLVERS), show_default=True, help="Which to run, with commas.")
-@click.option("--cold/--no-cold", default=True, show_default=True, help="Whether code is compiled anew for the first.")
+@click.option("--solvers", default=",".join(SOLVERS), show_default=True, help="Solvers to run, separated by commas.")
+@click.option(
+    "--cold/--no-cold", default=True, show_default=True, help="Whether to run the first case without compiled code too."
+)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=OUT, show_default=True)
 def main(
     instances: str, settings: tuple[str, ...], seeds: int, timeout: float, gap: float, memory: int, solvers: str,

@@ -1,6 +1,6 @@
-"""A team of people with several robots, any of whom may go to anybody: for `team.py fluid`.
+"""Simulation of a team with several robots, each of which may go to any person, for `team.py fluid`.
 
-It is simulated here, step by step, because the simulator's teams have one robot; people act as there.
+The simulator's teams have one robot, so this module simulates step by step. People act as in the simulator.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from assist.team.priority import Priority
 
 
 def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: int) -> np.ndarray:
-    """Simulate teams with several robots, shape (episodes,): the m largest worths are acted on.
+    """Return the discounted returns of teams with several robots, shape (episodes,), by the m largest priorities.
 
-    All people have one model, and all places are equally far from each other.
+    All people have the same model, and all distances are equal.
     """
     solved, pomdp = priority.presence(pool.policies[0]), pool.policies[0].pomdp
     model, choices, setting = pomdp.model, pomdp.model.choices, pool.setting
@@ -59,7 +59,7 @@ def pooled(pool: Pool, priority: Priority, robots: int, humans: int, episodes: i
         here[chosen] = True
         people.robot[:] = robot
         people.cost[:] = 0.0
-        people.luck[active] = rng.random((len(active), 2))
+        people.uniform[active] = rng.random((len(active), 2))
         act(active, people, minds, arrays)
         total -= setting.gamma**step * (paid + people.cost).reshape(episodes, humans).sum(axis=1)
     return total

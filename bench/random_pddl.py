@@ -1,13 +1,13 @@
-"""Random PDDL, written in all ways that the grammar allows, against answers that are worked out without any reader.
+"""Random PDDL files in all forms that the grammar allows, compared with answers that need no PDDL reader.
 
     python bench/random_pddl.py [COUNT] [--first N] [--jobs N] [--record FILE]
 
-Each instance has a number, from which everything in it is drawn: a small task (`random_tasks.py`), how its two files
-are written (`random_writing.py`), and in every second one a fault. The task is grounded and solved here by brute force,
-from what was drawn and not from the files. Without a fault the files have to be read, and this project's cost, its
-number of reachable states, and Dijkstra on the translator's grounded task with `planner.grounding.semantics` have to
-agree with that. With a fault they have to be refused with file and line, or, where it changes nothing, to have the
-same answer.
+Each instance has a number, which is the seed of everything in it: a small task (`random_tasks.py`), the form of its two
+files (`random_writing.py`), and a fault in every second one. The task is grounded and solved by brute force from what
+was drawn, not from the files. Without a fault, the files must be read. This project's cost and number of reachable
+states must then agree with brute force, as must Dijkstra's algorithm on the translator's grounded task with
+`planner.grounding.semantics`. With a fault, the files must be refused with file and line, or have the same answer if
+the fault is harmless.
 Anything else is a violation; it is printed, and the exit code is 1.
 """
 
@@ -37,7 +37,7 @@ from planner.grounding.semantics import derived, replay, successors
 
 @dataclass
 class Outcome:
-    """What became of one instance."""
+    """The result of one instance."""
 
     number: int
     fault: str
@@ -47,14 +47,14 @@ class Outcome:
 
 
 def written(number: int) -> tuple[Drawn, random_writing.Written]:
-    """Draw an instance, and write it."""
+    """Draw an instance and write it."""
     rng = np.random.default_rng(number)
     task = random_tasks.draw(rng)
     return task, random_writing.write(task, rng, faulty=number % 2 == 1)
 
 
 def dijkstra(task: Task) -> float:
-    """Give the cost of the cheapest plan of a grounded task, by its operators as they stand."""
+    """Return the cost of an optimal plan of a grounded task, by Dijkstra's algorithm on its operators."""
     first = tuple(derived(task, task.initial))
     best, queue = {first: 0}, [(0, first)]
     while queue:
@@ -72,7 +72,7 @@ def dijkstra(task: Task) -> float:
 
 
 def compare(instance: Instance, truth: random_tasks.Answer) -> tuple[str | None, str]:
-    """Solve an instance; give the note of its task, and where the answer differs from the truth."""
+    """Solve an instance; return the note of its task, and the difference from the true answer."""
     task = load(instance)
     if task.decided_by_translator:
         found = astar(task)[0]
@@ -105,7 +105,9 @@ def check(number: int) -> Outcome:
 
 
 def checked(number: int) -> Outcome:
-    """Check the instance of a number; one that fails is a violation, too, so that the others are still checked."""
+    """Check the instance of a number. An exception counts as a violation, so that the other instances are still
+    checked.
+    """
     try:
         return check(number)
     except Exception as error:  # noqa: BLE001
@@ -118,7 +120,7 @@ def checked(number: int) -> Outcome:
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Instances at a time.")
 @record_option
 def main(count: int, first: int, jobs: int, record: Path | None) -> None:
-    """Check so many instances."""
+    """Check COUNT instances."""
     outcomes = []
     with ProcessPoolExecutor(jobs, get_context("spawn")) as processes:
         for outcome in processes.map(checked, range(first, first + count)):

@@ -1,7 +1,7 @@
-"""Random small planning tasks, and their answers by brute force: nothing here reads or writes PDDL.
+"""Random small planning tasks, and their solutions by brute force, without any PDDL.
 
-Formulas are nested tuples, such as `("and", ("p", "?x"), ("not", ("q",)))`. What a predicate is declared with does not
-matter to what holds, only to what may be written.
+Formulas are nested tuples, such as `("and", ("p", "?x"), ("not", ("q",)))`. The declared types of a predicate restrict
+what may be written, but not what holds.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Formula = tuple[Any, ...]
 Atom = tuple[str, ...]
 State = frozenset[Atom]
 FEWEST, LARGEST = 6, 3_000
-"""States of a task; what has fewer or more is drawn anew."""
+"""Smallest and largest number of states; other tasks are rejected."""
 GOALS = 12
-"""So many are drawn; the one that costs the most counts."""
+"""Number of goals that are drawn; the one with the largest cost is used."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """An action; its effects are tuples of variables, a condition, whether it holds then, and a predicate."""
+    """An action. Its effects are tuples of variables, a condition, whether the atom becomes true, and the atom."""
 
     name: str
     parameters: Parameters
@@ -44,13 +44,13 @@ class Drawn:
     Attributes
     ----------
     parents : mapping of str to str
-        The type above each type, "object" for roots.
+        The supertype of each type, "object" for roots.
     objects, constants : mapping of str to str
-        Their types.
+        Types of objects and constants.
     predicates, functions : mapping of str to tuple of tuple of str
-        The types of each argument.
+        Types of each argument.
     rule : tuple or None
-        A derived predicate's name, its variables, and when it holds.
+        A derived predicate's name, variables and condition.
     values : mapping of tuple of str to int
     """
 
@@ -67,25 +67,25 @@ class Drawn:
     metric: bool
 
     def above(self, kind: str) -> Iterator[str]:
-        """Give a type and those above it."""
+        """Yield a type and its supertypes."""
         while kind != "object":
             yield kind
             kind = self.parents[kind]
         yield kind
 
     def of(self, kinds: Kinds) -> list[str]:
-        """Give the objects of some types."""
+        """Return the objects of some types."""
         everything = {**self.constants, **self.objects}
         return [name for name, kind in everything.items() if set(kinds) & set(self.above(kind))]
 
     def overlap(self, kinds: Kinds, others: Kinds) -> bool:
-        """Whether one of some types is above one of others, or the other way round."""
+        """Whether one of some types is a supertype of one of others, or the other way round."""
         return any(a in self.above(b) or b in self.above(a) for a in kinds for b in others)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What brute force finds."""
+    """The answer of brute force."""
 
     cost: float
     states: int
@@ -105,7 +105,7 @@ class _Hand:
         return items[int(self.rng.integers(len(items)))]
 
     def kinds(self, types: list[str]) -> Kinds:
-        """Draw the type of an argument: one, several, or none."""
+        """Draw the type of an argument: one, several, or "object"."""
         if self.chance(0.15):
             return ("object",)
         if len(types) > 1 and self.chance(0.2):
@@ -114,7 +114,7 @@ class _Hand:
 
 
 def draw(rng: np.random.Generator) -> Drawn:
-    """Draw a task with not too many states; most take several steps to solve."""
+    """Draw a task with a moderate number of states; most need several steps to solve."""
     hand = _Hand(rng)
     simple = hand.chance(0.1)
     while True:
@@ -165,7 +165,7 @@ def _draw(hand: _Hand) -> Drawn:
     if derived is not None:
         scope = tuple((f"?v{n}", _narrowed(hand, shell, wanted)) for n, wanted in enumerate(predicates[derived]))
         body = _formula(hand, shell, scope, basic, constants, 2)
-        if predicates[derived] and hand.chance(0.5):  # it may need itself
+        if predicates[derived] and hand.chance(0.5):  # a recursive rule
             other = (
                 "exists",
                 (("?w", predicates[derived][0]),),
@@ -190,7 +190,7 @@ def _declared(hand: _Hand, types: list[str], count: tuple[int, int]) -> tuple[Ki
 
 
 def _narrowed(hand: _Hand, task: Drawn, kinds: Kinds) -> Kinds:
-    """Draw types that overlap others: the same, those above, or those below."""
+    """Draw types that overlap others: equal ones, supertypes or subtypes."""
     if hand.chance(0.7):
         return kinds
     near = [name for name in (*task.parents, "object") if task.overlap((name,), kinds)]
@@ -198,7 +198,7 @@ def _narrowed(hand: _Hand, task: Drawn, kinds: Kinds) -> Kinds:
 
 
 def _atom(hand: _Hand, task: Drawn, scope: Parameters, predicates: list[str], known: Mapping[str, str]) -> Formula:
-    """Draw an atom whose arguments may be of the types that are declared."""
+    """Draw an atom whose arguments are compatible with the declared types."""
     for _ in range(20):
         name = hand.one(predicates)
         found = []
@@ -222,7 +222,7 @@ def _formula(
         return ("not", atom) if hand.chance(0.3) else atom
     head = hand.one(["and", "and", "or", "not", "imply", "forall", "exists"])
     if head in ("forall", "exists"):
-        # A variable may hide one of the same name.
+        # A variable may shadow one of the same name.
         names = [f"?{letter}" for letter in "xyz"[: hand.rng.integers(1, 3)]]
         inner = tuple((name, hand.kinds(list(task.parents))) for name in names)
         outer = tuple(each for each in scope if each[0] not in names)
@@ -258,7 +258,7 @@ def _action(
             function = hand.one(task.functions)
             found = []
             for wanted in task.functions[function]:
-                # The translator grounds actions wrongly where a cost names a parameter twice and lacks a value.
+                # The translator grounds actions wrongly if a cost names a parameter twice and lacks a value.
                 fits = [each for each, kinds in scope if each not in found and task.overlap(kinds, wanted)]
                 fits += [each for each in constants if each in task.of(wanted)]
                 found.append(hand.one(fits) if fits else "")
@@ -268,7 +268,7 @@ def _action(
 
 
 def holds(task: Drawn, formula: Formula, state: State, bound: Mapping[str, str]) -> bool:
-    """Whether a formula holds in a state that has its derived facts."""
+    """Return whether a formula holds in a state that includes its derived facts."""
     head, *parts = formula
     if head == "and":
         return all(holds(task, part, state, bound) for part in parts)
@@ -286,14 +286,14 @@ def holds(task: Drawn, formula: Formula, state: State, bound: Mapping[str, str])
 
 
 def bindings(task: Drawn, variables: Parameters) -> Iterator[dict[str, str]]:
-    """Give all that variables may stand for."""
+    """Yield all assignments of objects to variables."""
     names = [name for name, _ in variables]
     for objects in itertools.product(*(task.of(kinds) for _, kinds in variables)):
         yield dict(zip(names, objects, strict=True))
 
 
 def with_derived(task: Drawn, state: State) -> State:
-    """Add the derived facts, to the least fixed point."""
+    """Return a state with its derived facts, the least fixed point of the rule."""
     if task.rule is None:
         return state
     name, variables, body = task.rule
@@ -309,7 +309,7 @@ def with_derived(task: Drawn, state: State) -> State:
 
 
 def steps(task: Drawn, state: State, ground: list[tuple[Action, dict[str, str], int]]) -> Iterator[tuple[int, State]]:
-    """Give the cost of each applicable action, and the state after it."""
+    """Yield the cost and the successor state of each applicable action."""
     full = with_derived(task, state)
     for action, bound, cost in ground:
         if not holds(task, action.precondition, full, bound):
@@ -325,7 +325,7 @@ def steps(task: Drawn, state: State, ground: list[tuple[Action, dict[str, str], 
 
 
 def reached(task: Drawn) -> dict[State, int]:
-    """Ground a task, and give all of its states, or too many, with the cost at which each is reached."""
+    """Ground a task; return its states with the costs of reaching them, or more than `LARGEST` states."""
     ground = []
     for action in task.actions:
         for bound in bindings(task, action.parameters):
@@ -334,7 +334,7 @@ def reached(task: Drawn) -> dict[State, int]:
                 cost = action.cost
             elif action.cost is not None:
                 cost = task.values.get(tuple(bound.get(word, word) for word in action.cost))
-            if cost is not None:  # without a value it is not applicable
+            if cost is not None:  # not applicable without a value
                 ground.append((action, bound, cost if task.metric else 1))
     best: dict[State, int] = {task.facts: 0}
     done: set[State] = set()
@@ -353,12 +353,12 @@ def reached(task: Drawn) -> dict[State, int]:
 
 
 def cheapest(task: Drawn, best: Mapping[State, int]) -> float:
-    """Give the least cost of a state in which the goal holds."""
+    """Return the smallest cost of a state in which the goal holds."""
     goals = (cost for state, cost in best.items() if holds(task, task.goal, with_derived(task, state), {}))
     return min(goals, default=math.inf)
 
 
 def solve(task: Drawn) -> Answer:
-    """Look at all states of a task, and give the cost of the cheapest plan."""
+    """Return the cost of an optimal plan and the number of states, by enumerating all states."""
     best = reached(task)
     return Answer(cheapest(task, best), len(best))

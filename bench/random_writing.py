@@ -1,6 +1,6 @@
-"""Writes random tasks as PDDL, in all ways that the grammar allows, and with a fault where one is wanted.
+"""Writes random tasks as PDDL in all forms that the grammar allows, with a fault on request.
 
-A file is a list of words and lists until it is printed; faults change either these, or the words that are printed.
+A file is a tree of words and lists until it is printed. Faults change the tree or the printed words.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ TYPED = (":objects", ":constants", ":parameters", ":predicates", ":functions", "
 
 @dataclass(frozen=True)
 class Written:
-    """The two files of a task, and what is wrong with one of them."""
+    """The two files of a task, and the fault in one of them."""
 
     domain: str
     problem: str
@@ -50,7 +50,7 @@ class _Writer:
         return ["either", *self.mixed(kinds)]
 
     def typed(self, items: list[tuple[str, Kinds]], several: bool = True) -> Tree:
-        """Write a typed list: neighbours of one type together or not, without a type at its end only."""
+        """Return a typed list; neighbours of the same type may share it, and untyped items come last."""
         found: Tree = []
         for at, (name, kinds) in enumerate(items):
             found.append(name)
@@ -62,7 +62,7 @@ class _Writer:
         return found
 
     def types(self) -> Tree:
-        """Write the types: a root under object, under itself, alone at the end, or only as the parent of another."""
+        """Return the types. A root is below `object` or itself, listed last, or only mentioned as a supertype."""
         found, alone = [], []
         for name, parent in self.mixed(self.task.parents.items()):
             way = self.rng.integers(4) if parent == "object" else 0
@@ -166,7 +166,7 @@ class _Writer:
     # The text.
 
     def text(self, words: list[str]) -> str:
-        """Print words with blanks, line ends and comments between them, and letters of either case."""
+        """Return words as text, with random white space, comments and letter case."""
         end, found = self.one(["\n", "\n", "\r\n", "\r"]), []
         loud, glued = self.one([0.0, 0.0, 0.3, 1.0]), self.chance(0.1)
         for before, word in zip(["", *words], words, strict=False):
@@ -235,7 +235,7 @@ def write(task: Drawn, rng: np.random.Generator, faulty: bool) -> Written:
 
 @dataclass
 class _Faults:
-    """Ways to spoil the files; each says whether there was anything to spoil."""
+    """Ways to spoil the files. Each returns whether it found a place for its fault."""
 
     writer: _Writer
     domain: Tree
@@ -248,7 +248,7 @@ class _Faults:
         return [part for part in self.domain if part[0] == ":action"]
 
     def _formulas(self) -> list[Tree]:
-        """All lists in which something is said: in actions, rules, the initial state and the goal."""
+        """Return all lists in actions, rules, the initial state and the goal."""
         found = [part for action in self._actions() for part in action[3:] if isinstance(part, list)]
         found += [self._section(":init"), self._section(":goal"), self._section(":derived")[2:]]
         return [each for part in found for each in _lists(part)]
@@ -442,7 +442,7 @@ class _Faults:
 
 
 def _free(part: Any) -> Iterator[str]:
-    """Give the variables that are used outside of quantifiers."""
+    """Yield the variables that occur outside of quantifiers."""
     if isinstance(part, str):
         yield part
     elif part[:1] not in (["forall"], ["exists"]):

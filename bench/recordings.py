@@ -1,9 +1,9 @@
-"""Recordings of real people at the Tower of London, as logs of `domains/tower`; and made-up ones in the same form.
+"""Recordings of real people at the Tower of London as logs of `domains/tower`, and generated ones in the same format.
 
-Each file is one person's session, a table with a row for each click. Rows used are those with `task` tol_tohand (a ball
-is taken) and tol_toboard (it is put down) up to tol_feedback; a move is one of each. So practice (tol_practice) is left
-out; so are problems that end elsewhere than at their target (aborted), and sessions without a problem. A ball that is
-put back where it was taken from is no move. Nothing that names a person is handed on: people are numbers.
+Each file is one person's session, a table with a row for each click. Rows with `task` tol_tohand (a ball is taken) and
+tol_toboard (it is put down), up to tol_feedback, are used; one of each is a move. Practice (tol_practice), problems
+that do not end at their target (aborted), and sessions without a problem are omitted. A ball that is put back where it
+was taken from is not a move. The result contains no names; people are numbers.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ CAPACITY = {"left": 3, "middle": 2, "right": 1}
 BALLS = ("red", "green", "blue")
 
 Board = tuple[tuple[int, ...], ...]
-"""The balls on each peg, 1 to 3, from below."""
+"""The balls on each peg, 1 to 3, from bottom to top."""
 
 
 @dataclass(frozen=True)
 class Solved:
-    """How one person solved one problem."""
+    """One person's solution of one problem."""
 
     person: int
     problem: int
-    order: int  # of this person's problems
+    order: int  # among this person's problems
     initial: Board
     target: Board
     boards: tuple[Board, ...]  # after each move
-    seconds: tuple[float, ...]  # from one ball put down to the next one taken
+    seconds: tuple[float, ...]  # from putting one ball down to taking the next
 
 
 def board_of(text: str) -> Board:
@@ -73,13 +73,13 @@ def _session(file: Path) -> Iterator[tuple[int, int, Board, Board, tuple[Board, 
 
 
 def _before(board: Board, peg: int) -> Board:
-    """Put the ball that is in the hand back on the peg that it was taken from."""
+    """Return the board with the ball in the hand put back on the peg that it was taken from."""
     (ball,) = {1, 2, 3} - {ball for held in board for ball in held}
     return tuple((*held, ball) if place == peg else held for place, held in enumerate(board))
 
 
 def problem_text(name: str, initial: Board, target: Board) -> str:
-    """Write a problem of `domains/tower`."""
+    """Return a problem of `domains/tower` as text."""
     pegs = list(CAPACITY.items())
     places = [f"{peg}-{n}" for peg, size in pegs for n in range(1, size + 1)]
     columns = [["board", *(f"{peg}-{n}" for n in range(1, size + 1)), "air"] for peg, size in pegs]
@@ -96,7 +96,7 @@ def problem_text(name: str, initial: Board, target: Board) -> str:
 
 
 def moves_of(solved: Solved) -> list[str]:
-    """Give the moves as actions of `domains/tower`."""
+    """Return the moves as actions of `domains/tower`."""
     actions, before = [], solved.initial
     for after in solved.boards:
         (source,) = [p for p in range(3) if len(after[p]) < len(before[p])]
@@ -113,7 +113,7 @@ def moves_of(solved: Solved) -> list[str]:
 
 
 def make_up(folder: Path, people: int, problems: int, rng: np.random.Generator) -> None:
-    """Write sessions of nobody, in the form of the recordings: people who move at random, not the same ball twice."""
+    """Write generated sessions in the format of the recordings: random moves, never of the same ball twice in a row."""
     folder.mkdir(parents=True, exist_ok=True)
     columns = ["task", "current_position", "tol_target", "tol_problem_id", "mouse_click", "rt"]
     boards = [((1, 2, 3), (), ())]
@@ -138,7 +138,7 @@ def make_up(folder: Path, people: int, problems: int, rng: np.random.Generator) 
 
 
 def _reach(board: Board) -> list[tuple[tuple[int, int], int, Board]]:
-    """Give all moves: peg and ball, the peg that it goes to, and the board after."""
+    """Return all moves: source peg and ball, target peg, and the board afterwards."""
     found = []
     for source, held in enumerate(board):
         for goal, size in enumerate(CAPACITY.values()):

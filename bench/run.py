@@ -1,10 +1,10 @@
-"""Runs every benchmark: as it stands, or its smallest case, which shows that it still works.
+"""Runs every benchmark, in its default form or in its smallest case, which shows that it still works.
 
     python bench/run.py [--smallest] [--only NAME] [--jobs N] [--out DIR]
 
-A script that fails does not stop the others; the exit code is then 1. What needs another program (SARSOP, other
-planners) is left out. Several at a time are for whoever wants to know whether they work, as they take time from each
-other; what each says is then shown when it is over.
+A script that fails does not stop the others; the exit code is then 1. Scripts that need another program (SARSOP, other
+planners) are omitted. Concurrent runs (`--jobs`) slow each other down, so use them only to test that scripts work; the
+output of each is printed when it ends.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import click
 
 BENCH = Path(__file__).resolve().parent
 
-# For each script and its commands: how it runs by default, and its smallest case.
+# For each script and its commands: the arguments of the default run, and of the smallest case.
 CASES = {
     "cost_to_go": (
         "kitting-3-4 kitting-4-5 --repeat 1 --timeout 60 --sample 10 --sample-seconds 5",
@@ -32,6 +32,7 @@ CASES = {
     "fit misconceptions": ("--people 2 --episodes 3 --episodes 10", "--people 1 --instance kitting/tiny --episodes 2"),
     "fit_figures": ("", "--instance kitting/tiny"),
     "fit time": ("--people 8", "--people 2 --actions 6 --instance kitting/tiny"),
+    "fleet": ("--cells 1/3 --cells 1/5 --instances 20 --runs 200", "--cells 1/3 --instances 2 --runs 20"),
     "foreign": ("counters stacks", "--one domains/kitting/tiny.pddl"),
     "growth": ("--repeat 1", "--repeat 1 --steps 1"),
     "habits": (
@@ -49,6 +50,15 @@ CASES = {
     "mutants": (
         "assist/team/attention.py --sample 4 --only reactive",
         "assist/team/attention.py --sample 1 --only reactive",
+    ),
+    "trust": ("", "--fixed"),
+    "trust_recovery coverage": (
+        "--populations 4",
+        "--instance kitting/tiny --people 5 --populations 1 --suggestions 8 --setting constant",
+    ),
+    "trust_recovery choice": (
+        "--populations 1",
+        "--instance kitting/tiny --people 4 --populations 1 --suggestions 8 --setting constant",
     ),
     "orbits": ("kitting/ladder-4x8 --compare 5 --seconds 5", "kitting/tiny --compare 1"),
     "on_demand": ("--states 10", "--states 2"),
@@ -75,27 +85,30 @@ CASES = {
     ),
     "team settings": ("--seeds 1 --episodes 500", "--instance tiny --seeds 1 --episodes 10"),
     "team fluid": ("--episodes 4000 --time-limit 20", "--instance tiny --per-robot 2 --episodes 40 --time-limit 1"),
-    "team joint": ("--time-limit 5 --episodes 5000 --paths 50", "--time-limit 1 --episodes 100 --paths 5 --settings 1"),
+    "team joint": (
+        "--time-limit 5 --episodes 5000 --samples 50",
+        "--time-limit 1 --episodes 100 --samples 5 --settings 1",
+    ),
     "wide": (
         "--instance kitting/ladder-3x5 --episodes 2000",
         "--instance kitting/tiny --people 2 --episodes 20 --policy priority",
     ),
 }
-NEED_DATA = {"collection", "covered", "live_pictures", "suite", "symbolic"}
-"""Scripts that nobody can run without other people's files or programs, or without a browser."""
+NEED_DATA = {"collection", "covered", "live_pictures", "symbolic"}
+"""Scripts that need other people's files or programs, or a browser."""
 
 WRITES = {"cost_to_go", "fit_figures", "fit time", "growth", "pomdp"} | {c for c in CASES if c.startswith("team")}
 
 
 def _command(name: str, smallest: bool, out: Path) -> list[str]:
-    """Give a case's script and arguments."""
+    """Return the script and arguments of a case."""
     script, *command = name.split()
     written = ["--out", str(out / script)] if name in WRITES else []
     return [f"{script}.py", *command, *CASES[name][smallest].split(), *written]
 
 
 def _run(command: list[str], shown: bool) -> int:
-    """Run a case; what it says is shown at once, or when it is over. Give its exit code."""
+    """Run a case, print its output at once or at the end, and return its exit code."""
     if shown:
         print(f"== bench/{' '.join(command)}", flush=True)
     start = time.perf_counter()
@@ -109,9 +122,9 @@ def _run(command: list[str], shown: bool) -> int:
 
 
 @click.command()
-@click.option("--smallest", is_flag=True, help="The smallest case of each.")
-@click.option("--only", type=click.Choice(sorted(CASES)), multiple=True, help="These alone.")
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="So many at a time.")
+@click.option("--smallest", is_flag=True, help="Run the smallest case of each.")
+@click.option("--only", type=click.Choice(sorted(CASES)), multiple=True, help="Run only these.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Number of concurrent runs.")
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("build/bench"), show_default=True)
 def main(smallest: bool, only: tuple[str, ...], jobs: int, out: Path) -> None:
     """Run all benchmarks."""

@@ -1,4 +1,4 @@
-"""People whose parameters are known, and what they do: for the benchmarks of what is learned from actions."""
+"""Simulated people with known parameters and their actions, for the benchmarks of learning."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from assist.learning import EvaluatedStates, Log, Observations, observe, replay
 from assist.learning.replay import situation
 from assist.people import NOTHING_YET, Situation, Term, Vocabulary, features, goals_met
 from assist.people.decision import NOTHING, choice, influence, trust
+from assist.people.trust_rules import PerceivedSuggestions, TrustRule
 from planner import CostToGo
 
 
@@ -18,7 +19,7 @@ from planner import CostToGo
 class People:
     """Simulated people; each array has the shape (K,).
 
-    `noise`, shape (K, n), is their misconception in cost units, one for each state of the task.
+    `noise`, shape (K, n), is their misconception in cost units for each state of the task.
     """
 
     beta: np.ndarray
@@ -32,7 +33,7 @@ class People:
 
 
 def perceived(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """What people take for the cost-to-go of states; both arrays have the shape (m,)."""
+    """Return the perceived cost-to-go of states; both arrays have the shape (m,)."""
     h = answers.lookup(states)
     if people.noise is None:
         return h
@@ -40,7 +41,7 @@ def perceived(answers: CostToGo, people: People, who: np.ndarray, states: np.nda
 
 
 def perceived_costs(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Give Q and the actions and targets of its slots, each of shape (m, A), for people in states."""
+    """Return Q, actions and target states, each of shape (m, A), for people in states."""
     offsets, actions, targets = answers.choices(states)
     counts = np.diff(offsets)
     rows = np.repeat(np.arange(len(states)), counts)
@@ -53,7 +54,7 @@ def perceived_costs(answers: CostToGo, people: People, who: np.ndarray, states: 
 
 
 def value(answers: CostToGo, people: People, who: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Give V(x) = -min Q(x, a), shape (m,)."""
+    """Return V(x) = -min Q(x, a), shape (m,)."""
     if people.noise is None:
         return -answers.lookup(states)
     return np.where(answers.is_goal(states), 0.0, -perceived_costs(answers, people, who, states)[0].min(axis=1))
@@ -69,15 +70,15 @@ def record(
     good: float = 0.5,
     most: int = 10_000,
 ) -> list[dict]:
-    """Let people act, and write down what they do.
+    """Simulate people; return the log of their actions.
 
     Parameters
     ----------
     suggest : float
-        In each step something is suggested with this probability: of these suggestions a share `good` begin a
-        cheapest way to the goal, the others are any applicable action.
+        Probability of a suggestion in each step. A share `good` of the suggestions begin an optimal plan; the others
+        are random applicable actions.
     most : int
-        Actions of a person in an episode, and in all.
+        Largest number of steps of an episode.
     """
     names, actions_of = people.names(), answers.task.actions
     who = np.repeat(np.arange(len(names)), episodes)
@@ -126,14 +127,14 @@ def record(
 def record_with_terms(
     answers: CostToGo, beta: np.ndarray, weights: np.ndarray, actions: int, rng: np.random.Generator
 ) -> list[dict]:
-    """Let people act to whom the terms matter that are given, and write down what they do; nothing is suggested.
+    """Simulate people whose choices depend on terms; return the log of their actions. There are no suggestions.
 
     Parameters
     ----------
     beta : float array, shape (K,)
     weights : float array, shape (K, J)
     actions : int
-        Of each person, in as many episodes as that takes.
+        Number of actions of each person, in as many episodes as needed.
     """
     count, words = len(beta), Vocabulary.of(answers.task.actions)
     names = People(beta, beta).names()
@@ -163,8 +164,66 @@ def record_with_terms(
     return rows
 
 
+def record_with_trust(
+    answers: CostToGo,
+    people: People,
+    rule: TrustRule,
+    *,
+    suggestions: int,
+    rng: np.random.Generator,
+    suggest: float = 0.5,
+    good: float = 0.5,
+    last: np.ndarray | None = None,
+) -> list[dict]:
+    """Simulate people whose influence moves by a rule and is carried from episode to episode; return their log.
+
+    Parameters
+    ----------
+    suggestions : int
+        Number of suggestions to each person, after which they stop.
+    suggest, good
+        As of `record`. People know h*.
+    last : float array, shape (K,), optional
+        Receives each person's theta after the last suggestion.
+    """
+    names, actions_of = people.names(), answers.task.actions
+    x = np.full(len(names), answers.initial, dtype=np.int64)
+    theta, heard = people.theta.copy(), np.zeros(len(names), dtype=np.int64)
+    episode, step = np.ones(len(names), dtype=np.int64), np.zeros(len(names), dtype=np.int64)
+    rows: list[dict] = []
+    while (going := np.flatnonzero(heard < suggestions)).size:
+        q, actions, targets = perceived_costs(answers, people, going, x[going])
+        lines, best = np.arange(len(going)), q == q.min(axis=1, keepdims=True)
+        pool = np.where((rng.random(len(going)) < good)[:, None], best, actions >= 0)
+        picked = np.where(pool, rng.random(pool.shape), -1.0).argmax(axis=1)
+        told = np.where(rng.random(len(going)) < suggest, picked, NOTHING)
+        p = influence(choice(q, actions >= 0, people.beta[going]), told, theta[going])
+        slot = (p.cumsum(axis=1) <= rng.random((len(going), 1))).sum(axis=1)
+        slot = np.minimum(slot, p.shape[1] - 1 - (p[:, ::-1] > 0).argmax(axis=1))
+        for i, k in enumerate(going.tolist()):
+            rows.append({
+                "person": names[k], "episode": str(episode[k]), "step": int(step[k]),
+                "action": actions_of[actions[i, slot[i]]],
+                "suggestion": actions_of[actions[i, told[i]]] if told[i] != NOTHING else None,
+            })  # fmt: skip
+        asked = told != NOTHING
+        h = answers.lookup(targets[lines, picked])
+        seen = PerceivedSuggestions.of(q[lines, picked], q.min(axis=1), -q.min(axis=1), -h, best[lines, picked])
+        moved = rule.update(theta[going], seen.event(slot == told, rule.feedback))
+        theta[going] = np.where(asked, moved, theta[going])
+        heard[going] += asked
+        x[going] = targets[lines, slot]
+        step[going] += 1
+        done = going[answers.is_goal(x[going])]
+        x[done], step[done] = answers.initial, 0
+        episode[done] += 1
+    if last is not None:
+        last[:] = theta
+    return rows
+
+
 def observed(answers: CostToGo, rows: list[dict], terms: Mapping[str, Term] | None = None) -> list[Observations]:
-    """Read what `record` has written, as `kitassist fit` does."""
+    """Return the observations of a log from `record`, as `kitassist fit` does."""
     recording, faults = replay(Log.of(rows), answers)
     assert not faults
     wanted, goal = recording.wanted(), np.zeros(len(answers), dtype=bool)

@@ -1,10 +1,10 @@
-"""How long the smallest commands take, on the clock, and where the time of a small task goes.
+"""Wall-clock time of the shortest commands, and its parts for a small task.
 
     python bench/start.py [--repeat N] [--record FILE]
 
-Every command is a new process, with compiled code in numba's cache; medians of N runs are shown, after one that does
-not count. Commands take turns, so that a busy machine is busy for all. With KITASSIST_BEFORE, the `kitassist` of an
-earlier checkout's environment, the same of it stands beside.
+Every command is a new process, with compiled code in numba's cache. The results are medians of N runs after one that is
+not counted. Commands alternate, so that other load affects all of them. If KITASSIST_BEFORE names the `kitassist` of an
+earlier checkout's environment, its times are shown too.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ PHASES = {
     "comparing 20 states with Fast Downward's A\\*": ("verify",),
     "checking the plan": ("plan", "validate"),
 }
-"""What is shown of a record's seconds."""
+"""Phases of a record's seconds that are shown."""
 
 
 def measured(kitassist: Path) -> dict[str, float]:
-    """Run each command of an environment once; seconds by what is shown."""
+    """Run each command of an environment once; return the seconds of each row."""
     seconds = {}
     commands = {
         "`kitassist solve domains/kitting/tiny.pddl`": [str(kitassist), "solve", TINY, "--json"],
@@ -62,7 +62,7 @@ def measured(kitassist: Path) -> dict[str, float]:
 @click.option("--repeat", type=int, default=11, show_default=True)
 @record_option
 def main(repeat: int, record: Path | None) -> None:
-    """Measure how long small commands take."""
+    """Measure the time of short commands."""
     earlier = os.environ.get("KITASSIST_BEFORE")
     environments = {"before": Path(earlier)} if earlier else {}
     environments["now"] = Path(sys.executable).with_name("kitassist")

@@ -1,12 +1,12 @@
-"""The paper's study, reduced: two pools and teams of up to three, through its report.
+"""The paper's study, reduced to two pools and teams of up to three, including its report.
 
     python bench/study.py [--pools N] [--humans K] [--people N] [--instance NAME] [--out DIR] [--record FILE] [--check]
     python bench/study.py --of FOLDER [--record FILE]
 
-All conditions of the paper's protocol are carried out, and the whole report is written: claims, readings, kinds of
-people, pictures. Printed are the figures of the headline. `--record` writes what was found, with the table of the
-documentation, `--check` compares it with `bench/records/study.json`, which the default run has made: what a change does
-to the study is seen before it is published. `--of` takes what `kitassist study --out FOLDER` has found, unreduced.
+All conditions of the paper's protocol are run, and the whole report is written. The headline is printed. `--record`
+writes the results with the table of the documentation. `--check` compares them with `bench/records/study.json`, which
+the default run wrote, so that effects of a change are noticed before it is published. `--of` reads the results of an
+unreduced `kitassist study --out FOLDER`.
 """
 
 from __future__ import annotations
@@ -29,14 +29,19 @@ from assist.study import Study, read, run_study
 RECORD = Path(__file__).resolve().parent / "records" / "study.json"
 RELATIVE = 1e-6  # processors differ in the last digits
 KEPT = ("headline", "decline", "contrasts", "readings")
-EXPECTED = ("## Headline", "## Which of the claims of the paper hold", "## Kinds of people", "## Which reading comes")
+EXPECTED = (
+    "## Headline",
+    "## Which of the claims of the paper hold",
+    "## Kinds of people",
+    "## Which interpretation fits",
+)
 SAVED = {"actions, against none": "actions_vs_none", "actions, against reactive": "actions_vs_reactive",
          "interventions, against reactive": "interventions_vs_reactive"}  # fmt: skip
 PICTURES = ("team-size", "benefit", "categories", "trade-off", "belief")
 
 
 def reduced(pools: int, humans: int, people: int, instance: str | None) -> Study:
-    """The paper's study, of fewer pools, smaller teams and fewer people in a pool."""
+    """Return the paper's study with fewer pools, smaller teams and fewer people in a pool."""
     study = read("paper", repeats=pools)
     instances = tuple(pair for pair in study.instances if instance in (None, pair[0]))
     names = [name for name, _ in instances]
@@ -50,7 +55,7 @@ def reduced(pools: int, humans: int, people: int, instance: str | None) -> Study
 
 
 def columns(headline: dict[str, Any]) -> Columns:
-    """Show what is saved on each instance, with its interval; a row is the name of a saving."""
+    """Return the columns of savings on each instance, with intervals; a row contains the name of a saving."""
 
     def saved(instance: str) -> Callable[[dict[str, Any]], str]:
         figures = headline["instances"][instance]
@@ -61,7 +66,7 @@ def columns(headline: dict[str, Any]) -> Columns:
 
 
 def whole(folder: Path, record: Path | None) -> None:
-    """Print the headline of a study that was carried out as it is, beside the paper's, and write its record."""
+    """Print the headline of a whole study and the paper's figures, and write the record."""
     if not (folder / "summary.json").is_file():
         raise click.UsageError(f"{folder} has no summary.json; expected what `kitassist study --out` has written")
     headline = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["headline"]
@@ -79,7 +84,7 @@ def whole(folder: Path, record: Path | None) -> None:
 
 
 def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
-    """Name where two documents differ by more than rounding."""
+    """Yield the places at which two documents differ by more than rounding."""
     if isinstance(found, dict) and isinstance(recorded, dict) and found.keys() == recorded.keys():
         for key in found:
             yield from differences(found[key], recorded[key], f"{place}.{key}".strip("."))
@@ -100,18 +105,18 @@ def differences(found: Any, recorded: Any, place: str = "") -> Iterator[str]:
 @click.option("--instance", type=click.Choice(["paper", "paper-fixed"]), help="One of the two.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True)
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Keep the report.")
-@click.option("--of", type=click.Path(path_type=Path), help="A study that was made.")
+@click.option("--of", type=click.Path(path_type=Path), help="Folder of a finished study.")
 @record_option
-@click.option("--check", is_flag=True, help="Compare what was found with the record.")
+@click.option("--check", is_flag=True, help="Compare the results with the record.")
 def main(
     pools: int, humans: int, people: int, instance: str | None, jobs: int, out: Path | None, of: Path | None,
     record: Path | None, check: bool,
 ) -> None:  # fmt: skip
-    """Carry the reduced study out."""
+    """Run the reduced study."""
     if of is not None:
         return whole(of, record)
     study = reduced(pools, humans, people, instance)
-    if instance == "paper":  # the readings are of the other
+    if instance == "paper":  # the readings are of the other instance
         study = replace(study, conditions=tuple(c for c in study.conditions if c.instances))
     with tempfile.TemporaryDirectory(prefix="study-") as scratch:
         folder = out or Path(scratch)

@@ -1,11 +1,10 @@
-"""A table's sampled values beside a second exact method, which shares nothing with the sweep but the grounded task.
+"""Sampled values of a table compared with a second exact method, which shares only the grounded task with the sweep.
 
     PEER_PYTHON=... python bench/symbolic.py INSTANCE [--states 200] [--max-states N] [--memory-limit MB]
 
-Where a task has a billion states, A* does not get through many of them. A search of sets of states by decision
-diagrams does: it counts the states, and gives the distance of each of the sample, the states that `solve --verify`
-takes. PEER_PYTHON is an interpreter that has `dd` with CUDD. Tasks whose actions all cost the same, and whose effects
-have no conditions.
+In a task with a billion states, A* solves only few states. A symbolic search with decision diagrams counts all states,
+and computes the distance of each state of a sample, the one that `solve --verify` uses. PEER_PYTHON is a Python
+interpreter with `dd` and CUDD. Tasks must have equal action costs and unconditional effects.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ COLUMNS: Columns = {
 
 
 def swept(file: Path, count: int, max_states: int, memory: float | None) -> dict[str, Any]:
-    """Sweep an instance; give its task, a sample of states and their values. The table is given back."""
+    """Sweep an instance; return its task, a sample of states and their values. The table is freed."""
     task = load(file)
     if len({task.costs[operator.action] for operator in task.operators}) > 1:
         raise click.UsageError(f"{file}: its actions have several costs")

@@ -1,11 +1,13 @@
-"""Tables of figures in the documentation: each is shown from a record, which says what made it.
+"""Tables of figures in the documentation, each generated from a record that says how it was made.
 
     python bench/tables.py      write all tables into their pages
 
-A record is `bench/records/NAME.json`: the `commands` that made the table, when it was `made` and at which commit, and
-the `table` itself, its head first, cells as they are shown. A page has a comment, `<!-- table: NAME -->`, and below it
-the table and what made it. Benchmarks write their records with `--record FILE`; a record may hold more than its table.
-Records that were made "on this page since ..." were taken over from pages: their commands are those that the text gave.
+A record is `bench/records/NAME.json`. It contains the `commands` that made the table, the date and commit (`made`), and
+the `table`: titles first, and cells as text. A page has a comment, `<!-- table: NAME -->`, followed by the table and
+its commands. With `<!-- table: NAME, columns 1 3-5, rows 2 4 -->` it shows these columns and rows, counted from 1, the
+first command, and a link to the record. Benchmarks write their records with `--record FILE`; a record may contain more
+than its table. A table of more than 30 rows stays in its record, to which the page links. Records that were made "on
+this page since ..." were taken from pages, with the commands given there.
 """
 
 from __future__ import annotations
@@ -25,10 +27,15 @@ import click
 ROOT = Path(__file__).resolve().parent.parent
 RECORDS = ROOT / "bench" / "records"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-MARKED = re.compile(r"^<!-- table: ([\w-]+) -->\n(?:\|.*\n)*(?:\nMade by .*\n(?:.+\n)*)?", re.M)
-"""A table in a page, with what made it up to the next empty line."""
+LONGEST = 30  # rows that a page shows of a table: about a screen
+MARKED = re.compile(
+    r"^<!-- table: ([\w-]+)(?:, [\w ,-]+)? -->\n(?:\|.*\n)*(?:\[All \d+ rows\].*\n)?(?:\nMade by .*\n(?:.+\n)*)?", re.M
+)
+"""A table in a page or a link to one, with what made it up to the next empty line."""
+PART = re.compile(r"(columns|rows)((?: \d+(?:-\d+)?)+)")
+"""The columns or rows of a record that a page shows."""
 Columns = Mapping[str, Callable[[dict[str, Any]], str]]
-"""How a page shows a benchmark's rows: heads of columns, and what each says of a row."""
+"""Columns of a benchmark's table: titles, and functions that format a row."""
 
 record_option = click.option(
     "--record", type=click.Path(path_type=Path, dir_okay=False), help="Write the table for the documentation here."
@@ -36,12 +43,12 @@ record_option = click.option(
 
 
 more_option = click.option(
-    "--more", is_flag=True, help="Add the rows to the record there, which another call has begun, instead of a new one."
+    "--more", is_flag=True, help="Append the rows to the existing record instead of replacing it."
 )
 
 
 def cell(name: str, form: str = "", error: str | None = None) -> Callable[[dict[str, Any]], str]:
-    """Show one entry of a row in a format, with that of its standard error if there is one."""
+    """Return a formatter of one entry of a row, with its standard error if there is one."""
     if error is None:
         return lambda row: format(row[name], form)
     return lambda row: f"{row[name]:{form}} ± {row[error]:{form}}"
@@ -50,7 +57,9 @@ def cell(name: str, form: str = "", error: str | None = None) -> Callable[[dict[
 def write_record(
     file: Path | None, columns: Columns, rows: Iterable[dict[str, Any]], *, more: bool = False, **rest: Any
 ) -> None:
-    """Write what a benchmark has found as a record, or add it to one of the same columns; nothing without a file."""
+    """Write the rows of a benchmark as a record, or append them to one with the same columns. Without a file, do
+    nothing.
+    """
     if file is None:
         return
     commands, table = [], [list(columns)]
@@ -64,29 +73,47 @@ def write_record(
 
 
 def save(file: Path, record: dict[str, Any]) -> None:
-    """Write a record, a line for each row of its table."""
+    """Write a record, with a line for each row of its table."""
     rest = json.dumps({name: value for name, value in record.items() if name != "table"}, indent=1, ensure_ascii=False)
     rows = ",\n  ".join(json.dumps(row, ensure_ascii=False) for row in record["table"])
     file.write_text(f'{rest[:-2]},\n "table": [\n  {rows}\n ]\n}}\n', encoding="utf-8")
 
 
 def read_record(name: str) -> dict[str, Any]:
-    """Give a stored record."""
+    """Return a stored record."""
     return json.loads((RECORDS / f"{name}.json").read_text(encoding="utf-8"))
 
 
-def shown(name: str) -> str:
-    """Give what a page has of a record, the comment included."""
+def shown(comment: str) -> str:
+    """Return what a page of results shows of a record: the comment, the table or a link to it, and the commands."""
+    name = comment.split()[2].rstrip(",")
     record = read_record(name)
-    head, *rows = (re.sub(" +", " ", f"| {' | '.join(cells)} |") for cells in record["table"])
-    lines = [f"<!-- table: {name} -->", head, "|" + "---|" * len(record["table"][0]), *rows]
-    commands = ",\n".join(f"`{command}`" for command in record["commands"])
-    return "\n".join([*lines, "", f"Made by {commands}; {record['made']}.", ""])
+    titles, *rows = record["table"]
+    file = f"../../bench/records/{name}.json"
+    parts = {kind: _numbers(numbers) for kind, numbers in PART.findall(comment)}
+    columns = parts.get("columns", range(len(titles)))
+    picked = [titles, *(rows[row] for row in parts.get("rows", range(len(rows))))]
+    head, *body = (re.sub(" +", " ", f"| {' | '.join(cells[column] for column in columns)} |") for cells in picked)
+    lines = [comment, head, "|" + "---|" * len(columns), *body]
+    if len(body) > LONGEST:
+        lines[1:] = [f"[All {len(rows)} rows]({file}) are in the record."]
+    first, *more = [f"`{command}`" for command in record["commands"]]
+    if parts:
+        made = f"Made by {first}{', ...' if more else ''}; [record]({file})."
+    else:
+        made = ",\n".join([f"Made by {first}", *more]) + f"; {record['made']}."
+    return "\n".join([*lines, "", made, ""])
 
 
 def filled(page: str) -> str:
-    """Give a page's text with its tables as their records have them."""
-    return MARKED.sub(lambda match: shown(match[1]), page)
+    """Return a page's text with its tables updated from their records."""
+    return MARKED.sub(lambda match: shown(match[0].partition("\n")[0]), page)
+
+
+def _numbers(text: str) -> list[int]:
+    """Return the indices, from 0, of numbers such as `1 3-5`, which count from 1."""
+    ends = [[int(end) for end in one.split("-")] for one in text.split()]
+    return [number - 1 for begin in ends for number in range(begin[0], begin[-1] + 1)]
 
 
 def _command() -> str:

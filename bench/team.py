@@ -1,15 +1,15 @@
-"""Teams of 1 to 1,000 people: decisions, simulation, and how far policies are from the best.
+"""Teams of 1 to 1,000 people: decision time, simulation speed, and certified gaps of policies.
 
     python bench/team.py latency    time of one decision, and memory, against K
     python bench/team.py rate       person-steps per second against K
     python bench/team.py gap        certified gap against K
-    python bench/team.py prices     certified gap of priority at one price, and at the bound's for each step
-    python bench/team.py settings   the own policy against Algorithm 1 in 20 settings
-    python bench/team.py fluid      many robots, each for so many people
-    python bench/team.py joint      tiny teams whose whole problem can be solved
+    python bench/team.py prices     certified gap of priority at a constant price, and at the bound's price of each step
+    python bench/team.py settings   priority compared with Algorithm 1 in 20 settings
+    python bench/team.py fluid      many robots, each for a fixed number of people
+    python bench/team.py joint      tiny teams whose joint problem can be solved
 
-Each prints a table and writes it as JSON, and all but `prices`, `settings` and `joint` draw a picture, into --out;
---record writes the table that the documentation shows.
+Each prints a table and writes it as JSON to --out, with a figure except for `prices`, `settings` and `joint`. --record
+writes the table for the documentation.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from tables import Columns, cell, more_option, record_option, write_record
 
 from assist.certify.certificate import Certificate, returns
 from assist.certify.team_bound import upper_bound
+from assist.cli.options.help import Command
 from assist.people.belief import Grid
 from assist.people.choices import Choices
 from assist.people.human import HumanModel, Population
@@ -53,7 +54,7 @@ COLOURS = {"attention": "#0072B2", "priority": "#D55E00", "none": "#8C8C8C", "re
 
 NAMES = ("attention", "priority")
 
-# K, c_suggest, c_move, travel time, and whether the places are on a line (distance 1 between neighbours).
+# K, c_suggest, c_move, travel time, and whether stations are on a line (distance 1 between neighbours).
 SETTINGS = [
     (2, 0.5, 0.5, 0.0, False), (4, 0.5, 0.5, 0.0, False), (6, 0.5, 0.5, 0.0, False), (12, 0.5, 0.5, 0.0, False),
     (4, 0.1, 0.5, 0.0, False), (4, 1.0, 0.5, 0.0, False), (4, 0.5, 0.1, 0.0, False), (4, 0.5, 1.0, 0.0, False),
@@ -62,7 +63,7 @@ SETTINGS = [
     (4, 0.5, 0.5, 2.0, False), (12, 0.5, 0.5, 1.0, False), (4, 0.5, 0.2, 1.0, True), (6, 0.2, 0.2, 1.0, True),
 ]  # fmt: skip
 
-# What the documentation shows.
+# Columns of the tables in the documentation.
 LATENCY: Columns = {
     "people": cell("humans", ","), "attention, ms": cell("attention", ".3f"), "priority, ms": cell("priority", ".3f"),
 }  # fmt: skip
@@ -73,9 +74,9 @@ GAP: Columns = {
     "instance": cell("instance"), "c_suggest": cell("c_suggest", "g"), "gamma": cell("gamma", "g"),
     "people": cell("humans"), "bound": cell("upper", ".2f"), "priority": cell("priority", ".2f", "stderr"),
     "gap": lambda row: f"**{row['gap %']:.2f} %**", "proven": cell("proven gap %", ".2f"),
-    "lucks": cell("lucks"), "solver": cell("left to solver %", ".2f"),
+    "samples": cell("samples"), "solver": cell("left to solver %", ".2f"),
     "attention": cell("attention gap %", ".2f"), "reactive": cell("reactive gap %", ".2f"),
-    "nobody": cell("none gap %", ".2f"), "if seen": cell("if beta, theta seen %", ".2f"),
+    "none": cell("none gap %", ".2f"), "if seen": cell("if beta, theta seen %", ".2f"),
 }  # fmt: skip
 PRICES: Columns = {
     "instance": cell("instance"), "c_suggest": cell("c_suggest", "g"), "gamma": cell("gamma", "g"),
@@ -86,7 +87,7 @@ PRICES: Columns = {
 }  # fmt: skip
 JOINT: Columns = {
     "c_suggest": cell("c_suggest", "g"), "c_move": cell("c_move", "g"), "pool": cell("seed"),
-    "nobody helped": cell("none", ".2f"), "attention": cell("attention", ".3f", "attention stderr"),
+    "no help": cell("none", ".2f"), "attention": cell("attention", ".3f", "attention stderr"),
     "priority": cell("priority", ".3f", "priority stderr"),
     "the whole problem": lambda row: f"{row['joint lower']:.3f} to {row['joint upper']:.3f}",
     "bound": cell("bound", ".3f"), "sampled": cell("sampled", ".3f", "sampled stderr"),
@@ -139,7 +140,7 @@ def write(out: Path, name: str, rows: list[dict[str, Any]], title: str) -> None:
 
 
 def side_by_side(rows: list[dict[str, Any]], figure: str) -> list[dict[str, Any]]:
-    """Give one figure of all policies for each size of the first instance's teams."""
+    """Return one figure of all policies for each team size on the first instance."""
     found: dict[int, dict[str, Any]] = {}
     for row in rows:
         if row["instance"] == rows[0]["instance"]:
@@ -148,13 +149,13 @@ def side_by_side(rows: list[dict[str, Any]], figure: str) -> list[dict[str, Any]
 
 
 def _apart(value: float, row: dict[str, Any]) -> str:
-    """Say how far a value is from that of the whole problem, of which bounds are known."""
+    """Format the relative distance of a value to the joint optimum, which is known up to bounds."""
     ends = sorted(100 * abs(value - whole) / abs(whole) for whole in (row["joint lower"], row["joint upper"]))
     return f"{ends[0]:.2f} to {ends[1]:.2f} %"
 
 
 def draw(out: Path, name: str, width: float, plot: Any) -> None:
-    """Draw one picture of one pair of axes."""
+    """Draw one figure with one pair of axes."""
     figure = Figure(figsize=(width, 4.2), layout="constrained")
     axis = figure.subplots()
     plot(axis)
@@ -165,7 +166,7 @@ def draw(out: Path, name: str, width: float, plot: Any) -> None:
 
 
 def watched(policy: TeamPolicy, at: int, seen: list[TeamState]) -> TeamPolicy:
-    """Keep what a policy is asked at one step."""
+    """Return a policy that stores the team states it receives at one step."""
 
     def asked(team: TeamState) -> TeamAction:
         if team.step == at:
@@ -177,7 +178,13 @@ def watched(policy: TeamPolicy, at: int, seen: list[TeamState]) -> TeamPolicy:
 
 @main.command()
 @instance_option
-@click.option("--repeat", type=click.IntRange(min=1), default=51, show_default=True, help="The median counts.")
+@click.option(
+    "--repeat",
+    type=click.IntRange(min=1),
+    default=51,
+    show_default=True,
+    help="Number of runs; the median is reported.",
+)
 @out_option
 @record_option
 def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | None) -> None:
@@ -216,13 +223,15 @@ def latency(instances: tuple[str, ...], repeat: int, out: Path, record: Path | N
 
 @main.command()
 @instance_option
-@click.option("--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="The median counts.")
+@click.option(
+    "--repeat", type=click.IntRange(min=1), default=5, show_default=True, help="Number of runs; the median is reported."
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=processors(), show_default=True, help="Threads.")
 @click.option("--people", type=click.IntRange(min=1), default=80_000, show_default=True, help="In all episodes.")
 @out_option
 @record_option
 def rate(instances: tuple[str, ...], repeat: int, jobs: int, people: int, out: Path, record: Path | None) -> None:
-    """Simulate teams of several sizes, belief updates included."""
+    """Simulate teams of several sizes, including belief updates."""
     rows = []
     for name in instances:
         for humans in (1, 4, 12, 100, 1000):
@@ -260,7 +269,7 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, people: int, out: P
     draw(out, "team_rate", 6.5, plot)
 
 
-@main.command()
+@main.command(cls=Command)
 @click.option("--instance", "instances", multiple=True, default=("paper-fixed", "paper"), show_default=True)
 @click.option("--gamma", "gammas", type=float, multiple=True, default=(0.95, 0.99), show_default=True)
 @click.option("--humans", "sizes", type=int, multiple=True, default=(2, 4, 6, 100), show_default=True)
@@ -269,7 +278,9 @@ def rate(instances: tuple[str, ...], repeat: int, jobs: int, people: int, out: P
 @click.option("--time-limit", type=float, default=60.0, show_default=True, help="Seconds for each person's problem.")
 @click.option("--gap", type=float, default=5e-4, show_default=True)
 @click.option("--c-suggest", type=float, default=1.0, show_default=True)
-@click.option("--paths", type=int, default=0, show_default=True, help="Sampled lucks for a bound of 95 % confidence.")
+@click.option(
+    "--samples", "paths", type=int, default=0, show_default=True, help="Sample paths for a bound of 95 % confidence."
+)
 @out_option
 @record_option
 @more_option
@@ -293,7 +304,7 @@ def gap(
                 rows.append(
                     {"instance": name, "c_suggest": c_suggest, "gamma": gamma, "humans": humans, "upper": found.upper,
                      "proven": found.proven, "proven gap %": 100 * (found.proven - best.value) / abs(best.value),
-                     "lucks": found.sampled.paths if found.sampled else 0, "prices": len(found.price),
+                     "samples": found.sampled.paths if found.sampled else 0, "prices": len(found.price),
                      "alpha": found.sampled.alpha if found.sampled else 0.0,
                      "priority": best.value, "stderr": best.value_stderr, "gap %": best.gap_percent,
                      "attention gap %": certified["attention"].gap_percent,
@@ -341,7 +352,9 @@ def prices(
     instances: tuple[str, ...], gamma: float, sizes: tuple[int, ...], own: int, c_suggest: float, time_limit: float,
     episodes: int, out: Path, record: Path | None, more: bool,
 ) -> None:  # fmt: skip
-    """Compare priority at the bound's prices, one for each step, with priority at one price, with the same luck."""
+    """Compare priority at the bound's price of each step with priority at a constant price, with common random
+    numbers.
+    """
     rows = []
     for name in instances:
         for humans in sizes:
@@ -376,7 +389,7 @@ def prices(
 @out_option
 @record_option
 def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path | None) -> None:
-    """Compare the own policy with Algorithm 1 on the same people with the same luck, people drawn from the prior."""
+    """Compare priority with Algorithm 1 on the same people and random numbers; people are drawn from the prior."""
     rows = []
     for humans, c_suggest, c_move, travel_time, line in SETTINGS:
         ahead, ahead_never, base = [], [], []
@@ -408,15 +421,17 @@ def settings(instance: str, seeds: int, episodes: int, out: Path, record: Path |
     write_record(record, SETTINGS_SHOWN, rows)
 
 
-@main.command()
+@main.command(cls=Command)
 @click.option("--time-limit", type=float, default=20.0, show_default=True, help="Seconds for each joint problem.")
 @click.option("--episodes", type=click.IntRange(min=2), default=100_000, show_default=True)
-@click.option("--paths", type=click.IntRange(min=1), default=400, show_default=True, help="Sampled lucks.")
-@click.option("--settings", type=click.IntRange(min=1), default=5, show_default=True, help="Only so many of the five.")
+@click.option("--samples", "paths", type=click.IntRange(min=1), default=400, show_default=True, help="Sample paths.")
+@click.option(
+    "--settings", type=click.IntRange(min=1), default=5, show_default=True, help="Number of settings, of the five."
+)
 @out_option
 @record_option
 def joint(time_limit: float, episodes: int, paths: int, settings: int, out: Path, record: Path | None) -> None:
-    """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare."""
+    """Solve the joint problem of two people on the tiny kit, with 2 betas and 3 thetas each, and compare policies."""
     choices, population = choices_of("tiny"), Population(sigma=(0.5, 1.0))
     grid = Grid(np.array([0.3, 1.5]), np.array([0.0, 0.5, 1.0]))
     rows, cases = [], ((0.05, 0.1, 0), (0.2, 0.3, 0), (0.5, 0.5, 0), (0.05, 0.1, 1), (0.2, 0.3, 1))
@@ -453,7 +468,7 @@ def joint(time_limit: float, episodes: int, paths: int, settings: int, out: Path
 @out_option
 @record_option
 def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: Path, record: Path | None) -> None:
-    """Let m robots serve any of m times so many people, and compare with the bound, which is the same for all m."""
+    """Let m robots serve any of m * n people, and compare with the bound, which is the same for all m."""
     pool = pool_of(instance, per_robot, 0, knowledge="exact")
     found = upper_bound(pool, gap=5e-4, time_limit=time_limit)
     priority = Priority.of(pool.policies, found.travel)
@@ -487,7 +502,7 @@ def fluid(instance: str, per_robot: int, episodes: int, time_limit: float, out: 
 
 
 def _fluid_row(robots: int, serves: str, values: np.ndarray, upper: float, per_robot: int) -> dict[str, Any]:
-    """Values are returns per robot, shape (N,)."""
+    """Return a row; `values`, shape (N,), are returns per robot."""
     mean, error = float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
     return {
         "robots": robots, "people": robots * per_robot, "serves": serves, "value per robot": mean, "upper": upper,

@@ -1,9 +1,9 @@
-"""Tasks looked at whole and step by step: the same people with the same luck, what both ways get, take and need.
+"""Policies on whole and on truncated tasks: values, times and memory for the same people and random numbers.
 
     python bench/wide.py [--instance kitting/paper] [--people 4] [--region 20000] [--episodes 20000] [--record FILE]
 
-Each way has a process of its own, so that its memory can be told from the other's. Seconds are processor time of all
-threads: *worked out* is what comes before the first episode. *Part less whole* is the mean difference of the discounted
+Each variant runs in a process of its own, so that its memory can be measured. Times are processor seconds of all
+threads; *worked out* is the time before the first episode. *Part less whole* is the mean difference of the discounted
 returns, with its standard error.
 """
 
@@ -49,7 +49,7 @@ def main(
     instances: tuple[str, ...], people: int, regions: tuple[int, ...], policies: tuple[str, ...], episodes: int,
     record: Path | None,
 ) -> None:  # fmt: skip
-    """Print what both ways get, take and need."""
+    """Print values, times and memory of both variants."""
     rows = []
     print(" | ".join(COLUMNS))
     for instance in instances:
@@ -90,7 +90,7 @@ def _run(instance: str, policy: str, people: int, episodes: int, region: int | N
 
 
 def _most() -> float:
-    """Give the most memory that the process has held so far, in MB."""
+    """Return the peak memory of the process so far, in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 

@@ -2,17 +2,16 @@
 
     python bench/peers/cost_to_go.py PEER DOMAIN PROBLEM OPTIONS
 
-OPTIONS is a JSON object (see `Options`). The result is one line of JSON on standard output. Only the
-standard library is imported before the peer, so that any interpreter that has the peer can run this
-file and no other package weighs on the peer's memory.
+OPTIONS is a JSON object (see `Options`). The result is one line of JSON on standard output. Only the standard library
+is imported before the peer. Any interpreter that has the peer can therefore run this file, and no other package adds to
+the peer's memory.
 
-What is timed begins with the two PDDL files and ends when the peer holds its values in memory. Before
-that the peer solves a trivial instance (`warm_up`): imports that a library puts off until they are
-needed and just-in-time compilation count neither in the seconds nor in the memory; what the first
-call took stands in `first_call_seconds`.
+The measured time begins with the two PDDL files and ends when the peer holds its values in memory. Before that the peer
+solves a trivial instance (`warm_up`), so that lazy imports and just-in-time compilation count neither in the seconds
+nor in the memory. The time of this first call is `first_call_seconds`.
 """
 
-# ruff: noqa: ARG002  # the peers share their methods' signatures, and not all need everything
+# ruff: noqa: ARG002  # the peers share their methods' signatures
 from __future__ import annotations
 
 import importlib.metadata
@@ -33,21 +32,20 @@ SHOWN = 200  # characters of an error message that are kept
 
 
 class Options(NamedTuple):
-    """What the parent process asks for.
+    """Options from the parent process.
 
     Attributes
     ----------
     warm_up : list of str
         Domain and problem file of the trivial instance.
     sample_file : str
-        Where `kitassist` leaves some states with their cost-to-go, and where the peers that solve one
-        state at a time find them.
+        File to which `kitassist` writes some states with their cost-to-go, for the peers that solve single states.
     sample : int
-        States in it.
+        Number of states in it.
     sample_seconds : float
-        No further state of the sample begins after this time.
+        Seconds after which no further state of the sample is started.
     memory_mb : int or None
-        Address space that the process may take.
+        Limit of the process's address space.
     """
 
     warm_up: list[str]
@@ -58,7 +56,7 @@ class Options(NamedTuple):
 
 
 class Own(NamedTuple):
-    """What this project answers: its table, and the seconds of each step."""
+    """This project's answer: its table, and the seconds of each step."""
 
     task: Any
     table: Any
@@ -66,7 +64,7 @@ class Own(NamedTuple):
 
 
 def solve_with_this_project(domain: Path, problem: Path) -> Own:
-    """Get h* of every state."""
+    """Compute h* of every state."""
     import planner
 
     clock = [time.perf_counter()]
@@ -78,10 +76,10 @@ def solve_with_this_project(domain: Path, problem: Path) -> Own:
 
 
 def own_answer(own: Own, sample: int) -> tuple[dict[str, Any], list[dict[str, Any]], list[str]]:
-    """Describe this project's answer: fields of the row, some states, and all atoms that can change."""
+    """Return fields of the row, sampled states, and all atoms that can change."""
     import numpy as np
 
-    if own.task.decided_by_translator:  # then Fast Downward's translator drops the task, and its states
+    if own.task.decided_by_translator:  # Fast Downward's translator then drops the task and its states
         fields = {"initial_cost": INFINITE, "note": "the translator proves that there is no plan: no states"}
         return fields, [], []
     table = own.table
@@ -106,7 +104,7 @@ def own_answer(own: Own, sample: int) -> tuple[dict[str, Any], list[dict[str, An
 
 
 class Peer:
-    """A way to get at the cost-to-go of all states; `prepare` imports it, `solve` is what is timed."""
+    """A method for the cost-to-go of all states. `prepare` imports it; `solve` is timed."""
 
     package = ""
     extrapolated = False
@@ -116,16 +114,16 @@ class Peer:
         raise NotImplementedError
 
     def solve(self, domain: Path, problem: Path, options: Options) -> Any:
-        """Go from the files to the values in memory."""
+        """Compute the values in memory from the files."""
         raise NotImplementedError
 
     def describe(self, result: Any, options: Options) -> dict[str, Any]:
-        """Give the fields of the row that follow from what `solve` returned."""
+        """Return the fields of the row that follow from the result of `solve`."""
         raise NotImplementedError
 
 
 class Kitassist(Peer):
-    """What this project itself does."""
+    """This project."""
 
     package = "kitassist"
 
@@ -134,11 +132,11 @@ class Kitassist(Peer):
         import planner  # noqa: F401
 
     def solve(self, domain: Path, problem: Path, options: Options) -> Own:
-        """Ground, and sweep forward and backward."""
+        """Ground the task, and sweep forward and backward."""
         return solve_with_this_project(domain, problem)
 
     def describe(self, result: Own, options: Options) -> dict[str, Any]:
-        """Describe the table, and leave a sample of it for the peers that go state by state."""
+        """Return the fields of the table, and write a sample for the peers that solve single states."""
         fields, states, atoms = own_answer(result, options.sample)
         sample = {"count": fields.get("states"), "states": states, "atoms": atoms}
         Path(options.sample_file).write_text(json.dumps(sample), encoding="utf-8")
@@ -146,7 +144,7 @@ class Kitassist(Peer):
 
 
 class Pymimir(Peer):
-    """pymimir's `StateSpace`: all states and transitions, with both goal distances of each state."""
+    """pymimir's `StateSpace`: all states and transitions, with two goal distances of each state."""
 
     package = "pymimir"
 
@@ -157,22 +155,21 @@ class Pymimir(Peer):
         self.datasets, self.search = datasets, search
 
     def solve(self, domain: Path, problem: Path, options: Options) -> Any:
-        """Build the state space; the distances are part of it."""
-        # Of its modes "grounded" is the faster one on all instances here.
+        """Build the state space, which includes the distances."""
+        # The mode "grounded" is the faster one on all instances here.
         mode = self.search.SearchContextOptions(self.search.GroundedOptions())
         context = self.search.SearchContext.create(str(domain), str(problem), mode)
         wanted = self.datasets.StateSpaceOptions()
-        wanted.remove_if_unsolvable = False  # by default a task without plan gives None
+        wanted.remove_if_unsolvable = False  # by default, a task without a plan gives None
         created = self.datasets.StateSpace.create(context, wanted)
         if created is None:
             raise RuntimeError("no state space (a limit of its own)")
-        # It counts the costs of actions even where the problem has no metric, and PDDL says that then the
-        # number of actions counts.
+        # pymimir adds action costs even without a metric. PDDL then minimises the number of actions.
         text = "\n".join(line.partition(";")[0] for line in problem.read_text(encoding="utf-8").splitlines())
         return created[0], ":metric" in text.lower()
 
     def describe(self, result: Any, options: Options) -> dict[str, Any]:
-        """Read the distances, vertex by vertex."""
+        """Read the distances of all vertices."""
         space, has_costs = result
         graph, infinity = space.get_graph(), float("inf")
         distance = self.datasets.get_action_goal_distance
@@ -191,16 +188,16 @@ class Pymimir(Peer):
 
 
 class Pyperplan(Peer):
-    """pyperplan's breadth-first search, run through all states: it can enumerate, but not give h* of all."""
+    """pyperplan's breadth-first search through all states. It can enumerate states, but not compute h* of all."""
 
     package = "pyperplan"
 
     def prepare(self) -> None:
-        """Import parser, grounder and search."""
+        """Import the parser, the grounder and the search."""
         from pyperplan import planner, search
 
         self.planner, self.search = planner, search
-        # The search returns no count, but logs it; nothing in its loop has to be touched to read it there.
+        # The search returns no count, but logs it.
         self.expanded = 0
         handler = logging.Handler()
         handler.emit = self._log  # type: ignore[method-assign]
@@ -211,7 +208,7 @@ class Pyperplan(Peer):
             self.expanded = int(match[1])
 
     def solve(self, domain: Path, problem: Path, options: Options) -> Any:
-        """Ground, and search for a goal that does not exist."""
+        """Ground the task, and search for a goal that does not exist."""
         # Operators that no plan needs lead to states as well.
         parsed = self.planner._parse(str(domain), str(problem))
         task = self.planner._ground(parsed, remove_irrelevant_operators=False)
@@ -222,7 +219,7 @@ class Pyperplan(Peer):
         return task, self.expanded, seconds
 
     def describe(self, result: Any, options: Options) -> dict[str, Any]:
-        """Count, and search for the goal itself: the one h* that it gives."""
+        """Return the count, and h* of the initial state from a search for the goal."""
         task, states, seconds = result
         plan = self.search.breadth_first_search(task)
         return {
@@ -239,7 +236,7 @@ class StateByState(Peer):
     extrapolated = True
 
     def read(self, domain: Path, problem: Path, atoms: list[str]) -> Any:
-        """Do once what all calls share."""
+        """Do the work that all calls share."""
         raise NotImplementedError
 
     def state(self, shared: Any, state: dict[str, Any]) -> Any:
@@ -247,11 +244,11 @@ class StateByState(Peer):
         raise NotImplementedError
 
     def cost(self, shared: Any, answer: Any) -> float:
-        """Read h* off what `state` returned."""
+        """Return h* from the result of `state`."""
         raise NotImplementedError
 
     def solve(self, domain: Path, problem: Path, options: Options) -> Any:
-        """Solve the states of the sample, as many as there is time for."""
+        """Solve as many states of the sample as time allows."""
         sample = json.loads(Path(options.sample_file).read_text(encoding="utf-8"))
         if not sample["states"]:
             raise SkipError("no states to sample")
@@ -267,7 +264,7 @@ class StateByState(Peer):
         return sample["count"], once, calls, [(number(self.cost(shared, a)), h) for a, h in answers]
 
     def describe(self, result: Any, options: Options) -> dict[str, Any]:
-        """Extrapolate, and compare the sample with this project's values."""
+        """Extrapolate the time, and compare the sample with this project's values."""
         states, once, calls, answers = result
         each = calls / len(answers)
         equal = sum(answer == h for answer, h in answers)
@@ -295,7 +292,7 @@ class Astar(StateByState):
         self.planner = planner
 
     def read(self, domain: Path, problem: Path, atoms: list[str]) -> Any:
-        """Ground once."""
+        """Ground the task once."""
         return self.planner.load(problem, domain)
 
     def state(self, shared: Any, state: dict[str, Any]) -> Any:
@@ -303,12 +300,12 @@ class Astar(StateByState):
         return self.planner.astar(shared, state["values"])
 
     def cost(self, shared: Any, answer: Any) -> float:
-        """`astar` returns it."""
+        """Return the cost from `astar`."""
         return float(answer[0])
 
 
 class UnifiedPlanning(StateByState):
-    """unified-planning's `OneshotPlanner` on a problem with other initial values: translated every time."""
+    """unified-planning's `OneshotPlanner` on a problem with other initial values, which is translated every time."""
 
     package = "unified-planning"
 
@@ -323,7 +320,7 @@ class UnifiedPlanning(StateByState):
 
     def read(self, domain: Path, problem: Path, atoms: list[str]) -> Any:
         """Read the problem, and find the expression of each atom that can change."""
-        # unified-planning distinguishes upper and lower case, Fast Downward's atoms are in lower case.
+        # unified-planning is case-sensitive, and Fast Downward's atoms are in lower case.
         texts = (file.read_text(encoding="utf-8").lower() for file in (domain, problem))
         read = self.reader().parse_problem_string(*texts)
         if not read.quality_metrics:
@@ -331,26 +328,26 @@ class UnifiedPlanning(StateByState):
         expressions = {}
         for atom in atoms:
             name, _, words = atom.rstrip(")").partition("(")
-            if not read.has_fluent(name):  # the translator's own, for a disjunction or a quantifier
+            if not read.has_fluent(name):  # the translator's own atom for a disjunction or a quantifier
                 continue
             objects = [read.object(word) for word in words.replace(" ", "").split(",") if word]
             expressions[atom] = read.fluent(name)(*objects)
         return read, expressions, (domain, problem)
 
     def state(self, shared: Any, state: dict[str, Any]) -> Any:
-        """Replace the initial values and ask for an optimal plan."""
+        """Replace the initial values, and compute an optimal plan."""
         problem, expressions, _ = shared
         problem, facts = problem.clone(), set(state["facts"])
         for atom, expression in expressions.items():
             problem.set_initial_value(expression, atom in facts)
-        # Named, and its checks skipped: unified-planning reads costs that are given in :init as real
-        # numbers, and refuses its own Fast Downward for them although it copes.
+        # The engine is named and its checks are skipped: unified-planning reads costs in :init as real numbers, and
+        # then refuses Fast Downward although it works.
         with self.up.OneshotPlanner(name="fast-downward-opt") as engine:
             engine.skip_checks = True
             return engine.solve(problem)
 
     def cost(self, shared: Any, answer: Any) -> float:
-        """Add up the costs of the plan's actions."""
+        """Return the sum of the costs of the plan's actions."""
         from unified_planning.engines import PlanGenerationResultStatus as Status
 
         if answer.status == Status.UNSOLVABLE_PROVEN:
@@ -360,7 +357,7 @@ class UnifiedPlanning(StateByState):
         metric = shared[0].quality_metrics[0]
         if not metric.is_minimize_action_costs():
             return len(answer.plan.actions)
-        if not hasattr(self, "task"):  # its plan_cost is the shortest way to evaluate a plan
+        if not hasattr(self, "task"):  # plan_cost evaluates a plan
             import planner
 
             self.task = planner.load(shared[2][1], shared[2][0])
@@ -378,16 +375,16 @@ PEERS: dict[str, type[Peer]] = {
 
 
 class SkipError(Exception):
-    """The peer has nothing to do on this instance."""
+    """The peer cannot run on this instance."""
 
 
 def number(cost: float) -> float | str:
-    """Write a cost the same way whichever peer it comes from, and as JSON can hold it."""
+    """Return a cost in a form that is the same for all peers and valid in JSON."""
     return INFINITE if cost == float("inf") else int(cost) if cost == int(cost) else float(cost)
 
 
 def histogram(counts: dict[float, int], initial: float) -> dict[str, Any]:
-    """Give the fields that describe an exact answer: how many states have which h*."""
+    """Return the fields of an exact answer, including the histogram of h*."""
     finite = [cost for cost in counts if cost != float("inf")]
     return {
         "states": sum(counts.values()),
@@ -399,10 +396,10 @@ def histogram(counts: dict[float, int], initial: float) -> dict[str, Any]:
 
 
 def peak_mb() -> float:
-    """The most memory that this process, or any single one that it started, has had resident.
+    """Return the peak resident memory of this process, or of any process that it started, in MB.
 
-    `getrusage` alone will not do for this process: on Linux its maximum is handed down from the process
-    that started this one. The kernel's high-water mark of the address space is not.
+    `getrusage` does not suffice for this process: on Linux its maximum includes that of the parent before the fork. The
+    kernel's high-water mark of the address space does not.
     """
     unit = 1 if sys.platform == "darwin" else 1024  # bytes there, KB elsewhere
     children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * unit / 1e6
@@ -416,7 +413,7 @@ def peak_mb() -> float:
 
 
 def version(package: str) -> str | None:
-    """The installed version of a package."""
+    """Return the installed version of a package."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -424,7 +421,7 @@ def version(package: str) -> str | None:
 
 
 def measure(name: str, domain: Path, problem: Path, options: Options) -> dict[str, Any]:
-    """Run one peer on one instance and describe what came of it."""
+    """Run one peer on one instance, and return the row."""
     peer = PEERS[name]()
     row: dict[str, Any] = {
         "peer": name, "status": "ok", "states": None, "seconds": None, "peak_mb": None, "baseline_mb": None,
@@ -434,7 +431,7 @@ def measure(name: str, domain: Path, problem: Path, options: Options) -> dict[st
     try:
         start = time.perf_counter()
         peer.prepare()
-        # The state-by-state peers warm up on the first state of their sample.
+        # The peers that solve single states warm up on the first state of their sample.
         first = options._replace(sample=1, sample_seconds=0.0)
         trivial = Path(options.warm_up[0]), Path(options.warm_up[1])
         peer.solve(*((domain, problem) if peer.extrapolated else trivial), first)
@@ -452,7 +449,7 @@ def measure(name: str, domain: Path, problem: Path, options: Options) -> dict[st
         row.update(status="not run", note=str(error))
     except MemoryError:
         row.update(status="out of memory", note=f"more than {options.memory_mb} MB of address space")
-    except Exception as error:  # noqa: BLE001  # whatever a peer raises is a result of the benchmark
+    except Exception as error:  # noqa: BLE001  # any exception of a peer is a result of the benchmark
         text = " ".join(str(error).split()).replace(str(problem.parent), "").replace(str(domain.parent), "")
         row.update(status="failed", note=f"{type(error).__name__}: {text}"[:SHOWN])
     return row
@@ -464,7 +461,7 @@ def main(arguments: Iterable[str]) -> None:
     options = Options(**json.loads(wanted))
     if options.memory_mb is not None:
         resource.setrlimit(resource.RLIMIT_AS, (options.memory_mb * 10**6,) * 2)
-    # Libraries print, some of them from C++; nothing but the row may reach the parent.
+    # Libraries print, some of them from C++; only the row may reach the parent.
     out = os.dup(1)
     with open(os.devnull, "wb") as sink:  # noqa: PTH123
         os.dup2(sink.fileno(), 1)

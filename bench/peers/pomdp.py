@@ -2,8 +2,8 @@
 
     python bench/peers/pomdp.py kitassist|pomdp-py CASE
 
-CASE is a JSON object with the fields of `Case` and `timeout`, `gap`, `warm` and `simulations`. Printed are JSON lines:
-`{"event": "point", "seconds", "lower", "upper"}` as bounds become better, in seconds of the processor, and a last one
+CASE is a JSON object with the fields of `Case`, and `timeout`, `gap`, `warm` and `simulations`. The output is JSON
+lines: `{"event": "point", "seconds", "lower", "upper"}` whenever bounds improve, in processor seconds, and a last line
 with `"event": "result"`.
 """
 
@@ -24,11 +24,11 @@ from assist.person.pomdp import AssistPOMDP
 from planner import find_instances, load, sweep
 
 KITTING = Path(__file__).resolve().parent.parent.parent / "domains" / "kitting"
-STEPS = 200  # an episode is cut off; gamma^200 is 0.13 at 0.99, and hardly any is that long
+STEPS = 200  # an episode is cut off; gamma^200 is 0.13 for 0.99, and few episodes are that long
 
 
 class Case(NamedTuple):
-    """One person's problem."""
+    """One person's POMDP."""
 
     instance: str
     gamma: float
@@ -37,7 +37,9 @@ class Case(NamedTuple):
     seed: int
 
     def problem(self) -> AssistPOMDP:
-        """A person whose misconception, of size sigma, is drawn with the seed and known to the robot."""
+        """Return the problem of a person whose misconception, of size sigma, is drawn by the seed and known to the
+        robot.
+        """
         choices = Choices.of(sweep(load(find_instances([str(KITTING / f"{self.instance}.pddl")], None)[0])))
         h = perceived_cost_to_go(choices, self.sigma, np.random.default_rng(self.seed))
         model = HumanModel.own(choices, Human(1.0, 0.6, self.sigma, h))
@@ -49,7 +51,7 @@ def say(event: str, **fields: Any) -> None:
 
 
 def own(case: Case, options: dict[str, Any]) -> None:
-    """This project's solver; with `warm`, after a trivial problem for which its code was compiled or loaded."""
+    """Run this project's solver; with `warm`, after a trivial problem that loads the compiled code."""
     from assist.person.solver import solve
 
     if options["warm"]:
@@ -67,9 +69,9 @@ def own(case: Case, options: dict[str, Any]) -> None:
 
 
 def tree_search(case: Case, options: dict[str, Any]) -> None:
-    """pomdp-py: POUCT with an exact filter, POMCP with its particles, value iteration; what each returns.
+    """Run pomdp-py's POUCT with an exact filter and POMCP with its particles; report their returns.
 
-    Every episode draws a person from the prior; true transitions and the filter are those of the model.
+    Every episode draws a person from the prior. Transitions and the filter are those of the model.
     """
     import random
 
@@ -107,7 +109,7 @@ def tree_search(case: Case, options: dict[str, Any]) -> None:
 def episode(
     pomdp_py: Any, problem: Any, pomdp: AssistPOMDP, name: str, simulations: int, scale: float, decisions: list[float]
 ) -> tuple[float, int | None, bool]:
-    """Play one episode: its return, its steps, and whether POMCP ran out of particles on the way."""
+    """Simulate one episode; return its return, its steps, and whether POMCP ran out of particles."""
     choices = pomdp.model.choices
     settings = {
         "max_depth": 100, "discount_factor": pomdp.gamma, "num_sims": simulations, "exploration_const": scale / 2,
@@ -136,7 +138,7 @@ def episode(
             if "deprivation" not in str(error):
                 raise
             return total, None, True
-        if name == "POUCT":  # has no filter of its own: the exact one
+        if name == "POUCT":  # POUCT has no filter; use the exact one
             x, robot = state.data[0], int(action.name.removeprefix("robot") if action.name != "nothing" else 0)
             slot = int(np.flatnonzero(choices.targets[x] == after.data[0])[0])
             belief = pomdp.update(belief, *(np.array([v]) for v in (x, robot, slot)))

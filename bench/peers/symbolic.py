@@ -1,8 +1,9 @@
 """Distances by decision diagrams, for `bench/symbolic.py`: a breadth-first search of sets of states.
 
-A task comes as JSON on standard input, and the answer goes to standard output as JSON. Nothing of this project is used,
-but `dd` with CUDD. Sets are Boolean functions of the bits of the variables' values: forward from the initial state to
-all that can be reached, then backward from the goal, an operator at a time, within what can be reached.
+The task is JSON on standard input, the answer JSON on standard output. Only `dd` with CUDD is used, nothing of this
+project. Sets of states are Boolean functions of the bits of the variables' values. The search goes forward from the
+initial state to all reachable states. It then goes backward from the goal, one operator at a time, within the reachable
+states.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from dd import cudd
 
 
 class Symbolic:
-    """A task whose operators have preconditions and effects without conditions, all of them at the same cost.
+    """A task with unconditional effects, whose operators have equal costs.
 
     Parameters
     ----------
     task : dict
-        `domains`: how many values each variable has. `initial`: a value of each. `goal`: pairs of variable and value.
+        `domains`: number of values of each variable. `initial`: a value of each. `goal`: pairs of variable and value.
         `operators`: pairs of lists of such pairs, preconditions and effects.
     memory : int
-        Bytes that the diagrams may take.
+        Bytes for the diagrams.
     """
 
     def __init__(self, task: dict[str, Any], memory: int) -> None:
@@ -44,19 +45,19 @@ class Symbolic:
         ]
 
     def assigned(self, facts: Any) -> dict[str, bool]:
-        """Give the bits of facts."""
+        """Return the bits of facts."""
         return {name: bool(value >> bit & 1) for v, value in facts for bit, name in enumerate(self.names[v])}
 
     def cube(self, facts: Any) -> Any:
-        """Give the set of states in which facts hold."""
+        """Return the set of states in which facts hold."""
         return self.bdd.cube(self.assigned(facts))
 
     def count(self, states: Any) -> int:
-        """Count the states in a set."""
+        """Return the number of states in a set."""
         return int(self.bdd.count(states, self.bits))
 
     def after(self, states: Any) -> Any:
-        """Give what one operator leads to."""
+        """Return the successors of a set of states under any operator."""
         result = self.bdd.false
         for needed, effects, _, changed in self.operators:
             applicable = states & needed
@@ -65,7 +66,7 @@ class Symbolic:
         return result
 
     def before(self, states: Any) -> Any:
-        """Give what one operator leads from."""
+        """Return the predecessors of a set of states under any operator."""
         result = self.bdd.false
         for needed, _, assigned, _ in self.operators:
             result |= self.bdd.let(assigned, states) & needed
@@ -73,7 +74,7 @@ class Symbolic:
 
 
 def main() -> None:
-    """Answer."""
+    """Read the task, and print the answer."""
     start = time.monotonic()
     task = json.load(sys.stdin)
     search = Symbolic(task, int(task["memory"]))

@@ -1,11 +1,11 @@
-"""An unmodified MaskablePPO of sb3-contrib against the shipped policies, on a small team.
+"""An unmodified MaskablePPO of sb3-contrib compared with the shipped policies, on a small team.
 
     pip install sb3-contrib
     python bench/peers/training.py [--seeds 3] [--steps 20480] [--record bench/records/training.json] [--figure FILE]
 
-Each seed trains one network on `kitassist/Team-v0`. After every tenth of its steps it plays the same episodes, with
-the same luck, as attention, priority and nobody do; shown is the discounted return with a 95 % interval over episodes
-for the shipped policies, and over seeds for the network.
+Each seed trains one network on `kitassist/Team-v0`. After every tenth of the steps it is evaluated on the same
+episodes, with the same random numbers, as the shipped policies. The result is the discounted return with a 95 %
+interval, over episodes for the shipped policies and over seeds for the network.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ COLOURS = {"attention": "#0072B2", "priority": "#D55E00", "none": "#8C8C8C", "re
 
 
 def played(model: object, instance: str, humans: int) -> float:
-    """The mean discounted return of a network that takes its most likely action, in the episodes of `simulate`."""
+    """Return the mean discounted return of a network's most likely actions, in the episodes of `simulate`."""
     many = gymnasium.make_vec("kitassist/Team-v0", num_envs=EPISODES, instance=instance, humans=humans, setting=SETTING)
     seen, _ = many.reset(seed=SEED)
     returns, going = np.zeros(EPISODES), np.ones(EPISODES, dtype=bool)
@@ -48,7 +48,7 @@ def played(model: object, instance: str, humans: int) -> float:
 
 
 def trained(instance: str, humans: int, seed: int, steps: int) -> list[float]:
-    """Train one network; give what it gets before, and after every tenth of the steps."""
+    """Train one network; return its value before training, and after every tenth of the steps."""
     from sb3_contrib import MaskablePPO
     from stable_baselines3.common.env_util import make_vec_env
 
@@ -66,7 +66,7 @@ def trained(instance: str, humans: int, seed: int, steps: int) -> list[float]:
 
 
 def interval(values: np.ndarray) -> float:
-    """Half the width of a 95 % interval for a mean, by Student's t."""
+    """Return half the width of Student's 95 % interval of a mean."""
     from scipy.stats import t
 
     return float(t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
@@ -82,7 +82,7 @@ def interval(values: np.ndarray) -> float:
 )
 @click.option("--figure", type=click.Path(path_type=Path, dir_okay=False), help="Draw the curves.")
 def main(instance: str, humans: int, seeds: int, steps: int, record: Path | None, figure: Path | None) -> None:
-    """Train, compare, and say who wins."""
+    """Train networks, and compare them with the shipped policies."""
     import torch
 
     torch.set_num_threads(1)
@@ -118,7 +118,7 @@ def main(instance: str, humans: int, seeds: int, steps: int, record: Path | None
 
 
 def draw(curves: np.ndarray, shipped: dict[str, float], steps: int, file: Path) -> None:
-    """Draw what every seed gets as it learns, beside the shipped policies."""
+    """Plot the learning curve of every seed, and the values of the shipped policies."""
     canvas = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = canvas.subplots()
     at = np.linspace(0, steps, curves.shape[1])
