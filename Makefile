@@ -67,7 +67,8 @@ $(VENV)/.warm: $(VENV)/.test tests/warm.py $(wildcard planner/*.py planner/*/*.p
 		$(BIN)/kitassist solve $$tiny >$$folder/solved 2>$$folder/said && { \
 		{ $(BIN)/kitassist policy $$tiny --gap 0.1 && \
 		$(BIN)/kitassist bound $$tiny --humans 2 --policy none --episodes 20 --paths 2 && \
-		$$run people; } >$$folder/people 2>&1 & half=$$!; \
+		$$run people && \
+		$(BIN)/python -m pytest --collect-only --quiet --quiet; } >$$folder/people 2>&1 & half=$$!; \
 		{ $(BIN)/kitassist simulate $$tiny --humans 2 --policy priority --episodes 2 --trace $$folder/log.jsonl && \
 		$(BIN)/kitassist fit $$tiny $$folder/log.jsonl --misconception && \
 		$$run planner; } >$$folder/planner 2>&1; code=$$?; \

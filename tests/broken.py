@@ -1,4 +1,4 @@
-"""Broken inputs for commands, made from sound ones, and what must not come of them."""
+"""Broken inputs for commands, generated from valid ones, and checks of how commands end."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ POLICIES = (
 
 @dataclass(frozen=True)
 class Input:
-    """One broken input: a command line in a folder that has been prepared, and what is known of the answer."""
+    """A broken input: a command line in a prepared folder, and what is known of the answer."""
 
     kind: str
     command: str
@@ -99,7 +99,7 @@ class Input:
 
 
 class Fuzzer:
-    """Makes broken inputs from a folder of sound ones."""
+    """Generates broken inputs from a folder of valid ones."""
 
     def __init__(self, folder: Path, seed: int, commands: Sequence[str]) -> None:
         self.rng = np.random.default_rng(seed)
@@ -112,7 +112,7 @@ class Fuzzer:
         self.costs = {record["instance"]: record["cost"] for record in self._prepare()}
 
     def _prepare(self) -> list[dict[str, Any]]:
-        """Run every command as it is meant to be, which also loads what is compiled; keep its files as inputs."""
+        """Run every command on valid inputs, which also loads compiled code; keep its files as inputs."""
         answers = {}
         os.chdir(self.sound)
         for command in self.commands:
@@ -195,7 +195,7 @@ class Fuzzer:
                 return b"".join(lines)
 
     def _spoil_file(self, file: Path) -> bool:
-        """Break a file; whether that changed it."""
+        """Break a file; return whether that changed it."""
         before = file.read_bytes()
         text = before
         for _ in range(int(self.rng.geometric(0.7))):
@@ -244,7 +244,7 @@ class Fuzzer:
         return Input("logs", "fit", ("fit", *ARGUMENTS["fit"]), broken)
 
     def _csv(self, rows: list[dict[str, Any]], folder: Path) -> Input:
-        """The log as CSV, under its own ending or another one."""
+        """Write the log as CSV, with the matching file name extension or another one."""
         file = folder / self._one(["log.csv", "log.txt"])
         whole = self.rng.random() < 0.5
         if not whole:
@@ -353,7 +353,7 @@ class Fuzzer:
         return Input("sessions", "serve", ("serve", *ARGUMENTS["serve"]))
 
     def _policy(self, folder: Path) -> Input:
-        """A policy of one's own, or a saved one as Python loads it."""
+        """Write a user's policy, or a saved policy or table."""
         if self.rng.random() < 0.3:
             (folder / "mine.py").write_text(text := self._one(POLICIES))
             command = self._one(["simulate", "bound"])
@@ -436,7 +436,7 @@ class Fuzzer:
         file.write_text("".join(json.dumps(record) + "\n" for record in records))
 
     def check(self, made: Input, folder: Path, done: dict[str, Any]) -> list[str]:
-        """Say what is wrong with how an input ended."""
+        """Return descriptions of what is wrong with how an input ended."""
         code, stdout, stderr = done["code"], done["stdout"], done["stderr"]
         wrong = []
         if done["trace"]:

@@ -1,4 +1,4 @@
-"""A live session in place of a service, and broken ones: journals cut off, changed, or of another task."""
+"""A live session without a service, and broken ones: journals that are truncated, changed, or of another task."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STEPS = 6
 
 
 def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) -> None:
-    """What comes in place of `assist.web.server.serve`: everybody acts a few times, pages are drawn, and it ends."""
+    """Replace `assist.web.server.serve`: each person acts a few times, pages are drawn, and the session ends."""
     from assist.live.course import Event
     from assist.web.task_drawings import Pictures
     from assist.web.tokens import AccessTokens
@@ -49,7 +49,7 @@ def work(plan: Any, session: Any, listening: Any, ready: Callable[..., None]) ->
 
 
 def spoil(fuzzer: Fuzzer, folder: Path) -> None:
-    """Break a journal, or what stands beside it."""
+    """Break a journal, or another file of its folder."""
     file = folder / JOURNAL
     chance = fuzzer.rng.random()
     if chance < 0.1:
@@ -71,7 +71,9 @@ def spoil(fuzzer: Fuzzer, folder: Path) -> None:
 
 
 def wrong(before: bytes, folder: Path, code: Any) -> list[str]:
-    """Say what has come of a journal that should not: one that is refused stays as it is, but for a last half line."""
+    """Return what is wrong with a journal afterwards. A refused one must be unchanged, except for an incomplete last
+    line.
+    """
     file = folder / JOURNAL
     after = file.read_bytes() if file.is_file() else b""
     whole = before[: before.rfind(b"\n") + 1]

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from collections import Counter
+from collections.abc import Iterable
 from functools import cache
 from itertools import islice
 from pathlib import Path
@@ -51,16 +52,16 @@ SMALL = [instance for instance in SHIPPED if instance.problem.stem not in LARGE]
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Two more than processors: about as many wait for a service, a browser or the end of something at any time."""
-    return len(os.sched_getaffinity(0)) + 2
+    """Return one more than there are processors: about one worker waits for another process at any time."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Let files with long tests come first, so that nobody is left alone with one of them in the end.
+    """Run files with long tests first, so that no worker runs one of them alone at the end.
 
-    At first every worker is given an equal part of the list (what is left of it may go to others later); so each part
-    begins with its share of such files.
+    Every worker first receives an equal part of the list, the rest of which may later move to other workers. Each part
+    therefore begins with its share of such files.
     """
     workers = getattr(config, "workerinput", {"workercount": 1})["workercount"]
     long = list(dict.fromkeys(item.path for item in items if item.get_closest_marker("long")))
@@ -100,10 +101,15 @@ def pytest_testnodedown(node: Any) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say what `tests/warm.py` has left to be compiled while tests ran."""
+    """Print which functions were compiled while tests ran, although `tests/warm.py` should have compiled them."""
     if compiled:
         terminalreporter.write_line(f"compiled while tests ran, {sum(compiled.values()):.0f} s of processor time:")
         terminalreporter.write_line(", ".join(f"{name} {seconds:.1f}" for name, seconds in compiled.most_common()))
+
+
+def thinned(values: Iterable[Any], every: int = 2) -> list[Any]:
+    """Return parameters of a test: `make test` runs the first and every `every`-th after it; the others are `slow`."""
+    return [pytest.param(value, marks=[pytest.mark.slow] * (k % every > 0)) for k, value in enumerate(values)]
 
 
 @cache
@@ -112,7 +118,7 @@ def table_of(instance: Instance) -> Table:
 
 
 def kit(name: str) -> Table:
-    """All states of one of the shipped kits, made once a process."""
+    """Return the table of a shipped kitting task, computed once in each process."""
     return table_of(Instance(KITTING / f"{name}.pddl", KITTING / "domain.pddl"))
 
 
@@ -126,7 +132,7 @@ def named(instance: Instance) -> str:
 
 @pytest.fixture(scope="session", autouse=True)
 def no_line_comes_between() -> None:
-    """What commands print in this process does not depend on how long they take, nor on what was compiled before."""
+    """Make the output of commands in this process independent of their speed and of compiled code."""
     progress.BETWEEN_LINES = 1e6  # seconds
     task.compiling_line = solve_progress.compiling_line = lambda: lambda: None
 
@@ -140,7 +146,7 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def the_same_texts_are_grounded_once(shared_folder: Path) -> None:
-    """Where nothing is limited: the translator is a program of its own, which takes time to start."""
+    """Ground equal texts once, unless limits are given, since starting the translator takes time."""
     translate = fast_downward.translate
 
     def once(source: Source, limits: Limits = NO_LIMITS) -> str:
@@ -184,9 +190,9 @@ def pool(tiny_choices: Choices) -> Pool:
 
 @pytest.fixture(scope="session")
 def small_study(shared_folder: Path) -> tuple[Study, Path, dict]:
-    """A study that was carried out by the command: the study, its folder (with a single picture), and what was printed.
+    """A study run by the command: the study, its folder (with a single figure), and the printed summary.
 
-    It takes seconds, and so is made once for all processes that run tests.
+    It takes seconds, so it is run once for all processes that run tests.
     """
     from fuzz import here  # which import this file
     from studies import write
@@ -212,7 +218,7 @@ def results(small_study: tuple[Study, Path, dict], tmp_path: Path) -> Path:
 
 
 def draw_first_picture(patched: pytest.MonkeyPatch) -> None:
-    """Let reports of studies that are made in this process draw their first picture alone: each takes two seconds."""
+    """Let reports in this process draw only their first figure, since each takes two seconds."""
 
     draw = study_report._draw_all
     patched.setattr(study_report, "_draw_all", lambda pictures, folder, _: draw(pictures[:1], folder, 1))

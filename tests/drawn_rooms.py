@@ -1,4 +1,4 @@
-"""The picture of the architecture, drawn from the imports that there are: `python tests/drawn_rooms.py` writes it."""
+"""The figure of the architecture, drawn from the actual imports: `python tests/drawn_rooms.py` writes it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ COLUMNS = {
     "planner.system": 2, "planner.pddl": 2, "planner.grounding": 2, "planner.states": 2,
     "planner.search.kernels": 1, "planner.search.ranking": 2, "planner.search.symmetry": 3, "planner.search": 2,
     "planner.costtogo": 2, "planner.batch": 1.5, "planner": 2.5,
-    "assist.people": 2, "assist.cli.terminal": 5, "assist.person": 0.5, "assist.learning": 2.5, "assist.drawing": 4,
+    "assist.people": 2, "assist.cli.terminal": 5, "assist.person": 0.5, "assist.learning": 2, "assist.drawing": 4,
     "assist.team": 0.5, "assist.large_tasks": 0.5, "assist.certify.information_relaxation": 0, "assist.simulation": 1,
+    "assist.coupled": 5, "assist.explain": 3,
     "assist.live": 3.5, "assist.certify": 0, "assist.plots": 1, "assist.study": 2, "assist.userstudy": 3,
     "assist.web": 4, "assist.interop": 5, "assist.cli.options": 3, "assist.reports": 2, "assist.web.user_study": 4,
     "assist.cli.output": 0.5, "assist.cli": 2.5,
@@ -42,7 +43,7 @@ def room_of(module: str) -> str:
 
 
 def needs() -> dict[str, set[str]]:
-    """For each room those that its files import from, less those that these need themselves."""
+    """Return for each package those that it imports from, without indirect ones."""
     found: dict[str, set[str]] = {room: set() for room in ROOMS}
     for module, file in modules().items():
         found[room_of(module)] |= {room_of(name) for name, _ in imports(module, file.read_text()) if name != "assist"}
@@ -58,7 +59,7 @@ def needs() -> dict[str, set[str]]:
 
 
 def rows(edges: Mapping[str, set[str]]) -> dict[str, int]:
-    """On which row each room stands: one below the lowest that it needs."""
+    """Return the row of each package: one below the lowest one that it imports from."""
     found: dict[str, int] = {}
     for room in ROOMS:
         found[room] = 1 + max((found[other] for other in edges[room]), default=-1)
@@ -66,14 +67,14 @@ def rows(edges: Mapping[str, set[str]]) -> dict[str, int]:
 
 
 def about(room: str) -> list[str]:
-    """What a room is for, in the words of its own first sentence."""
+    """Return the description of a package, from the first sentence of its docstring."""
     doc = ast.get_docstring(ast.parse((ROOT / room.replace(".", "/") / "__init__.py").read_text())) or ""
     said = re.sub(r"`| \(extra .*\)", "", doc.partition("\n")[0].partition(": ")[0]).rstrip(".")
     return textwrap.wrap(said, 31, break_on_hyphens=False)
 
 
 def drawn() -> str:
-    """Give the picture."""
+    """Return the figure."""
     edges = needs()
     row = rows(edges)
     place = {room: (MARGIN + COLUMNS[room] * ACROSS, MARGIN + row[room] * DOWN) for room in ROOMS}

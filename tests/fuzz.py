@@ -1,12 +1,12 @@
-"""Broken inputs for all commands: none may end in a traceback, a hang, a wrong success, or something half-written.
+"""Broken inputs for all commands: none may end in a traceback, a hang, a wrong success, or an incomplete output file.
 
-As a script it makes many and prints the figures that `docs/reliability.md` has; what it finds it keeps in a folder:
+As a script it tries many inputs, prints the figures of `docs/results/reliability.md`, and keeps faulty inputs:
 
     .venv/bin/python tests/fuzz.py [INPUTS] [SEED] [FOLDER] [COMMAND,...]
 
-Each input is tried by the command itself in a forked process. For speed that process also does what the command would
-leave to workers (solving, cells of a study, unified-planning's checks), and reads the sound task once; pictures are not
-drawn.
+Each input is tried by the command itself in a forked process. For speed this process also does the work of the
+command's worker processes (solving, cells of a study, unified-planning's checks), and reads the valid task only once.
+No figures are drawn.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from click.testing import CliRunner
 from assist.cli import main
 from planner.pddl import validation, validation_process
 
-CPU_SECONDS, SECONDS = 30, 400.0  # of one input; the second for a machine that does other things as well
+CPU_SECONDS, SECONDS = 30, 400.0  # per input; the second allows for other load on the machine
 MEMORY = 3 << 30  # bytes beyond what the process has mapped already
 
 
 @dataclass
 class Figures:
-    """What was seen."""
+    """Counts of outcomes."""
 
     inputs: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
@@ -65,7 +65,7 @@ def here(
 
 
 def without_processes() -> None:
-    """Let this process do what commands leave to others."""
+    """Run in this process the work that commands leave to others."""
     import assist.reports.study_report
     import assist.study.runner
     import assist.web.server
@@ -108,7 +108,7 @@ def without_processes() -> None:
 
 
 def load(file: str) -> None:
-    """What a program does with a saved policy or table; their own kinds of error are said in one line."""
+    """Open a saved policy or table as a program does; their own errors are reported in one line."""
     from assist.person.archive import ArchiveError
     from assist.person.solver import Solution
     from planner import open_table
@@ -129,7 +129,7 @@ def load(file: str) -> None:
 
 
 def attempt(made: Input, folder: Path) -> dict[str, Any]:
-    """Try an input in a forked process; how it ended."""
+    """Run an input in a forked process; return how it ended."""
     answer, stuck = folder.with_suffix(".answer"), folder.with_suffix(".stuck")
     child = os.fork()
     if child == 0:
@@ -176,7 +176,7 @@ def _limit(what: int, value: int) -> None:
 
 
 def fuzz(count: int, seed: int, keep: Path, commands: Sequence[str], say: Callable[[str], None]) -> Figures:
-    """Try so many inputs, or those for which there is time until it is interrupted; keep faulty ones in a folder."""
+    """Try `count` inputs, or as many as possible before an interrupt; keep faulty ones in a folder."""
     without_processes()
     figures, before = Figures(), Path.cwd()
     with tempfile.TemporaryDirectory() as name:

@@ -1,6 +1,6 @@
-"""Kill commands at random moments, and see what is left: processes, files, and what a resumed run makes of it.
+"""Kill commands at random moments, and check processes, files, and the outcome of a resumed run.
 
-As a script it makes many kills and prints the figures that `docs/reliability.md` has:
+As a script it kills many times, and prints the figures of `docs/results/reliability.md`:
 
     .venv/bin/python tests/kills.py [KILLS] [SEED]
 """
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parent.parent
 DOMAINS = ROOT / "domains"
 TINY = DOMAINS / "kitting" / "tiny.pddl"
 COMMAND = str(Path(sys.executable).with_name("kitassist"))
-LONGEST_SURVIVAL = 3.0  # seconds; a machine that does much else may take longer to end a process
+LONGEST_SURVIVAL = 3.0  # seconds; ending a process may take longer on a busy machine
 
 STUDY = f"""
 title = "killed"
@@ -61,13 +61,13 @@ class Case:
 
 
 def lines_of(file: Path) -> list[dict]:
-    """The whole lines of a file; one that is not JSON is an error."""
+    """Return the records of the complete lines of a file."""
     return [json.loads(line) for line in file.read_text().split("\n")[:-1]] if file.exists() else []
 
 
 def solve(*instances: Path, options: tuple[str, ...] = ("--jobs", "2", "--verify", "1")) -> Case:
     def stable(record: dict) -> dict:
-        # Whose comparison with A* is interrupted stays as it is: it has been solved.
+        # A record whose comparison with A* was interrupted is kept, since it is solved.
         return {
             key: None if value == COMPARING else value
             for key, value in record.items()
@@ -116,7 +116,7 @@ def study(protocol: Path) -> Case:
 
 
 def fit(log: Path) -> Case:
-    """On demand, so that Fast Downward runs for every state; what it said is kept in the cache."""
+    """Return a case of `fit` with states on demand, so that Fast Downward runs for every state and fills the cache."""
     people = ["simulate", str(TINY), "--humans", "2", "--pool", "2", "--episodes", "2", "--seed", "1"]
     subprocess.run([COMMAND, *people, "--trace", str(log)], check=True, capture_output=True)
     arguments = ["fit", str(TINY), str(log), "--max-states", "1", "--jobs", "2"]
@@ -137,7 +137,7 @@ def fit(log: Path) -> Case:
 
 @dataclass
 class Figures:
-    """What was seen."""
+    """Counts of outcomes."""
 
     kills: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
@@ -159,7 +159,7 @@ def started(arguments: list[str]) -> subprocess.Popen[str]:
 
 
 def alive(session: int) -> list[str]:
-    """The processes of a session that still run."""
+    """Return the running processes of a session."""
     found = []
     for status in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -172,7 +172,7 @@ def alive(session: int) -> list[str]:
 
 
 def survival(session: int) -> float:
-    """Seconds until the last process of a session has ended."""
+    """Return the seconds until the last process of a session has ended."""
     start = time.monotonic()
     while left := alive(session):
         assert time.monotonic() - start < LONGEST_SURVIVAL, left
@@ -181,7 +181,7 @@ def survival(session: int) -> float:
 
 
 def unfinished(folder: Path) -> set[Path]:
-    """Files that were not put into their place, under names that nobody takes for a result."""
+    """Return files that were not moved to their final names; no program takes them for results."""
     return set(folder.rglob(".unfinished-*"))
 
 
@@ -221,7 +221,7 @@ def kill(case: Case, folder: Path, moment: float, number: signal.Signals, *, gro
 
 
 def uninterrupted(case: Case, folder: Path) -> tuple[float, dict[str, object]]:
-    """Run a command without a kill: how long it takes, and its outcome."""
+    """Run a command without a kill; return its seconds and its outcome."""
     return whole_run(case, folder, resume=False), case.outcome(folder)
 
 
@@ -238,7 +238,7 @@ def kill_and_resume(
     kept = case.finished(folder)
     assert all(kept[name] == value for name, value in before.items()), "something finished was made again"
     assert case.outcome(folder) == reference
-    assert case.name == "fit" or not unfinished(folder), unfinished(folder)  # which has no folder of its own to tidy up
+    assert case.name == "fit" or not unfinished(folder), unfinished(folder)  # `fit` has no folder of its own to tidy up
 
 
 def small_batch() -> Case:
@@ -247,7 +247,7 @@ def small_batch() -> Case:
 
 
 def main(count: int = 100, seed: int = 0) -> None:
-    """Make so many kills and print what was seen."""
+    """Kill `count` times, and print the figures."""
     rng = np.random.default_rng(seed)
     figures = Figures()
     with tempfile.TemporaryDirectory() as name:

@@ -1,4 +1,4 @@
-"""The plainest enumeration of a task's states, in numpy: what the sweep is compared with."""
+"""A simple enumeration of a task's states in numpy, as a reference for the sweep."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.states.successors import Successors, Transitions, distinct
 
 
 def sort_keys(states: Words) -> NDArray[np.generic]:
-    """Return packed states, shape (n, words), as one sortable key each, shape (n,)."""
+    """Return one sortable key, shape (n,), for each packed state, shape (n, words)."""
     if states.shape[1] == 1:
         return states[:, 0]
     return np.ascontiguousarray(states.astype(">u8")).view(f"S{8 * states.shape[1]}")[:, 0]
@@ -44,7 +44,7 @@ class Listed:
         return keys[order], order
 
     def numbers(self, values: Ints) -> Ints:
-        """Give the states with values of shape (n, variables), -1 where there is none."""
+        """Return the numbers of the states with these values, shape (n, variables); -1 for values that are no state."""
         sizes = np.left_shift(1, self.packing.bits)
         legal = np.all((values >= 0) & (values < sizes), axis=1)
         wanted = sort_keys(self.packing.pack(np.where(legal[:, None], values, 0)))
@@ -53,15 +53,15 @@ class Listed:
         return np.where(legal & (keys[at] == wanted), order[at], -1)
 
     def values(self, numbers: Ints) -> Ints:
-        """Give the values, shape (n, variables), of states of shape (n,)."""
+        """Return the values of states, shape (n, variables)."""
         return self.packing.unpack(self.states[numbers])
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
-        """Tell of every state, shape (states,), whether facts hold."""
+        """Return whether facts hold in each state, shape (states,)."""
         return holds(self.states, *self.packing.condition(facts))
 
     def transitions(self, states: int, transitions: int) -> Transitions:
-        """Give the choices of all states."""
+        """Return the transitions of all states."""
         assert (len(self.states), len(self.rows.actions)) == (states, transitions)
         return self.rows
 

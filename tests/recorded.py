@@ -1,4 +1,4 @@
-"""Recorded actions for tests: rows as a log's lines have them, written by hand or by simulated people."""
+"""Logs of actions for tests, written by hand or by simulated people."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ TINY = KITTING / "tiny.pddl"
 
 @dataclass
 class Served:
-    """A service that runs: its process, what it printed when it was ready, and a client for whoever asks."""
+    """A running service: its process, its first line of output, and clients."""
 
     process: subprocess.Popen[str]
     url: str
@@ -36,7 +36,7 @@ class Served:
         return httpx.request(method, self.url + path, headers=headers, timeout=120, **more)
 
     def end(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
-        """End it; give its exit code and what it said on stderr."""
+        """Stop the service; return its exit code and its output on stderr."""
         self.process.send_signal(number)
         _, said = self.process.communicate(timeout=120)
         return self.process.returncode, said

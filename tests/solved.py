@@ -1,4 +1,4 @@
-"""One person's problems that are solved once for the tests of several files, and beliefs to look at them from."""
+"""Solutions of one person's POMDP that several test files share, and beliefs at which they are tested."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def problem(name: str, gamma: float, c_suggest: float, sigma: float, **options: 
 
 @cache
 def solution_of(name: str) -> Solution:
-    """Solutions with bounds apart, so that there is room for a law to be broken."""
+    """Return a solution whose bounds differ, so that a violated law can be noticed."""
     if name == "paper-fixed":
         return solve(problem("paper-fixed", 0.95, 0.5, 0.5), gap=5e-3)
     if name == "sealed":
@@ -56,7 +56,7 @@ def solution_of(name: str) -> Solution:
 
 
 def some_beliefs(solution: Solution, seed: int, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """States and beliefs: even ones, some with most of their mass in a few entries, and mixtures of stored ones."""
+    """Return states and beliefs: even ones, concentrated ones, and mixtures of stored ones."""
     rng = np.random.default_rng(seed)
     stored = np.flatnonzero(np.diff(solution.first))
     x = np.where(rng.random(count) < 0.7, rng.choice(stored, count), rng.integers(0, len(solution.corner), count))

@@ -1,4 +1,4 @@
-"""A small study for tests, and how one is written and run."""
+"""A small simulation study for tests, and functions that write and run it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Teams for tests: states of them, episodes, and what a policy can reach."""
+"""Team states and episodes for tests, and the arrays that a policy can access."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from assist.team.travel import Travel
 def state(
     pool: Pool, x: list[int], *, erred: list[bool] | None = None, location: int = BASE, travel: Travel | None = None
 ) -> TeamState:
-    """One team of the pool's first people."""
+    """Return the state of one team of the pool's first people."""
     people = np.arange(len(x))[None]
     choices, model = pool.choices(0), pool.model[people]
     at = np.array([x])
@@ -38,11 +38,11 @@ def equal(a: Episodes, b: Episodes) -> bool:
 
 
 def reachable(thing: Any, path: str, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """All arrays that can be reached from an object by its fields, what it has cached, and its items."""
+    """Return all arrays that are reachable from an object through fields, cached values and items."""
     if isinstance(thing, np.ndarray):
         found.setdefault(path, thing)
     elif isinstance(thing, tuple | list):
-        for number, item in enumerate(thing[:1]):  # one person's stands for everybody's
+        for number, item in enumerate(thing[:1]):  # one person stands for all
             reachable(item, f"{path}[{number}]", found)
     elif isinstance(thing, Later):
         reachable(thing.prepare(), path, found)

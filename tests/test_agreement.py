@@ -1,4 +1,4 @@
-"""What the translator grounds is compared with what was read: a difference is an error with its place."""
+"""The translator's grounded task is compared with the parsed files; a difference is an error with its place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def both(folder: Path, domain: str = DOMAIN, problem: str = PROBLEM) -> tuple[Re
 
 
 def check(reading: Reading, task: Task, changed: dict[str, str]) -> None:
-    """Compare a task whose actions and facts are named otherwise."""
+    """Compare a task whose actions and facts have other names."""
 
     def name(text: str) -> str:
         return changed.get(text, text)

@@ -1,4 +1,4 @@
-"""Alpha vectors: the compiled look-ahead against one that is written out."""
+"""Alpha vectors: the compiled look-ahead compared with a direct implementation."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from planner import Instance
 
 
 def random_vectors(pomdp: AssistPOMDP, seed: int = 3) -> VectorPolicy:
-    """One to four vectors for every state that is no goal."""
+    """Return a policy with one to four vectors for every state except goals."""
     rng = np.random.default_rng(seed)
     counts = np.where(pomdp.model.choices.goal, 0, rng.integers(1, 5, len(pomdp.robot_actions)))
     first = np.concatenate([[0], np.cumsum(counts)])
@@ -33,7 +33,7 @@ def worth(policy: VectorPolicy, x: int, belief: np.ndarray) -> float:
 
 
 def look_ahead(policy: VectorPolicy, x: int, r: int, belief: np.ndarray) -> float:
-    """What robot action r gives: the person's actions one by one, by the filter that `AssistPOMDP` has."""
+    """Return the value of robot action r, summed over the person's actions, with the filter of `AssistPOMDP`."""
     pomdp, choices = policy.pomdp, policy.pomdp.model.choices
     place, value = pomdp.afterstate[x, r], -pomdp.robot_costs[x, r]
     if choices.goal[place]:
@@ -59,7 +59,7 @@ def problems(tiny_choices: Choices) -> dict[str, AssistPOMDP]:
         "all": make(tiny_choices, suggestions="all"),
         "execute": make(tiny_choices, execute=True, c_execute=0.7),
         "lockers": AssistPOMDP.of(HumanModel.exact(lockers()), grid=GRID),
-        # With theta 1 a person does nothing else than what is suggested; with beta 1000, nothing else than the best.
+        # With theta 1 a person always follows; with beta 1000, always takes the best action.
         "no lapses": AssistPOMDP.of(
             HumanModel.exact(tiny_choices, lapse=0.0), suggestions="all",
             grid=Grid(np.array([0.0, 1000.0]), np.array([0.0, 1.0])),
@@ -97,8 +97,10 @@ def test_the_best_vector_gives_value_and_action(tiny_choices: Choices) -> None:
 
 
 def test_vectors_of_never_helping_are_its_exact_values(tiny_choices: Choices) -> None:
-    """The look-ahead of a policy's exact values is those values where it acts as the policy does, and better nowhere
-    than QMDP's bound."""
+    """A look-ahead from a policy's exact values returns them for the policy's own actions.
+
+    It never exceeds QMDP's bound.
+    """
     pomdp = make(tiny_choices)
     never = np.zeros(len(tiny_choices), dtype=np.int64)
     values = evaluate(pomdp, never, tolerance=1e-9)
@@ -116,7 +118,7 @@ def test_what_does_not_fit_is_refused(tiny_choices: Choices) -> None:
         {"vectors": policy.vectors[:-1]},
         {"first": policy.first[:-1]},
         {"robot": np.full_like(policy.robot, 99)},
-        {"first": np.concatenate([[0, 0], policy.first[2:]])},  # takes the first state's vectors away
+        {"first": np.concatenate([[0, 0], policy.first[2:]])},  # removes the first state's vectors
     ):
         with pytest.raises(ValueError, match="expected"):
             dataclasses.replace(policy, **wrong)  # type: ignore[arg-type]

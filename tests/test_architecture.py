@@ -1,4 +1,4 @@
-"""Data flows one way: a module imports only those above it."""
+"""Data flows one way: a module imports only from those above it."""
 
 from __future__ import annotations
 
@@ -23,31 +23,35 @@ ROOMS = {
         source validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
     "planner.states": "packing successors state_space",
-    "planner.search.kernels": """atomics unranking ranked_states state_hash packed_successors ranked_successors
+    "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion relaxation""",
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",
     "planner.search.symmetry": "automorphisms canonical_states",
-    "planner.search": """distances checkpoint successor_generator state_registry orbit_index forward_search
-        ranked_index bucket_dijkstra""",
+    "planner.search": """distances search_space successor_generator state_registry orbit_index ranked_index
+        forward_search bucket_dijkstra""",
     "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep orbits table_file on_demand
         portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.people": """arguments choices misconception decision terms memory choice_model human belief
-        influence_kernels user_code action_names""",
+        influence_kernels trust_rules user_code action_names""",
     "assist.person": """pomdp archive problem_arrays belief_filter qmdp alpha_vectors hsvi upper_hull solver
         suggestion_threshold""",
-    "assist.learning": """log_files log replay observations choosing likelihood profiles maximum_likelihood
-        logit_likelihood hierarchy misconception_fit diagnostics population person_estimate fit comparison""",
+    "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
+        profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
+        fit comparison trust_log trust_fit""",
     "assist.team": "travel state settings attention attention_subproblem policy_on_part priority policies",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
         truncated_policy person_problem""",
     "assist.simulation": """pool schedule common_random_numbers episodes dynamics task_view truncated_view run simulate
         belief_trace illustration""",
-    "assist.live": "live_task roster advice assistant course journal idempotency session simulated_person",
-    "assist.certify.information_relaxation": "confidence belief_nodes congestion sampled_bound",
-    "assist.certify": "prices certificate team_bound",
+    "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
+    "assist.explain": "continuations contrast catalogue explanation",
+    "assist.live": """live_task roster advice decision_point assistant course journal idempotency session
+        simulated_person""",
+    "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
+    "assist.certify": "prices certificate team_bound",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",
     "assist.plots": "style labels episode people study userstudy",
     "assist.study": "study protocol tasks cells runner",
@@ -58,9 +62,9 @@ ROOMS = {
         page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common task population person travel team policies help live log",
+    "assist.cli.options": "common task population person travel team policies help live log trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
-        people_estimates""",
+        people_estimates trust_estimates""",
     "assist.cli": """domains solve simulate policy bound export draw fit study user_study serve study_report
         command_group""",
 }
@@ -83,7 +87,7 @@ READING = {"load", "sweep", "cost_to_go", "find_instances", "instance", "Instanc
 
 
 def modules() -> dict[str, Path]:
-    """The file of each module; a package within `planner` or `assist` is one too, since its file has code."""
+    """Return the file of each module; packages count as modules, since their files contain code."""
     files = [f for package in ("planner", "assist") for f in sorted((ROOT / package).rglob("*.py"))]
     named = {".".join(f.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): f for f in files}
     return {name: f for name, f in named.items() if "." in name}
@@ -98,7 +102,7 @@ def is_package(module: str) -> bool:
 
 
 def imports(module: str, source: str) -> list[tuple[str, str]]:
-    """The project's modules that a module imports, each with the name that it takes from it."""
+    """Return the project's modules that a module imports, each with the imported name."""
     package = module.split(".")
     if not is_package(module):
         package.pop()
@@ -120,7 +124,7 @@ def faults(module: str, source: str) -> list[str]:
     wrong = []
     for name, what in imports(module, source):
         if name == "planner" and module.startswith("assist."):
-            pass  # the package's own list of what it hands over
+            pass  # the package's own list of exports
         elif name not in ORDER or ORDER.index(name) >= ORDER.index(module):
             wrong.append(f"{module} imports {name}, which comes after it")
         may_read = any(within(module, one) for one in MAY_READ_PDDL)
@@ -135,7 +139,7 @@ def test_every_module_has_its_place() -> None:
 
 
 def test_the_picture_shows_the_imports_that_there_are() -> None:
-    """And the order of the rooms is one in which each stands below all that it needs."""
+    """The order of the packages puts each below all that it imports from."""
     import drawn_rooms  # which imports this file
 
     assert drawn_rooms.FILE.read_text() == drawn_rooms.drawn(), "python tests/drawn_rooms.py draws it anew"
@@ -230,7 +234,7 @@ def test_a_wrong_import_is_found(module: str, line: str) -> None:
 
 
 def test_what_answers_over_http_is_in_one_room() -> None:
-    """Everything below can be used without the extra `web`, and has no event loop to mind."""
+    """Everything else works without the extra `web`, and without an event loop."""
     libraries = ("fastapi", "starlette", "uvicorn", "websockets", "asyncio")
     taken = {
         module

@@ -1,4 +1,4 @@
-"""Numbers that callers give: what is one, what is none, and what is too large."""
+"""Checks of numeric arguments: valid values, invalid values, and values that are too large."""
 
 from __future__ import annotations
 

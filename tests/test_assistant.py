@@ -1,4 +1,4 @@
-"""The live assistant: it is the simulated robot, action by action, and forgets nothing."""
+"""The live assistant: it acts as the simulated robot does, step by step, and a saved state restores it exactly."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WRONG, RIGHT = "(place hammer slot-2 box-a)", "(place hammer slot-1 box-a)"
 
 
 def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[list[dict[str, Any]], Watched]:
-    """Simulate one episode of a team; give its actions, and what the robot believed when it chose."""
+    """Simulate one episode of a team; return its actions, and the robot's beliefs at each decision."""
     watched, trace = Watched(pool.policy(policy)), []
     simulate(pool, watched, humans=team, episodes=1, seed=3, trace=trace, **more)
     return trace, watched
@@ -51,7 +51,7 @@ def trace_of(pool: Pool, policy: str, team: list[int], **more: Any) -> tuple[lis
     ],
 )
 def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting: Setting) -> None:
-    """With the same policy, people and luck: the same places, suggestions and beliefs, to the last bit."""
+    """With the same policy, people and random numbers, places, suggestions and beliefs are equal to the last bit."""
     pool = Pool.sample(tiny, 4, seed=2, setting=setting, population=Population(beta=(0.1, 0.6)))
     team = [2, 0, 3]
     trace, watched = trace_of(pool, policy, team)
@@ -85,7 +85,7 @@ def test_step_by_step_it_is_what_is_simulated(tiny: Table, policy: str, setting:
 
 
 def answers(task: CostToGo, actions: list[str]) -> Assistant:
-    """A person who does so, whatever they are advised, and finds the suggestions good."""
+    """Return an assistant of a person who takes these actions, whatever is suggested."""
     desk = Assistant(task, ["ann"], setting=Setting(c_suggest=0.05))
     for action in actions:
         desk.recommend()
@@ -119,8 +119,8 @@ def test_what_is_believed_does_not_depend_on_where_regions_end(tiny: Table, monk
 
 @pytest.mark.parametrize("policy", ["reactive", "attention", "priority"])
 def test_a_large_task_is_looked_at_where_people_are(tiny: Table, monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
-    """With a region that holds everything the advice is as ever; with a small one it is still sound."""
-    setting = Setting(c_suggest=0.05, c_move=0.01, travel_time=1 if policy == "priority" else 0)
+    """With a region of all states the advice is the same; with a small region it is still valid."""
+    setting = Setting(c_suggest=0.05, c_move=0.01, travel_time=1 if policy == "priority" else 0, trust="paper")
     names, choices = ["ann", "bob", "cem"], Choices.of(tiny)
     desks = [Assistant(tiny, names, policy=policy, setting=setting)]
     monkeypatch.setattr(person_problem, "WHOLE", 3)
@@ -208,7 +208,7 @@ EVENTS = st.lists(
 
 
 def happen(desk: Assistant, events: list[tuple[str, int, int]]) -> None:
-    """Let things happen to a team of a, b and c, as far as they can."""
+    """Apply events to a team of a, b and c, as far as they are possible."""
     for what, who, luck in events:
         name = "abc"[who]
         there = name in desk.people
@@ -267,7 +267,7 @@ def test_undo_takes_back_what_was_observed(tiny: Table, events: list[tuple[str, 
 
 
 def test_what_is_kept_of_others_is_what_would_be_worked_out(tiny: Table) -> None:
-    """Only whoever has acted is looked at anew; a policy sees the same as if all had been."""
+    """Only the person who acted is updated; a policy sees the same values as after a complete update."""
     seen = []
 
     def policy(team: Any) -> Any:
@@ -281,7 +281,7 @@ def test_what_is_kept_of_others_is_what_would_be_worked_out(tiny: Table) -> None
 
 @pytest.mark.parametrize("policy", ["attention", "attention-never", "priority"])
 def test_a_decision_looks_only_at_whoever_has_acted(tiny: Table, monkeypatch: pytest.MonkeyPatch, policy: str) -> None:
-    """However many there are."""
+    """This holds for any number of people."""
     asked: list[list[int]] = []
 
     def noted(model: Any, rows: Any, models: int) -> Any:
@@ -308,7 +308,7 @@ def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
     desk.observe("bob", desk.person("bob").applicable[0])
     desk.leave("bob")
     assert desk.people == ("ann",)
-    with pytest.raises(UnknownError, match="'bob' is not in the team; who is there: ann"):
+    with pytest.raises(UnknownError, match="'bob' is not in the team; present: ann"):
         desk.observe("bob", "(return box-a)")
     for action in tiny.optimal_plan() or []:
         assert not desk.finished
@@ -332,7 +332,7 @@ def test_people_come_and_go(tiny: Table, fixed: Table) -> None:
 
 
 def test_a_team_is_not_restored_with_people_who_choose_otherwise(tiny: Table) -> None:
-    """Of two policies for one task, each is for how its people choose: a belief worked out by the other is wrong."""
+    """Each policy is for its own choice model, and a belief from the other would be wrong."""
     weights = {"ann": {"goals": 3.0}, "bob": {"goals": -3.0}}
     solved = {
         name: qmdp(AssistPOMDP.of(HumanModel.exact(remembered(tiny, {"goals": TERMS["goals"]})), chooses=Weighted(one)))
@@ -381,7 +381,7 @@ def test_the_robot_is_where_it_says(tiny: Table) -> None:
 @pytest.mark.parametrize(
     ("call", "says"),
     [
-        (lambda desk: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; who is there: ann, bob"),
+        (lambda desk: desk.observe("anne", "(fetch box-a)"), "'anne' is not in the team; present: ann, bob"),
         (lambda desk: desk.observe("ann", "(fetch box-c)"), "box-c\\) is no action of the task; nearest of the 2"),
         (lambda desk: desk.observe("ann", "(return box-a)"), r"not applicable here; nearest of the 2.*\(fetch box-a\)"),
         (lambda desk: desk.undo("ann"), "ann has done nothing yet"),
@@ -412,7 +412,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(tiny: Table, 
 
 @pytest.mark.parametrize("reports", [False, True])
 def test_a_robot_on_its_way_to_a_person_who_leaves_helps_others(tiny: Table, reports: bool) -> None:
-    """Whether or not it reports its arrival at the place of the person who has left, as the robot's program does."""
+    """This holds whether or not the robot reports its arrival at the station of the person who left."""
     desk = Assistant(tiny, ["ann", "bob"], policy="reactive", setting=Setting(travel_time=2, c_suggest=0, c_move=0))
     for name in ("ann", "bob"):
         desk.observe(name, "(fetch box-a)")
@@ -447,3 +447,23 @@ def test_free_actions_of_cheapest_plans_are_no_errors() -> None:
         same.append(before == known)
     assert any(same)
     assert desk.person("ann").finished
+
+
+def test_a_reason_counts_answers_and_expects_the_next(tiny: Table) -> None:
+    """Of three suggestions one was followed; the expectation is the likelihood of following under the belief."""
+    desk = Assistant(tiny, ["ann"], setting=Setting(c_suggest=0.0, c_move=0.0, trust="paper"), population=Population())
+    for follows in (True, False, False):
+        advice = desk.recommend()
+        assert advice.suggestion is not None
+        others = [action for action in desk.person("ann").applicable if action != advice.suggestion]
+        desk.observe("ann", advice.suggestion if follows or not others else others[0])
+    advice = desk.recommend()
+    assert advice.reason is not None
+    answered = [row for row in desk.log() if row["suggestion"] is not None]
+    assert advice.reason.suggestions == len(answered) == 3
+    assert advice.reason.followed == sum(row["suggestion"] == row["action"] for row in answered)
+    state, policy = desk.person("ann"), qmdp(desk.setting.problem(Choices.of(tiny), None, Population()))
+    x, robot = np.array([state.state]), np.array([int(policy.choose(np.array([state.state]), state.belief[None])[0])])
+    chance = policy.pomdp.likelihood(x, robot, policy.pomdp.suggested[x, robot])[0]
+    assert advice.reason.follow == pytest.approx(float((chance * state.belief).sum()))
+    assert advice.reason.follow_interval[0] <= advice.reason.follow <= advice.reason.follow_interval[1]

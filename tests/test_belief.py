@@ -1,4 +1,4 @@
-"""Beliefs against brute-force enumeration of everything that could have happened."""
+"""Beliefs compared with brute-force enumeration of all histories."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from assist.people.belief import Grid, ImpossibleObservationError, Spread, update
 from assist.people.choices import Choices
 from assist.people.decision import choice, influence, lapse, perceived_cost_to_go, trust
 from assist.people.human import Human, HumanModel, Mixture, Population
+from assist.people.trust_rules import EquationSeven, TrustRule, constant, outcome, outcome_at_disagreement
+from assist.person.belief_filter import child, posterior, split
+from assist.person.belief_filter import update as compiled_update
 from assist.person.pomdp import AssistPOMDP
+from assist.person.problem_arrays import ProblemArrays
 from assist.person.qmdp import qmdp
 from planner import Table
 
@@ -65,7 +69,7 @@ def test_belief_equals_brute_force_enumeration(tiny_choices: Choices, seed: int)
 
 
 def test_a_person_who_acts_against_every_expectation_keeps_a_belief(tiny: Table, tiny_choices: Choices) -> None:
-    """Two hundred times the choice that the model holds least likely, with the right action suggested each time."""
+    """The person makes the least likely choice two hundred times, against the right suggestion."""
     pomdp = AssistPOMDP.of(person(tiny_choices))
     x = tiny.space.follow(["(fetch box-a)"])
     belief = pomdp.prior[None]
@@ -183,7 +187,10 @@ def test_shares_by_hand() -> None:
      ((1.2, 1.6), [0, 1, 0]), ((0.5, 0.9), [0, 1, 0]), ((0.3, 0.5), [1, 0, 0]), ((2.6, 9.0), [0, 0, 1])],
 )  # fmt: skip
 def test_a_prior_of_beta_by_hand(beta: tuple[float, float], expected: list[float]) -> None:
-    """Uniform over the grid's values 0.2, 1 and 2.5 in the range; over the nearest to its middle, where none is."""
+    """The prior is uniform over the grid's values 0.2, 1 and 2.5 that are in the range.
+
+    If none is, it is the value nearest to the middle of the range.
+    """
     prior = GRID.prior(Population(beta=beta))
     np.testing.assert_allclose(prior.sum(axis=1), expected, atol=1e-15)
 
@@ -194,7 +201,7 @@ def test_a_prior_of_beta_by_hand(beta: tuple[float, float], expected: list[float
      ((1.0, 1.0), [0, 0, 0, 1]), ((0.4, 0.6), [0, 1 / 2, 1 / 2, 0]), ((0.1, 0.5), [1 / 6, 17 / 24, 1 / 8, 0])],
 )  # fmt: skip
 def test_a_prior_of_theta_by_hand(theta: tuple[float, float], expected: list[float]) -> None:
-    """Each piece of the range between two of 0, 0.3, 0.7 and 1 is shared like its middle."""
+    """Grid values divide the range into pieces; each is split between its two neighbours, linearly at its middle."""
     prior = GRID.prior(Population(theta=theta))
     np.testing.assert_allclose(prior.sum(axis=0), expected, atol=1e-15)
     np.testing.assert_allclose(prior, np.outer(prior.sum(axis=1), expected), atol=1e-15)
@@ -202,7 +209,7 @@ def test_a_prior_of_theta_by_hand(theta: tuple[float, float], expected: list[flo
 
 def test_a_prior_of_a_mixture_is_the_mixture_of_priors() -> None:
     novices, experts = Population(beta=(0.2, 0.2), theta=(0.0, 0.0)), Population(beta=(2.5, 2.5), theta=(1.0, 1.0))
-    prior = GRID.prior(Mixture((novices, experts), (0.25, 0.7500005)))  # shares as somebody wrote them down
+    prior = GRID.prior(Mixture((novices, experts), (0.25, 0.7500005)))  # rounded shares from a file
     assert prior.sum() == pytest.approx(1, abs=1e-15)
     assert prior[0, 0] == pytest.approx(0.25, abs=1e-6)
     assert prior[2, 3] == pytest.approx(0.75, abs=1e-6)
@@ -216,7 +223,7 @@ def test_where_a_distribution_lies() -> None:
     assert Spread.of(values, np.array([0.05, 0.45, 0.45, 0.05])) == Spread(3.0, pytest.approx(1.5), pytest.approx(4.5))
     assert Spread.of(values, np.full(4, 0.25), level=0) == Spread(3.0, pytest.approx(3.0), pytest.approx(3.0))
     assert Spread.of(values, np.full(4, 0.25), level=1) == Spread(3.0, 0.5, 5.5)
-    # Nearly all at one value, and the little rest so far away that the mean is beyond nine tenths of the chance.
+    # Nearly all mass is at one value, and the rest so far away that the mean is beyond the 90 % quantile.
     far = Spread.of(np.array([1.0, 2.0, 3.0, 1000.0]), np.array([0.0, 0.97, 0.0, 0.03]))
     assert far == Spread(pytest.approx(31.94), pytest.approx(1.5 + 0.05 / 0.97), pytest.approx(31.94))
     nobody = Spread.of(values, np.array([0.5, np.nan, 0.25, 0.25]))
@@ -245,7 +252,7 @@ def test_a_uniform_prior_lies_between_a_twentieth_and_nineteen(theta: tuple[floa
 
 @st.composite
 def distributions(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-    """Values, chances and limits, as beliefs have them: grids of beta, geometric ones, and grids of theta."""
+    """Draw values, probabilities and limits as in beliefs: grids of beta, geometric ones, and grids of theta."""
     steps = draw(st.lists(st.floats(0.01, 1.0), min_size=1, max_size=9))
     values, limits = np.cumsum([draw(st.sampled_from([0.0, 0.1, 1.0])), *steps]), (0.0, np.inf)
     kind = draw(st.sampled_from(["beta", "geometric", "theta"]))
@@ -293,8 +300,9 @@ def test_an_interval_shrinks_with_information(
 
 
 def test_updates_by_hand() -> None:
-    """Two people, chances 0.2, 0.6 and 0.2 of what each did: one whose trust moves up, by half a step, a whole one and
-    not at all, and one whose trust stays."""
+    """Two people, whose actions have likelihoods 0.2, 0.6 and 0.2. The trust of one increases by half a cell, by a
+    whole cell, or not at all; the trust of the other is constant.
+    """
     belief = np.array([[[0.5, 0.5, 0.0]], [[0.25, 0.5, 0.25]]])
     likelihood = np.array([[[0.2, 0.6, 0.2]], [[0.2, 0.6, 0.2]]])
     low, weight = np.array([[0, 1, 1], [0, 0, 1]]), np.array([[0.5, 1.0, 1.0], [0.0, 1.0, 1.0]])
@@ -304,7 +312,7 @@ def test_updates_by_hand() -> None:
 
 
 def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Choices) -> None:
-    """With theta = 0 what is suggested is out of the question, however small the chance of anything else was."""
+    """With theta = 0 the suggestion is never followed, however unlikely the other actions are."""
     grid = Grid(np.array([4.0, 8.0, 12.0]), np.array([0.0, 0.5, 1.0]))
     pomdp = AssistPOMDP.of(HumanModel.exact(tiny_choices), grid=grid, suggestions="all")
     x, robot = np.nonzero(np.arange(pomdp.suggested.shape[1]) < pomdp.robot_actions[:, None])
@@ -317,7 +325,7 @@ def test_chances_sum_to_one_where_the_person_is_almost_certain(tiny_choices: Cho
 
 
 def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(sealed: Table) -> None:
-    """Eta 0 and a value of minus infinity: nobody's belief is lost, and nothing is suggested that only does harm."""
+    """With eta 0 and a value of minus infinity, beliefs stay valid, and harmful suggestions are not made."""
     choices = Choices.of(sealed)
     problem = AssistPOMDP.of(HumanModel.exact(choices, eta=0.0), suggestions="all")
     slot = np.maximum(problem.suggested, 0)
@@ -332,3 +340,48 @@ def test_where_nothing_moves_trust_suggestions_into_dead_ends_do_not_either(seal
         belief = np.zeros((len(x), *problem.grid.shape))
         belief[:, :, theta] = 1 / problem.grid.shape[0]
         assert not into[x, best.choose(x, belief)].any()
+
+
+@settings(deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([EquationSeven(0.3), constant(), outcome(0.5, 1.0), outcome_at_disagreement(0.2, 0.5, 1.0)]),
+    st.sampled_from([0.0, 1e-3, 0.3]),
+    st.booleans(),
+)
+def test_compiled_filters_are_the_equations(
+    tiny_choices: Choices, seed: int, rule: TrustRule, lapse: float, execute: bool
+) -> None:
+    """One choice at a time, all choices at a time, and numpy give the same posterior and the same probability."""
+    rng = np.random.default_rng(seed)
+    h = perceived_cost_to_go(tiny_choices, 0.7, rng)
+    pomdp = AssistPOMDP.of(
+        HumanModel.own(tiny_choices, Human(1.0, 0.6, 0.7, h), lapse=lapse), grid=GRID, suggestions="all", trust=rule,
+        execute=execute,
+    )  # fmt: skip
+    m = ProblemArrays.of(pomdp)
+    x = int(rng.choice(np.flatnonzero(~tiny_choices.goal)))
+    robot = int(rng.integers(pomdp.robot_actions[x]))
+    belief = rng.dirichlet(np.full(GRID.beta.size * GRID.theta.size, 0.3))
+    belief[rng.random(len(belief)) < 0.2] = 0.0
+    belief /= belief.sum()
+    parts = np.empty((4, len(belief)))
+    followed, declined, lapsed, complied = parts[0], parts[1], parts[2], parts[3 if m.uses_answer else 2]
+    acting, suggested = split(belief, followed, declined, complied, lapsed, x, robot, m)
+    if tiny_choices.goal[acting]:
+        return
+    for slot in range(int(m.counts[acting])):
+        one, of_all = np.empty_like(belief), np.empty_like(belief)
+        mass = posterior(belief, one, x, robot, slot, m)
+        same = child(of_all, acting, slot, suggested, followed, declined, complied, lapsed, m)
+        assert same == pytest.approx(mass, rel=1e-12)
+        at = tuple(np.array([each]) for each in (x, robot, slot))
+        likelihood = pomdp.likelihood(*at)[0].ravel()
+        assert mass == pytest.approx(likelihood @ belief, abs=1e-12)
+        np.testing.assert_allclose(one, of_all, atol=1e-12)
+        if mass > 0:
+            expected = pomdp.update(belief.reshape(1, *pomdp.grid.shape), *at)[0]
+            np.testing.assert_allclose(one / mass, expected.ravel(), atol=1e-12)
+            now = belief.reshape(pomdp.grid.shape).copy()
+            compiled_update(now, np.empty_like(now), x, robot, slot, m)
+            np.testing.assert_allclose(now, expected, atol=1e-12)

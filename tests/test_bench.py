@@ -1,4 +1,4 @@
-"""Benchmarks: all are run, and what they need is there. Their smallest cases run in `.ci/run`."""
+"""Benchmarks: every script is listed, and its requirements are available. Their smallest cases run in `.ci/run`."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""What follows where a part of a task breaks off: nobody gets more, and hardly less where all is looked at."""
+"""Bounds at the frontier of truncated tasks: no value exceeds them, and they are tight if all states are included."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from conftest import KITTING, table_of
 from crosscheck import MODELS
 
+from assist.large_tasks import truncated_bound
 from assist.large_tasks.truncated_bound import bounded, likely
 from assist.large_tasks.truncated_task import never_erring
 from assist.people.choices import Choices
@@ -36,7 +38,7 @@ def somebody(noise: Any = "state") -> Human:
 def part_and_whole(
     task: str, size: int, setting: Setting, human: Human | None, steps: int = 0
 ) -> tuple[AssistPOMDP, np.ndarray, Choices]:
-    """Give the problem on a part; and of its frontier's states the values, shape (m, 2, B, T), with all looked at."""
+    """Return the truncated problem, and the frontier's exact values, shape (m, 2, B, T)."""
     table = kit(task)
     problem = bounded(table, setting, human, PRIOR, entry=ENTRY, size=size).problem
     choices = Choices.of(table)
@@ -44,7 +46,7 @@ def part_and_whole(
     values = qmdp(visits.pomdp).value_mdp
     both = np.stack([values[visits.states(0, position)] for position in (AWAY, HERE)], axis=1)
     assert problem.frontier is not None
-    # States are told apart by their keys, whatever their numbers are here and there.
+    # States are identified by their keys, whose numbers differ between the two tasks.
     place = {int(key): x for x, key in enumerate(choices.keys)}
     assert len(place) == len(choices)
     at = [place[int(key)] for key in problem.model.choices.keys[problem.frontier.states]]
@@ -61,7 +63,7 @@ def part_and_whole(
     ],
 )
 def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human | None) -> None:
-    """In tasks with dead ends, and with actions that cost nothing; and so nobody whose robot needs time to come."""
+    """This holds in tasks with dead ends and with free actions, and for a robot whose travel takes time."""
     for steps in (0, 2):
         problem, values, _ = part_and_whole(task, size, setting, human, steps)
         frontier = problem.frontier
@@ -80,14 +82,14 @@ def test_nobody_gets_more(task: str, size: int, setting: Setting, human: Human |
 def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
     model: str, knowledge: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With beta and theta seen, a part's value is at least the task's, wherever trust goes and whatever moves it."""
+    """If beta and theta are observed, the value of a part is at least that of the task, under every trust rule."""
     table, setting = kit("tiny"), Setting(c_suggest=0.05, eta=0.8, gamma=0.95, knowledge=knowledge)
     prior = Population(beta=(0.3, 2.0), theta=(0.6, 0.9), sigma=(1.0, 1.0), chooses=MODELS[model])
     (human,) = prior.sample(None, 1, np.random.default_rng(3))
     known = human if knowledge == "own" else None
     exact = qmdp(setting.problem(choices := Choices.of(table), known, prior), tolerance=1e-8).value_mdp[choices.initial]
     for seen in (0, 20_000):
-        monkeypatch.setattr("assist.large_tasks.truncated_bound.SEEN", seen)
+        monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, seen=seen))
         for size in (1, 2, 4, 8, 12):
             problem = bounded(table, setting, known, prior, entry=0.0, size=size).problem
             value = qmdp(problem, tolerance=1e-8).value_mdp[problem.model.choices.initial]
@@ -95,9 +97,9 @@ def test_a_bound_on_a_part_is_one_of_the_task_for_every_choice_model(
 
 
 def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the larger part is all of the task, and sweeps go on to the end, bounds are the values."""
-    for name, value in (("HIDDEN", 3), ("ERROR", 1e-4), ("SWEEPS", 10_000)):
-        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
+    """If the larger part is the whole task and sweeps converge, the bounds are the values."""
+    sizes = replace(truncated_bound.SIZES, hidden=3, tolerance=1e-4, sweeps=10_000)
+    monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     problem, values, _ = part_and_whole("tiny", 100, Setting(c_suggest=0.2), somebody())
     frontier = problem.frontier
     assert frontier is not None
@@ -109,14 +111,14 @@ def test_what_is_looked_at_as_a_whole_is_known(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize("steps", [0, 2])
 def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.MonkeyPatch, steps: int) -> None:
-    """Where it is all of the task, values are those of the problem in which each state is there for every step.
+    """If it is the whole task, the values are those of the problem in which each state exists at every step.
 
-    For a robot whose way takes time they are no less.
+    For a robot whose travel takes time they are upper bounds.
     """
-    for name, value in (("HIDDEN", 3), ("ERROR", 1e-6), ("SWEEPS", 10_000)):
-        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
+    sizes = replace(truncated_bound.SIZES, hidden=3, tolerance=1e-6, sweeps=10_000)
+    monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     table, setting, human = kit("tiny"), Setting(c_suggest=0.2), somebody()
-    found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, around=True)
+    found = bounded(table, setting, human, PRIOR, entry=ENTRY, size=100, with_outer=True)
     assert found.outer is not None
     assert found.between is not None
     price = np.array([0.0, 0.6, 0.3, 0.5])
@@ -149,7 +151,7 @@ def test_prices_count_on_the_larger_part_at_their_steps(monkeypatch: pytest.Monk
 
 
 def test_the_likeliest_states_at_each_step_are_kept() -> None:
-    """Counted by hand: of what people do by themselves, and advised, at each step and later."""
+    """Counted by hand: the visits of people with and without advice, at each step and later."""
     setting, human = Setting(), somebody()
     problem, _, _ = part_and_whole("tiny", 8, setting, human)
     choices, betas = problem.model.choices, range(len(problem.grid.beta))
@@ -177,7 +179,7 @@ def test_the_likeliest_states_at_each_step_are_kept() -> None:
 
 
 def test_what_is_expected_beyond_is_known() -> None:
-    """A suggestion moves trust by what the person expects of the state it leads to, looked at or not."""
+    """A suggestion changes trust by the person's expectation of its successor, inside the part or not."""
     setting, human = Setting(), somebody()
     problem, _, choices = part_and_whole("tiny", 3, setting, human)
     assert problem.frontier is not None
@@ -203,10 +205,10 @@ def test_memory_is_asked_for_beforehand() -> None:
 
 
 def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("assist.large_tasks.truncated_bound.HIDDEN", 3)
+    monkeypatch.setattr(truncated_bound, "SIZES", replace(truncated_bound.SIZES, hidden=3))
     table, who = kit("paper"), somebody()
     found = [
-        bounded(table, Setting(), who, PRIOR, entry=ENTRY, size=10, around=True, memory_limit_mb=most).outer
+        bounded(table, Setting(), who, PRIOR, entry=ENTRY, size=10, with_outer=True, memory_limit_mb=most).outer
         for most in (math.inf, 3.0)
     ]
     large, small = found
@@ -221,11 +223,11 @@ def test_where_memory_is_short_they_are_seen_on_a_smaller_part(monkeypatch: pyte
 
 
 def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("HIDDEN", 40), ("FEW", 5), ("PAIRS", 300), ("PAIRS_FEW", 50)):
-        monkeypatch.setattr(f"assist.large_tasks.truncated_bound.{name}", value)
+    sizes = replace(truncated_bound.SIZES, hidden=40, hidden_least=5, pairs=300, pairs_least=50)
+    monkeypatch.setattr(truncated_bound, "SIZES", sizes)
     looked_at = []
     for limits in ({}, {"kept_mb": 0.1}, {"kept_mb": 4.0}, {"until": 0.0}):
-        found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, around=True, **limits)
+        found = bounded(kit("paper"), Setting(), somebody(), PRIOR, entry=ENTRY, size=50, with_outer=True, **limits)
         looked_at.append([int((~found.problem.final).sum()), found.pairs])
     everything, short, some, late = looked_at
     assert everything == [40, 300]
@@ -234,7 +236,7 @@ def test_they_are_hidden_on_as_many_states_as_time_and_memory_allow(monkeypatch:
 
 
 def test_without_time_nobody_errs_beyond() -> None:
-    """The bounds are those of people who never err, which hold in any case."""
+    """Without time the bounds are those of people who never err, which are always valid."""
     table, setting = kit("tiny"), Setting()
     at_once, in_time = (
         bounded(table, setting, somebody(), PRIOR, entry=ENTRY, size=3, until=until).problem

@@ -1,4 +1,4 @@
-"""Tasks built in Python with unified-planning: the same answers as from files, under the problem's own names."""
+"""Tasks built in Python with unified-planning: the same answers as from files, with the problem's own names."""
 
 from __future__ import annotations
 

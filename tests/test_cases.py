@@ -1,4 +1,4 @@
-"""Small inputs of each kind that went wrong once: the same answer from the command line and from Python."""
+"""Small inputs of each kind that once failed: the same answer from the command line and from Python."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ PROBLEM = """(define (problem p) (:domain packing)
 
 @dataclass(frozen=True)
 class Case:
-    """What is changed, and the cost of the cheapest plan, or the place and the words of what is refused."""
+    """A change of the files, and the cost of an optimal plan or the place and message of the error."""
 
     changed: tuple[tuple[str, str], ...] = ()
     cost: int | None = None
@@ -49,7 +49,7 @@ class Case:
     names: tuple[str, str] = ("domain.pddl", "p.pddl")
 
     def write(self, folder: Path) -> Path:
-        """Write the files, and give the problem's."""
+        """Write the files, and return the path of the problem."""
         for name, text in zip(self.names, (DOMAIN, PROBLEM), strict=True):
             for old, new in (("GO", self.go), ("PICK", self.pick), *self.changed):
                 text = text.replace(old, new)
@@ -132,7 +132,7 @@ def test_from_the_engine(tmp_path: Path, name: str) -> None:
 
 
 def test_from_the_command_line(tmp_path: Path) -> None:
-    """All of them at once, as a folder; what is refused does not stop the others."""
+    """All instances are solved at once, as a folder; a refused one does not stop the others."""
     problems = {}
     for number, (name, case) in enumerate(CASES.items()):
         (tmp_path / f"{number:02}").mkdir()

@@ -1,4 +1,4 @@
-"""How people choose: terms, what they remember, a model of one's own; in the filter, bounds and simulation alike."""
+"""Choice models: terms, memory, and user models, in the filter, in bounds and in simulation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ graphs = st.lists(edges, min_size=2, max_size=9)
 
 
 def situation(table: Table, x: int, last: int, previous: int) -> Situation:
-    """One choice as the terms see it, from the task itself."""
+    """Return a situation for terms, computed from the task itself."""
     choices = Choices.of(table)
     targets = choices.targets[[x]]
     return Situation(
@@ -61,7 +61,7 @@ def situation(table: Table, x: int, last: int, previous: int) -> Situation:
 def test_terms_speak_beside_cost(q: list[float], beta: float, data: st.DataObject) -> None:
     bias = np.array(data.draw(st.lists(st.floats(-900, 900), min_size=len(q), max_size=len(q))))
     cost, applicable = np.array(q), np.ones(len(q), dtype=bool)
-    silent = beta == 0 or np.isinf(cost).all()  # then cost says nothing
+    silent = beta == 0 or np.isinf(cost).all()  # then costs have no effect
     expected = softmax(bias if silent else np.where(np.isfinite(cost), -beta * cost, -np.inf) + bias)
     np.testing.assert_allclose(choice(cost, applicable, beta, bias), expected, rtol=1e-9, atol=1e-300)
     np.testing.assert_array_equal(choice(cost, applicable, beta, np.zeros(len(q))), choice(cost, applicable, beta))
@@ -71,7 +71,7 @@ def test_terms_speak_beside_cost(q: list[float], beta: float, data: st.DataObjec
 @some
 @given(graphs, st.integers(0, 1000))
 def test_a_walk_with_memory_is_a_walk_of_the_task(drawn: list[tuple[int, int, int]], seed: int) -> None:
-    """Every row stands for what terms say there, whatever came before it."""
+    """Every row has the features of its state and history, whatever the earlier history was."""
     table = sweep(graph_task(drawn))
     plain, rng = Choices.of(table), np.random.default_rng(seed)
     odd = {"odd": lambda s: (s.actions % 2) * (s.last[:, None] % 3) + 0.5 * s.previous[:, None]}
@@ -104,7 +104,7 @@ def test_what_needs_no_memory_costs_no_state(tiny: Table) -> None:
 
 
 def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
-    """Beliefs and chances of whole histories, against their enumeration with nothing but the equations."""
+    """Beliefs and the probabilities of whole histories equal their enumeration by the equations."""
     plain, goals = Choices.of(tiny), goals_met(tiny, np.arange(len(tiny)))
     choices = remembered(tiny)
     grid = Grid(np.array([0.0, 1.3]), np.array([0.0, 0.4, 1.0]))
@@ -120,7 +120,7 @@ def test_the_filter_is_that_of_all_histories(tiny: Table) -> None:
         step: int, x: int, last: int, previous: int, joint: dict[tuple[int, ...], Floats], row: int, belief: Floats,
         chance: float,
     ) -> None:  # fmt: skip
-        """Go through all that may happen; `joint` has the chance of each history of theta, shape (B,)."""
+        """Enumerate all histories; `joint` has the probability of each history of theta, shape (B,)."""
         if step == depth or plain.goal[x]:
             by_theta = np.zeros((2, 3))
             for path, p in joint.items():
@@ -242,7 +242,7 @@ def test_a_robot_may_believe_in_boltzmann(tiny: Table) -> None:
 
 @pytest.mark.parametrize("weight", [-30.0, 30.0])
 def test_who_never_goes_back_does_not_and_who_always_does_does(tiny: Table, weight: float) -> None:
-    """In the trace, which names actions of the task."""
+    """The trace shows it, since it names the actions of the task."""
     people = Population(beta=(0.1, 0.1), sigma=(0, 0), weights={"back": (weight, weight)})
     pool, choices = Pool.sample(tiny, 2, seed=3, population=people), Choices.of(tiny)
     walks: dict[tuple[str, str], list[str]] = {}
@@ -263,7 +263,7 @@ def test_who_never_goes_back_does_not_and_who_always_does_does(tiny: Table, weig
 
 
 def short_sighted(choices: Choices, _: Floats, beta: Floats) -> Floats:
-    """Somebody who sees the goal from one step away, and else does anything."""
+    """Choose a goal state if one is a step away, and otherwise a random action."""
     near = (choices.goal[choices.targets] & choices.applicable).any(axis=1, keepdims=True)
     liked = np.where(near, choices.goal[choices.targets], 1.0) * choices.applicable
     careless = choices.applicable / np.maximum(choices.applicable.sum(axis=1, keepdims=True), 1)
@@ -341,7 +341,7 @@ def test_populations_with_weights_are_checked(tiny: Table) -> None:
 
 
 def test_a_live_team_remembers(tiny: Table) -> None:
-    """After each action the belief is that of the person's problem with memory; saved, it is the same."""
+    """After each action the belief is that of the person's problem with memory, also after saving and loading."""
     people = Population(weights=RANGES)
     desk = Assistant(tiny, people=["ann"], population=people)
     problem = PersonProblem.of(tiny, population=people)
@@ -445,7 +445,7 @@ def test_a_study_compares_people_and_what_the_robot_takes_them_for(tmp_path: Pat
     own.write_text(OWN)
     file = tmp_path / "people.toml"
     file.write_text(STUDY)
-    study = pickle.loads(pickle.dumps(read(file)))  # as other processes get it
+    study = pickle.loads(pickle.dumps(read(file)))  # as other processes receive it
     found = {(cell.population, cell.prior): carry_out(cell, study).lines.splitlines() for cell in study.cells()}
     assert len(found) == 6
     assert found["boltzmann", "own"] == [

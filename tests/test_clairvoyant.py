@@ -1,10 +1,11 @@
-"""Penalties have mean zero, and the search over what can come about with a luck misses nothing."""
+"""Information relaxation: penalties have mean zero, and the search over a sample path is exact."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,11 +14,19 @@ from conftest import KITTING, invoke, kit
 from scipy.optimize import brentq, linprog
 from test_joint import COSTS, pool_of
 
-from assist.certify.information_relaxation import congestion, sampled_bound
-from assist.certify.information_relaxation.belief_nodes import END, LEFT, BeliefNodes, SampleGraph, at, divide, worth
+from assist.certify.information_relaxation.belief_nodes import (
+    END,
+    LEFT,
+    BeliefNodes,
+    SampleGraph,
+    bound_at,
+    decompose,
+    state_of,
+)
 from assist.certify.information_relaxation.confidence import SampledBound
-from assist.certify.information_relaxation.congestion import DYING, FADING, LATE, OutOfTimeError, Scale, lost
-from assist.certify.information_relaxation.sampled_bound import ALPHAS, InformationRelaxation, SamplePath
+from assist.certify.information_relaxation.congestion import OutOfTimeError, Scale, lost
+from assist.certify.information_relaxation.options import RelaxationOptions
+from assist.certify.information_relaxation.sampled_bound import InformationRelaxation, SamplePath
 from assist.certify.prices import kinds_of
 from assist.certify.team_bound import upper_bound
 from assist.cli.output.person_bounds import show_samples
@@ -27,15 +36,18 @@ from assist.simulation.simulate import simulate
 from assist.team.settings import Setting
 
 PRICE = np.array([0.0, 0.3, 0.35, 0.3, 0.3, 0.2])
+USUAL = RelaxationOptions()
 
 
-def made(price: np.ndarray, workers: int = 1, pool: Pool | None = None) -> InformationRelaxation:
+def made(
+    price: np.ndarray, workers: int = 1, pool: Pool | None = None, options: RelaxationOptions = USUAL
+) -> InformationRelaxation:
     pool = pool or pool_of(*COSTS[0])
     lattices = []
-    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), around=pool.truncated):
+    for kind in kinds_of(pool, (0, 1), pool.setting.travel(2), len(price), with_outer=pool.truncated):
         visits = kind.at(price)
         lattices.append(BeliefNodes(visits, solve(visits.pomdp, gap=1e-3, best=kind.best(visits))))
-    return InformationRelaxation(lattices, price, workers=workers)
+    return InformationRelaxation(lattices, price, workers=workers, options=options)
 
 
 @pytest.fixture(scope="module")
@@ -50,21 +62,21 @@ def without_prices() -> InformationRelaxation:
 
 @pytest.fixture(scope="module", params=[(12, 12), (2, 2), (12, 2)])
 def short_sighted(request: pytest.FixtureRequest) -> InformationRelaxation:
-    """With so few steps that everything can be tried; conflicts count in all of them, in the first two, two ahead."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sampled_bound, "AFTER", 1)
-        patch.setattr(sampled_bound, "WISHES", request.param[0])
-        patch.setattr(congestion, "AHEAD", request.param[1])
-        return made(PRICE[1:4])
+    """Few enough steps to enumerate all decisions; conflicts count in all steps, in the first two, or two steps
+    ahead.
+    """
+    counted, ahead = request.param
+    return made(PRICE[1:4], options=RelaxationOptions(free_steps=1, congestion_steps=counted, steps_ahead=ahead))
 
 
 @pytest.fixture(scope="module")
 def truncated() -> InformationRelaxation:
-    """Two people whose tasks are truncated after one state, with prices, and few enough steps to try everything."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sampled_bound, "AFTER", 1)
-        setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
-        return made(PRICE[1:4], pool=Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1))
+    """Two people whose tasks are truncated after one state, with prices, and few enough steps to enumerate all
+    decisions.
+    """
+    setting = Setting(gamma=0.95, c_suggest=0.05, c_move=0.1)
+    pool = Pool.sample(kit("tiny"), 2, seed=0, setting=setting, states=3, region=1)
+    return made(PRICE[1:4], pool=pool, options=RelaxationOptions(free_steps=1))
 
 
 def drawn(robot: InformationRelaxation, seeds: Iterable[int]) -> list[SamplePath]:
@@ -84,7 +96,7 @@ def belief_at(lattice: BeliefNodes, node: int) -> np.ndarray:
 
 
 def chances(lattice: BeliefNodes, edge: int) -> dict[int, float]:
-    """The chance of each node that may follow."""
+    """Return the probability of each successor node."""
     ends = slice(lattice.nodes.begin[edge], lattice.nodes.begin[edge + 1])
     found: dict[int, float] = {}
     for to, share in zip(lattice.nodes.to[ends], np.diff(lattice.nodes.share[ends], prepend=0.0), strict=True):
@@ -93,12 +105,12 @@ def chances(lattice: BeliefNodes, edge: int) -> dict[int, float]:
 
 
 def test_what_a_belief_is_divided_among_adds_up_to_it(robot: InformationRelaxation, paths: list[SamplePath]) -> None:
-    """By the filter's own chances: nodes after an action, times their chances, are the joint of choice and type."""
-    lattice, graph = robot.people[0].lattice, paths[0][0][0]
+    """The filter's own probabilities, multiplied with the nodes after an action, give the joint distribution."""
+    lattice, graph = robot.people[0].belief_nodes, paths[0][0][0]
     pomdp = lattice.visits.pomdp
     split = 0
     for node in graph.node[:40].tolist():
-        first, x = lattice.nodes.first[node], int(at(node, lattice.known))
+        first, x = lattice.nodes.first[node], int(state_of(node, lattice.known))
         if first < 0:
             continue
         belief = belief_at(lattice, node).reshape(pomdp.grid.shape)
@@ -116,12 +128,12 @@ def test_what_a_belief_is_divided_among_adds_up_to_it(robot: InformationRelaxati
             mixed = {y: np.zeros(pomdp.prior.size) for y in expected}
             for to, chance in found.items():
                 if to != END:
-                    mixed[int(at(to, lattice.known))] += chance * belief_at(lattice, to)
-                    promise += pomdp.gamma * chance * worth(to, lattice.known)
+                    mixed[int(state_of(to, lattice.known))] += chance * belief_at(lattice, to)
+                    promise += pomdp.gamma * chance * bound_at(to, lattice.known)
             for y, whole in expected.items():
                 np.testing.assert_allclose(mixed[y], whole, atol=1e-9)
             split += len(found) > len(expected) + 1
-            regret = worth(node, lattice.known) - promise
+            regret = bound_at(node, lattice.known) - promise
             assert lattice.nodes.regret[first + r] == pytest.approx(regret, abs=1e-9)
     assert split > 10  # beliefs were divided
 
@@ -130,18 +142,18 @@ def test_what_a_belief_is_divided_among_adds_up_to_it(robot: InformationRelaxati
 def test_the_penalty_has_mean_zero(
     free: bool, robot: InformationRelaxation, without_prices: InformationRelaxation
 ) -> None:
-    """The mean of U over all that two people may do next is what the search takes for it."""
+    """The mean of U over both people's next actions equals the value in the search."""
     compared = []
     robot = without_prices if free else robot
     for path in drawn(robot, range(4)):
-        graphs, wishes = path.graphs, path.wishes
+        graphs, wishes = path.graphs, path.demand
         for t in range(min(4, *(len(graph.layer) - 2 for graph in graphs))):
             edges, after = [], []
             for person, graph in zip(robot.people, graphs, strict=True):
                 j = int(graph.layer[t])
                 edge = int(graph.edge[j + 1]) - 1
                 edges.append(edge)
-                lattice = person.lattice
+                lattice = person.belief_nodes
                 number = lattice.nodes.first[graph.node[j]] + edge - graph.edge[j]
                 after.append(chances(lattice, number))
             mean = np.array([wish.mean[edge] for wish, edge in zip(wishes, edges, strict=True)])
@@ -158,7 +170,7 @@ def test_the_penalty_has_mean_zero(
 
 
 def test_nobody_gains_by_a_conflict(robot: InformationRelaxation) -> None:
-    """What is lost in each step is nothing at least: the search takes that for granted where later steps count less."""
+    """The loss in each step is nonnegative, which the search assumes for its discounting of later steps."""
     steps, rng, found = len(robot.scale.weight), np.random.default_rng(0), []
     for s in range(steps):
         nodes = [np.flatnonzero(person.rows.depth > s) for person in robot.people]
@@ -174,38 +186,41 @@ def test_nobody_gains_by_a_conflict(robot: InformationRelaxation) -> None:
 
 
 def test_later_conflicts_count_less() -> None:
-    """U is the sum over steps ahead of what is lost in each, by hand for two people who want the robot at once."""
-    scale = Scale.of(np.array([0.3, 0.2]), 0.9, 1.0)
+    """U is the discounted sum of the losses in the steps ahead; by hand for two people who want the robot at once."""
+    scale = Scale.of(np.array([0.3, 0.2]), 0.9, 1.0, USUAL)
     rows = np.zeros((2, 2 * scale.size))
     rows.reshape(2, 2, -1)[:, :, 4:-1] = 1.0  # both want it at 0.5 above its price, in both steps
     rows.reshape(2, 2, -1)[:, :, -1] = 0.5
     each = 0.5  # two times 0.5 above the price, and one is served: lambda + 0.5 + 0.5 - (lambda + 0.5)
-    assert lost(0, rows, scale) == pytest.approx(each + FADING * 0.9 * each)
+    assert lost(0, rows, scale) == pytest.approx(each + USUAL.fading * 0.9 * each)
     assert lost(1, rows, scale) == pytest.approx(0.9 * each)
 
 
 def test_late_conflicts_never_count_in_full() -> None:
-    """However near they are: two people who want the robot at once in any step of a long episode."""
-    scale = Scale.of(np.zeros(LATE + 4), 1.0, 1.0)
+    """Two people want the robot at once in each step of a long episode; late steps count less, however near they
+    are.
+    """
+    full = USUAL.full_weight_steps
+    scale = Scale.of(np.zeros(full + 4), 1.0, 1.0, USUAL)
     rows = np.zeros((2, len(scale.weight) * scale.size))
     rows.reshape(2, -1, scale.size)[:, 0, 4:-1] = 1.0  # both want it at 0.5 now, and nothing afterwards
     rows.reshape(2, -1, scale.size)[:, 0, -1] = 0.5
     rows.reshape(2, -1, scale.size)[:, 1:, :-1] = 1.0
-    assert [lost(step, rows, scale) for step in range(LATE - 1, LATE + 4)] == pytest.approx(
-        [0.5, 0.5, *(0.5 * np.exp(-np.arange(1, 4) / DYING))]
+    assert [lost(step, rows, scale) for step in range(full - 1, full + 4)] == pytest.approx(
+        [0.5, 0.5, *(0.5 * np.exp(-np.arange(1, 4) / USUAL.decay_steps))]
     )
 
 
 def test_a_belief_is_divided_so_that_least_is_promised(robot: InformationRelaxation) -> None:
-    """Among nodes that are known, by the linear program: no other parts make a smaller mean of bounds."""
-    lattice, rng, spread = robot.people[0].lattice, np.random.default_rng(0), 0
+    """The linear program confirms that no other weights of the known nodes have a smaller mean of bounds."""
+    lattice, rng, spread = robot.people[0].belief_nodes, np.random.default_rng(0), 0
     known, size = lattice.known, lattice.known.corner.shape[1]
     part, node = np.empty(2 * size), np.empty(2 * size, dtype=np.int64)
     for x in np.argsort(-np.diff(known.first))[:10].tolist():
         points = slice(known.first[x], known.first[x + 1])
         for belief in rng.dirichlet(np.ones(size), 12):
-            count = divide(belief, x, known, part, node)
-            found = sum(p * worth(n, known) for p, n in zip(part[:count], node[:count].tolist(), strict=True))
+            count = decompose(belief, x, known, part, node)
+            found = sum(p * bound_at(n, known) for p, n in zip(part[:count], node[:count].tolist(), strict=True))
             best = linprog(known.drop[points], A_ub=known.point[points].T, b_ub=belief)
             assert found == pytest.approx(float(known.corner[x] @ belief) + best.fun, abs=1e-4)
             spread += np.sum(node[:count] < len(known.drop)) > 1
@@ -220,8 +235,8 @@ def least(
     t: int,
     seen: dict[tuple[int, ...], float],
 ) -> float:
-    """The least sum of D from a state on, by trying everything."""
-    graphs, wishes = path.graphs, path.wishes
+    """Return the least sum of D from a state on, by enumeration."""
+    graphs, wishes = path.graphs, path.demand
     if (t, *state) in seen:
         return seen[t, *state]
 
@@ -259,7 +274,7 @@ def least(
 def test_the_search_finds_the_least(
     alpha: float, short_sighted: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
-    """All that can be done is tried; and where the search is given up, the bound is not below."""
+    """The search equals enumeration; if it stops early, its bound is not lower."""
     robot, found, given_up = short_sighted, [], 0
     for seed in range(6):
         (path,) = drawn(robot, [seed])
@@ -267,7 +282,7 @@ def test_the_search_finds_the_least(
         bound = robot.bound(path, alpha)
         assert bound == pytest.approx(robot.value - alpha * robot.lost - whole, abs=1e-9)
         with monkeypatch.context() as patch:
-            patch.setattr(sampled_bound, "POPPED", 4)
+            patch.setattr(robot, "options", replace(robot.options, max_expansions=4))
             early = robot.bound(path, alpha)
         assert early >= bound - 1e-9
         given_up += early > bound + 1e-3
@@ -290,18 +305,19 @@ def test_the_search_finds_the_least_where_people_leave_truncated_tasks(
     assert left > 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cost", "region"), [(0.0, 1), (0.05, 4)])
 def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost: float, region: int) -> None:
-    """With prices: priority is worked out on the whole task, for the same people.
+    """With prices, priority is computed on the whole task for the same people.
 
-    A bound that refunds the prices of people who have left is below: by 1.8 for six people, region 1 and no costs.
+    A bound that refunds the prices of people who have left is too low: by 1.8 for six people, region 1 and no costs.
     """
     setting = Setting(c_suggest=cost, c_move=cost)
     whole = Pool.sample(kit("tiny"), 4, seed=0, setting=setting)
-    run = simulate(whole, "priority", humans=[0, 1, 2, 3], episodes=4000, seed=0, world="model")
+    run = simulate(whole, "priority", humans=[0, 1, 2, 3], episodes=3000, seed=0, world="model")
     value, error = run.discounted_return.mean(), run.discounted_return.std(ddof=1) / np.sqrt(len(run))
     pool = Pool.sample(kit("tiny"), 4, seed=0, setting=setting, states=5, region=region)
-    bound = upper_bound(pool, window=10, gap=0.05, paths=6, jobs=1)
+    bound = upper_bound(pool, window=8, gap=0.1, paths=4, jobs=1)
     assert bound.sampled is not None
     assert len(bound.price) > 3
     assert bound.proven >= value - 4 * error
@@ -309,17 +325,18 @@ def test_sampled_bounds_of_truncated_tasks_are_not_below_what_priority_gets(cost
 
 
 def test_prices_are_paid_in_steps_whose_conflicts_do_not_count(short_sighted: InformationRelaxation) -> None:
-    """Each person's bound is at these prices, so that the team's is theirs and all that the prices come to."""
-    lattices = [person.lattice for person in short_sighted.people]
+    """Each person's bound is at these prices, so the team's bound is their sum plus the sum of the prices."""
+    lattices = [person.belief_nodes for person in short_sighted.people]
     gamma = lattices[0].arrays.gamma
     paid = sum(gamma**step * price for step, price in enumerate((0.3, 0.35, 0.3)))
     assert short_sighted.value == pytest.approx(paid + sum(lattice.value for lattice in lattices), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_sample_paths_on_the_command_line() -> None:
     result = invoke(
         "bound", str(KITTING / "tiny.pddl"), "--humans", "2", "--c-suggest", "0.1", "--c-move", "0.2",
-        "--episodes", "500", "--policy", "priority", "--paths", "30", "--time-limit", "3600", "--json",
+        "--episodes", "500", "--policy", "priority", "--samples", "30", "--time-limit", "3600", "--json",
     )  # fmt: skip
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
@@ -330,7 +347,7 @@ def test_sample_paths_on_the_command_line() -> None:
 
 
 def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) -> None:
-    """Their mean is reported, and what is proven is the bound."""
+    """Their mean is reported, and the bound is the proven one."""
     bound = upper_bound(pool_of(*COSTS[0]), window=4, gap=0.05, paths=5, jobs=1)
     assert bound.sampled is not None
     assert (bound.sampled.paths, bound.upper) == (5, bound.proven)
@@ -339,7 +356,7 @@ def test_too_few_sample_paths_give_no_bound(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_few_paths_say_less() -> None:
-    """Standard errors above the mean, from a table of Student's t; two paths hardly say anything."""
+    """Numbers of standard errors above the mean, from a table of Student's t; two paths give a very wide interval."""
     for paths, errors in ((2, 31.821), (3, 6.965), (11, 2.764), (100_000, 2.326)):
         assert SampledBound(-9.0, 0.5, paths, 0.3).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
         assert SampledBound(-9.0, 0.5, paths, 0.3, skewness=-2.0).upper == pytest.approx(-9.0 + 0.5 * errors, abs=1e-3)
@@ -371,8 +388,8 @@ def test_the_correction_for_skewness_misses_less_often_than_students_t() -> None
 
 
 def test_alpha_is_chosen_on_two_lucks_at_least(robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where there is no time at all: on one it would be the best of what that luck happens to have."""
-    robot.sampled(2, 0)  # what people will want after these lucks takes time, too
+    """Two paths are used even without time, since on a single one the choice would adapt to that path."""
+    robot.sampled(2, 0)  # the wishes after these paths take time too
     drawn, paths = [], robot.paths
     monkeypatch.setattr(robot, "paths", lambda of: drawn.extend(of) or paths(of))
     monkeypatch.setattr(robot, "left", lambda _: -1.0)
@@ -380,31 +397,31 @@ def test_alpha_is_chosen_on_two_lucks_at_least(robot: InformationRelaxation, mon
     assert len(drawn) == 2 + 2
 
 
-@pytest.mark.parametrize("best", range(len(ALPHAS)))
+@pytest.mark.parametrize("best", range(len(USUAL.alphas)))
 def test_alpha_is_best_on_lucks_of_its_own(
     best: int, robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """How well people fare is the same for all: what counts is which bound is lowest on the mean of the same lucks."""
+    """The levels of the values do not matter, only which bound has the lowest mean on the same sample paths."""
     tried: list[tuple[float, int]] = []
 
     def bounds(paths: Sequence[SamplePath], alpha: float) -> list[float]:
-        """Give bounds that are lowest at the one, but on some lucks at another."""
+        """Return bounds that are lowest at `best` on average, but at another alpha on some paths."""
         tried.append((alpha, len(paths)))
-        far = abs(ALPHAS.index(alpha) - best)
+        far = abs(USUAL.alphas.index(alpha) - best)
         return [(-50.0, -58.0)[luck % 2] + (far if luck % 5 < 4 else -2 * far) for luck in range(len(paths))]
 
     monkeypatch.setattr(robot, "paths", lambda of: [[] for _ in of])
     monkeypatch.setattr(robot, "_bounds", bounds)
-    assert robot.sampled(100, 0).alpha == ALPHAS[best]
+    assert robot.sampled(100, 0).alpha == USUAL.alphas[best]
     pilot = [alpha for alpha, lucks in tried if lucks == 10]
-    assert len(pilot) == len(set(pilot)) <= abs(ALPHAS.index(0.45) - best) + 3  # the other side costs nothing
+    assert len(pilot) == len(set(pilot)) <= abs(USUAL.alphas.index(0.45) - best) + 3  # the other side costs nothing
 
 
 def test_an_alpha_that_takes_the_search_long_leaves_time_for_few_lucks(
     robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On the same lucks 0.6 is the lowest, but with what is left of the time 0.45 comes to less."""
-    clock, each = [0.0], dict.fromkeys(ALPHAS, 1.0)
+    """On the same paths 0.6 is the lowest, but 0.45 gives a lower bound in the remaining time."""
+    clock, each = [0.0], dict.fromkeys(USUAL.alphas, 1.0)
 
     def bounds(paths: Sequence[SamplePath], alpha: float) -> list[float]:
         clock[0] += each[alpha] * len(paths)
@@ -427,14 +444,14 @@ def test_what_is_sampled_does_not_depend_on_how_many_work_at_a_time() -> None:
     assert found[0].paths == 7
 
 
-def test_wishes_are_worked_out_bit_by_bit(
-    robot: InformationRelaxation, paths: list[SamplePath], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However often it is asked whether to go on, they are the same."""
-    monkeypatch.setattr(congestion, "PAUSE", 3)
+def test_wishes_are_worked_out_bit_by_bit(robot: InformationRelaxation, paths: list[SamplePath]) -> None:
+    """The values do not depend on how often the time limit is checked."""
     asked: list[int] = []
     again = InformationRelaxation(
-        [person.lattice for person in robot.people], PRICE, left=lambda done: asked.append(done) or 1.0
+        [person.belief_nodes for person in robot.people],
+        PRICE,
+        left=lambda done: asked.append(done) or 1.0,
+        options=RelaxationOptions(rows_per_check=3),
     )
     assert again.lost == robot.lost
     assert len(asked) > 20
@@ -445,15 +462,19 @@ def test_wishes_are_worked_out_bit_by_bit(
 def test_a_time_limit_holds_while_wishes_are_worked_out(
     robot: InformationRelaxation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing is sampled where time is over before two lucks have been looked at; later, those are what there is."""
-    monkeypatch.setattr(congestion, "PAUSE", 20)
+    """No path is sampled if time ends before two were evaluated; later, the evaluated ones are used."""
     asked = iter((1.0, 1.0, 1.0, 0.0))
     with pytest.raises(OutOfTimeError):
-        InformationRelaxation([person.lattice for person in robot.people], PRICE, left=lambda _: next(asked))
+        InformationRelaxation(
+            [person.belief_nodes for person in robot.people],
+            PRICE,
+            left=lambda _: next(asked),
+            options=RelaxationOptions(rows_per_check=20),
+        )
     assert list(asked) == []  # it went on while there was time
 
     def sampled(draws: int) -> int:
-        """Let time be over while so many draws are followed by another: two, on which alpha is chosen, come first."""
+        """Let time end after a number of draws, of which two serve for the choice of alpha."""
         paths, drawn = robot.paths, []
 
         def until(generators: list[np.random.Generator]) -> list[SamplePath]:

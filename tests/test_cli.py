@@ -1,4 +1,4 @@
-"""The commands as users script them: options, records, exit codes, what is printed where."""
+"""The commands as users script them: options, records, exit codes, and the streams of their output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from assist.cli import main
 from assist.cli.command_group import COMMANDS
 from assist.cli.options.help import GROUPS
 from planner import Packing, Table, load
-from planner.batch.solve_instance import LEAST, SolveOptions, solve_instance
+from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.pddl.validation import read, validate
 
 FIELDS = [
@@ -37,7 +37,7 @@ def test_solve_the_papers_instance() -> None:
         0,
         17,
     )
-    assert record["verified"] == 20 or record["seconds"]["verify"] > LEAST
+    assert record["verified"] == 20 or record["seconds"]["verify"] > SolveOptions.comparison_seconds
     assert record["consistent"] == 20
     assert len(record["plan"]) == 10
     validate(read(load(KITTING / "paper.pddl").instance), record["plan"])
@@ -111,8 +111,9 @@ def test_larger_tasks_are_solved_on_demand() -> None:
     assert len(record["plan"]) == 10
 
 
+@pytest.mark.slow
 def test_a_time_limit_holds_and_disturbs_nobody() -> None:
-    names = [DOMAINS / "depot" / "four-boxes.pddl", KITTING / "tiny.pddl"]  # the first takes minutes, either way
+    names = [DOMAINS / "depot" / "four-boxes.pddl", KITTING / "tiny.pddl"]  # the first takes minutes with either method
     result = kitassist("solve", *names, "--time-limit", 5, "--max-states", 10**12, "--json")
     assert result.returncode == 1
     big, small = json.loads(result.stdout)
@@ -151,13 +152,17 @@ def test_whoever_finds_no_memory_it_is_said_of_the_instance(monkeypatch: pytest.
     assert record["error"]["file"] == str(KITTING / "tiny.pddl")
 
 
+@pytest.mark.slow
 def test_memory_is_shared_by_those_that_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not by as many as might: three gigabytes are enough for one, and no process begins in a thousandth of them."""
+    """Memory is shared among running processes, not by their largest number: 3 GB suffice for one, a thousandth of it
+    for none.
+    """
     monkeypatch.setattr("planner.batch.solve_batch.available_memory", lambda: 3e9)
     result = invoke("solve", KITTING / "tiny.pddl", "--jobs", 1000, "--json")
     assert [record["status"] for record in json.loads(result.stdout)] == ["solved"]
 
 
+@pytest.mark.slow
 def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert invoke("solve", KITTING / "tiny.pddl", "--out", out).exit_code == 0
@@ -173,7 +178,7 @@ def test_resume_keeps_what_is_finished(tmp_path: Path) -> None:
     assert json.loads(result.stdout)[1] == before  # the very record, seconds included
     assert [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()] == json.loads(result.stdout)
     assert invoke("solve", names[1], "--out", out, "--resume").exit_code == 0
-    assert len((out / "results.jsonl").read_text().splitlines()) == 2  # the other one is not lost
+    assert len((out / "results.jsonl").read_text().splitlines()) == 2  # the other record is kept
 
 
 def test_a_wrong_table_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,7 +258,7 @@ def test_simulate_prints_a_table_and_draws_a_picture(tmp_path: Path) -> None:
         (
             (KITTING / "tiny.pddl", "--humans", 2, "--policy", "attention-never", "--region-states", 5),
             1,
-            "tiny.pddl: policy 'attention-never': expected a task that is looked at whole",
+            "tiny.pddl: policy 'attention-never': expected an enumerated task",
         ),
         ((KITTING / "tiny.pddl", "--humans", 2, "--out", "/dev/null/x"), 1, "/dev/null"),
     ],

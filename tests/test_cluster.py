@@ -1,4 +1,6 @@
-"""Work on a Dask cluster: the same as on this machine. One cluster for all tests, since it takes seconds to start."""
+"""Work on a Dask cluster: the same results as on this machine. All tests share one cluster, which takes seconds to
+start.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled code is kept for later processes, and made again when a file changes that it depends on."""
+"""Compiled code is cached for later processes, and compiled again when a file that it depends on changes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numba
 import pytest
 from conftest import ROOT
 
-from planner.system.jit import stamp
+from planner.system.jit import njit, stamp
 
 SHARED = """
 from typing import NamedTuple
@@ -127,7 +128,7 @@ def test_code_whose_types_were_renamed_or_are_gone_is_compiled_anew(
 
 
 def test_numba_can_be_switched_off() -> None:
-    code = "from assist.people.influence_kernels import moved; print(moved(0.5, 0.0, 1.0))"
+    code = "from assist.people.influence_kernels import update_trust; print(update_trust(0.5, 0.0, 1.0))"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
     assert (done.stdout, done.stderr) == ("0.5\n", "")
@@ -139,3 +140,20 @@ def test_all_compiled_code_is_cached_in_this_way(package: str) -> None:
         if file != ROOT / "planner" / "system" / "jit.py":
             uses = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Attribute)]
             assert not [node for node in uses if node.attr in ("njit", "jit", "vectorize", "guvectorize")], file
+
+
+@njit()
+def ratio(a: float, b: float) -> float:
+    return a / b
+
+
+@njit(fastmath={"arcp"})
+def ratio_by_a_reciprocal(a: float, b: float) -> float:
+    return ratio(a, b)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_arithmetic_is_that_of_the_function_and_not_of_its_first_caller() -> None:
+    """The reciprocal of a subnormal number is infinite, and its ratio to itself is one."""
+    ratio_by_a_reciprocal(1.0, 2.0)
+    assert ratio(1e-310, 1e-310) == 1.0

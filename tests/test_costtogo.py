@@ -1,4 +1,4 @@
-"""Tables of costs-to-go of graphs that are worked out by hand, and what they are made of."""
+"""Cost-to-go tables of graphs with known values, and their parts."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def table() -> Table:
 
 @pytest.fixture(scope="module")
 def node(table: Table) -> dict[int, int]:
-    """Which node each state is."""
+    """Return the node of each state."""
     return dict(enumerate(table.values(np.arange(len(table)))[:, 0].tolist()))
 
 
@@ -61,7 +61,7 @@ def test_a_plan_begins_in_the_initial_state_unless_told_otherwise(table: Table) 
 
 
 def test_optimal_choices_by_hand(table: Table, node: dict[int, int]) -> None:
-    """Free actions count only on the shortest of the cheapest ways: from 1 that leads over 2, not over 3."""
+    """Free actions are optimal choices only on the shortest of the cheapest paths: from 1 over 2, not over 3."""
     rows = table.choices(np.arange(len(table)))
     best = optimal_choices(table, np.arange(len(table)), rows)
     np.testing.assert_array_equal(best, table.optimal_choices())
@@ -137,7 +137,7 @@ def test_some_states_at_random(table: Table) -> None:
 
 
 def test_where_every_action_costs_something_any_of_several_plans_will_do() -> None:
-    """Two ways at every step, from 5 to 0, and two edges each."""
+    """From each node on the way from 5 to 0 there are two steps, with two edges each."""
     steps = [(5, 4), (5, 3), (4, 2), (4, 1), (3, 2), (3, 1), (2, 0), (1, 0)]
     edges = [(*step, 2) for step in steps for _ in range(2)]
     table = sweep(graph_task(edges, start=5))
@@ -151,7 +151,9 @@ def test_where_every_action_costs_something_any_of_several_plans_will_do() -> No
 
 @pytest.mark.parametrize("start", [1, 2, 3])
 def test_a_plan_gets_out_of_a_circle_of_free_actions(start: int) -> None:
-    """From 1 and 2 one can go round for nothing; the way out is free as well, and the goal costs 2 wherever one is."""
+    """Actions between 1 and 2 are free and form a cycle; leaving it is free too, and the goal costs 2 from every
+    node.
+    """
     table = sweep(graph_task([(1, 2, 0), (2, 1, 0), (1, 3, 0), (3, 0, 2)], start=start))
     names = {1: ["(go 002)", "(go 003)"], 2: ["(go 001)", "(go 002)", "(go 003)"], 3: ["(go 003)"]}
     assert table.optimal_plan() == names[start]
@@ -207,7 +209,7 @@ def test_a_state_that_takes_too_long_is_left_out(table: Table, monkeypatch: pyte
 
 
 def test_the_first_answer_ends_the_other_searches(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them are asked with the limits that were given."""
+    """Every search has the limits of the caller."""
     stopped = list[bool]()
 
     def search(_: Task, state: list[int], *, search: str, limits: Limits) -> tuple[float, None]:
@@ -227,13 +229,13 @@ def test_the_first_answer_ends_the_other_searches(table: Table, monkeypatch: pyt
 
 
 def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where memory is limited there may be none for a thread, whose beginning Python then waits for without an end."""
+    """If memory is limited, a thread may not start, and Python then waits for its start without end."""
     monkeypatch.setattr(threading.Thread, "start", lambda _: pytest.fail("a thread was started"))
     assert verify(table, 2, np.random.default_rng(0)) == 2
 
 
 def test_a_program_that_begins_late_gets_all_of_its_task(tmp_path: Path) -> None:
-    """More than a pipe holds, while it is asked now and then whether the answer is still wanted."""
+    """The input is larger than a pipe holds, and the stop event is checked meanwhile."""
     limits = Limits(seconds=60, stop=threading.Event())
     code, output = fast_downward._run(["sh", "-c", "sleep 0.1; wc -c"], str(tmp_path), "x" * 500_000, limits)
     assert (code, output.strip()) == (0, "500000")
@@ -244,7 +246,7 @@ def test_a_program_that_finds_no_room_to_begin_is_out_of_memory() -> None:
         said = f"downward: error while loading shared libraries: libm.so.6: {why}"
         with pytest.raises(LimitError, match="ran out of memory"):
             fast_downward._check_limits("A*", 127, said, Limits(memory_mb=1))
-    fast_downward._check_limits("A*", 127, said, Limits())  # nobody has limited it
+    fast_downward._check_limits("A*", 127, said, Limits())  # no limit was set
     fast_downward._check_limits("A*", 127, "libm.so.6: cannot open shared object file", Limits(memory_mb=1))
 
 
@@ -279,7 +281,7 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
         assert table.task.plan_cost(plan) == cost
     if start == 1:
         with pytest.raises(ValueError, match="argument"):
-            astar(table.task, [1, 0])  # the task has one variable
+            astar(table.task, [1, 0])  # the task has only one variable
         assert astar(table.task)[0] == 4
         assert astar(table.task, [1], search="astar(blind())")[0] == 4
         with pytest.raises(fast_downward.FastDownwardError, match="of_no_kind"):
@@ -289,7 +291,7 @@ def test_one_state_by_fast_downward(table: Table, start: int) -> None:
 
 
 def test_derived_variables_have_their_defaults_wherever_a_search_begins() -> None:
-    """A lamp is lit at 1, where the plan begins, and is not to be at 2, one step away."""
+    """A lamp is lit at 1, where the plan begins, and must not be lit at 2, one step away."""
     text = """begin_version/3/end_version/begin_metric/1/end_metric/2
 begin_variable/var0/-1/3/Atom at(0)/Atom at(1)/Atom at(2)/end_variable
 begin_variable/var1/0/2/Atom lit()/NegatedAtom lit()/end_variable
@@ -336,7 +338,7 @@ def test_large_costs_are_right_or_refused(tmp_path: Path, costs: tuple[int, int,
 
 
 def test_a_comparison_without_end_is_given_up() -> None:
-    """One state's search may take no longer than what is left of the time for all."""
+    """The search of one state is limited by the remaining time of all."""
     table = kit("tiny")
     given: list[float | None] = []
 

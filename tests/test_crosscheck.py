@@ -1,4 +1,6 @@
-"""No policy exceeds a bound, in random settings: tasks, costs, people, ways, parts of tasks, prices, sample paths."""
+"""No policy exceeds a bound, in random settings of tasks, costs, people, travel, truncation, prices and sample
+paths.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,7 @@ def assert_no_violation(numbers: range) -> list[Outcome]:
 
 
 def test_no_policy_exceeds_a_bound() -> None:
-    outcomes = assert_no_violation(range(20))
+    outcomes = assert_no_violation(range(8))
     compared = Counter(kind for outcome in outcomes for kind in outcome.kinds)
     assert compared["none"] == compared["priority"] == compared["attention"] == compared["reactive"] == len(outcomes)
     assert compared["priority at the bound's prices"] > 0
@@ -34,8 +36,8 @@ def test_no_policy_exceeds_a_bound() -> None:
 
 @pytest.mark.slow
 def test_no_policy_exceeds_a_bound_in_two_hundred_settings() -> None:
-    cases = [Case.of(number) for number in range(20, 220)]
-    # All that there is to combine is there.
+    cases = [Case.of(number) for number in range(8, 208)]
+    # All features occur.
     for has in (
         lambda case: case.part is not None, lambda case: case.part is None, lambda case: case.paths > 0,
         lambda case: case.late, lambda case: case.setting.execute, lambda case: case.setting.lapse == 0,
@@ -43,8 +45,9 @@ def test_no_policy_exceeds_a_bound_in_two_hundred_settings() -> None:
         lambda case: case.setting.travel_time > 0, lambda case: case.distance is not None,
         lambda case: case.task == "delivery/one-parcel", lambda case: case.setting.knowledge == "exact",
         lambda case: case.setting.knowledge == "own", lambda case: case.setting.suggestions == "all",
+        lambda case: case.setting.trust != "paper",
     ):  # fmt: skip
         assert sum(bool(has(case)) for case in cases) >= 5
-    outcomes = assert_no_violation(range(20, 220))
+    outcomes = assert_no_violation(range(8, 208))
     compared = sum(len(outcome.kinds) for outcome in outcomes)
     assert sum(outcome.refused for outcome in outcomes) <= REFUSED * compared

@@ -1,11 +1,11 @@
-"""The dense index: mutexes, invariants and clusters are theorems, and tables made with them equal plain search."""
+"""The dense index: mutexes, invariants and clusters hold in all reachable states, and tables equal plain search."""
 
 from __future__ import annotations
 
-import math
 import random
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from conftest import DOMAINS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from plain import explore
-from test_sweep import check, forward_search, module, random_task
+from test_sweep import UNLISTED, check, module, random_task
 
 from planner import Effect, Operator, Task, Variable, instance, load
 from planner.search.ranking.linear_invariants import PRIME, determined, invariants
@@ -27,7 +27,7 @@ Draft = tuple[list[int], list[int], list[tuple[dict[int, int], dict[int, int]]]]
 
 
 def counters(rng: random.Random) -> Draft:
-    """Items of one kind that move between places; each place has a counter."""
+    """Return a task with items of one kind that move between places, each with a counter."""
     places, total = rng.randint(2, 4), rng.randint(1, 4)
     sizes, initial = [total + 1] * places, [total] + [0] * (places - 1)
     operators = []
@@ -40,7 +40,9 @@ def counters(rng: random.Random) -> Draft:
 
 
 def stacks(rng: random.Random) -> Draft:
-    """Boxes on each other and on places: a variable for where each stands, one for whether each support is clear."""
+    """Return a task with stacked boxes: a variable for each box's support, and one for whether each support is
+    clear.
+    """
     boxes, places = rng.randint(1, 3), rng.randint(1, 2)
     supports = boxes + places  # boxes come first
     sizes, initial = [supports] * boxes + [2] * supports, [0] * boxes
@@ -63,7 +65,7 @@ def stacks(rng: random.Random) -> Draft:
 
 
 def grid(rng: random.Random) -> Draft:
-    """Tokens that move over a row of cells; each cell says whether it is taken."""
+    """Return a task with tokens that move over a row of cells, each with a variable for whether it is occupied."""
     cells, tokens = rng.randint(2, 5), rng.randint(1, 2)
     tokens = min(tokens, cells - 1)
     sizes = [cells] * tokens + [2] * cells
@@ -123,7 +125,7 @@ def composed(seed: int, *, costs: range) -> Task:
 
 
 def theorems(task: Task) -> Iterator[str]:
-    """Compare what is said of all reachable states with the states; name what was said."""
+    """Compare claims about reachable states with the enumerated states; yield the claims."""
     moves = split_operators(task)
     assert moves is not None
     mutexes = Mutexes.of(task, moves)
@@ -170,20 +172,16 @@ def test_the_tasks_have_what_is_looked_for() -> None:
 @settings(
     max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 )
-@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), *[st.booleans()] * 2)
-def test_tables_equal_plain_search(seed: int, costs: range, hashed: bool, few: bool) -> None:
+@given(st.integers(0, 10**6), st.sampled_from([range(1, 2), range(4), range(3, 90_000, 11)]), st.booleans())
+@pytest.mark.slow
+def test_tables_equal_plain_search(seed: int, costs: range, few: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(StateRanking, "of", classmethod(lambda *_: None))  # only the dense coding is left
-        if not few:  # these are listed before it is looked for
-            patch.setattr(module, "FEW", -1)
-            patch.setattr(module, "HUGE", math.inf)
-        if hashed:
-            patch.setattr(forward_search, "SMALL_BITMAP", 0)
-            patch.setattr(forward_search, "SPARSE", 0)
-        table = check(composed(seed, costs=costs))
+        options = None if few else UNLISTED  # few states are listed before it is looked for
+        table = check(composed(seed, costs=costs), options)
         if not few:
             assert len(table.space.numbering.coding.clusters) <= len(table.task.variables)  # type: ignore[attr-defined]
-        check(random_task(random.Random(seed), costs=costs))
+        check(random_task(random.Random(seed), costs=costs), options)
 
 
 def test_a_counted_task_has_a_dense_index() -> None:
@@ -191,14 +189,13 @@ def test_a_counted_task_has_a_dense_index() -> None:
     task = load(DOMAINS / "depot" / "five-items.pddl")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "MANY", 1 << 20)
-        patch.setattr(module, "FEW", -1)
-        table = module.sweep(task)
+        table = module.sweep(task, options=UNLISTED)
     assert len(table) == 41_472
     assert table.space.numbering.coding.size < 64 * len(table)
 
 
 def tied(count: int, size: int, toggles: int, dead: int = 0) -> Task:
-    """A task in which variables turn together, others are switched one by one, and some never change."""
+    """Return a task in which some variables change together, others are switched singly, and some never change."""
     sizes = [size] * count + [2] * (toggles + dead)
     moves = [(dict.fromkeys(range(count), a), dict.fromkeys(range(count), (a + 1) % size)) for a in range(size)]
     moves += [({count + t: a}, {count + t: 1 - a}) for t in range(toggles) for a in range(2)]
@@ -229,9 +226,7 @@ def test_many_variables_that_determine_each_other_fit_no_word(count: int, size: 
     """Their values together are more than 64 bits, and more variables are constant than a field counts."""
     with pytest.MonkeyPatch.context() as patch:  # only the dense coding is left
         patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
-        patch.setattr(module, "FEW", -1)
-        patch.setattr(module, "HUGE", math.inf)
-        table = check(tied(count, size, toggles, dead))
+        table = check(tied(count, size, toggles, dead), UNLISTED)
     assert len(table) == size * 2**toggles
     assert table.h[table.initial] == size - 1
 
@@ -241,10 +236,9 @@ def test_an_index_is_not_looked_for_all_the_time() -> None:
     plain = module.sweep(task)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
-        patch.setattr(module, "FEW", -1)
-        patch.setattr(module, "LOOKING", -1)  # its share is over before it begins
-        assert module.sweep(task).note is None
-        table = module.sweep(task, deadline=time.monotonic() + 60)
+        options = replace(UNLISTED, ranking_share=-1)  # its share is over before it begins
+        assert module.sweep(task, options=options).note is None
+        table = module.sweep(task, deadline=time.monotonic() + 60, options=options)
     assert table.note is not None
     assert table.note.endswith("looking for an index took too long")
     assert len(table) == len(plain)

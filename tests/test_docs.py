@@ -1,4 +1,4 @@
-"""What the documentation shows is run, and what it says is printed is printed."""
+"""Commands and examples in the documentation are run, and their output is compared with the text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from assist.cli import main
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "domains").rglob("*.md"))]
 STATUS = "echo $?"
-"""Behind a command: it may fail, what it says on stderr is shown as well, and its exit code is the one shown."""
+"""After a command: it may fail, its stderr is shown too, and its exit code is compared."""
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 # Cells of notebooks are run where the documentation is built.
 KINDS = {"console", "pycon", "sh", "pddl", "toml", "text", "json", "nginx", "{toctree}", "{eval-rst}", "{code-cell}"}
@@ -30,7 +30,7 @@ BLOCK = re.compile(r"^```([\w{}-]*)\n(.*?)^```", re.M | re.S)
 
 
 def blocks(page: Path, language: str) -> str:
-    """All blocks of a language in a page, one after the other."""
+    """Return all blocks of a language in a page, joined."""
     return "\n".join(text for name, text in BLOCK.findall(page.read_text()) if name == language)
 
 
@@ -55,10 +55,9 @@ def pages_with(language: str) -> list[Path]:
 
 
 def cases(language: str) -> list[Any]:
-    """Pages with blocks of a language; those to look things up in, unlike what users read first, are slow tests."""
+    """Return the pages with blocks of a language; all but the files called README are slow tests."""
     return [
-        pytest.param(page, marks=[pytest.mark.slow] if page.parent == ROOT / "docs" else [])
-        for page in pages_with(language)
+        pytest.param(page, marks=[] if page.stem == "README" else [pytest.mark.slow]) for page in pages_with(language)
     ]
 
 
@@ -76,7 +75,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, one_picture: None) ->
 
 
 def run(command: str) -> tuple[int, str, str, str]:
-    """Run a command: exit code, stdout, stderr and both; the project's own without a shell and another interpreter."""
+    """Run a command; return its exit code, stdout, stderr and both. The project's own command runs in this process."""
     if command.startswith("kitassist ") and not set(command) & set("|<>&;$`"):
         result = CliRunner().invoke(main, shlex.split(command)[1:], prog_name="kitassist")
         if result.exception is not None and not isinstance(result.exception, SystemExit):
@@ -157,12 +156,10 @@ def test_every_exception_is_in_the_catalogue() -> None:
 
 
 def test_what_notebooks_write_is_what_the_examples_have() -> None:
-    """Cells run where the documentation is built; each of the notebooks can be the first that somebody opens."""
-    written = {"domain": ("domain.pddl", "bookshelf.pddl"), "draw": ("drawing.toml",)}
-    for notebook, files in written.items():
-        text = (ROOT / "docs" / "tutorials" / f"{notebook}.md").read_text()
-        for file in files:
-            assert (ROOT / "docs" / "examples" / "shelf" / file).read_text() in text
+    """Cells run when the documentation is built; each notebook can be read first."""
+    text = (ROOT / "docs" / "tutorials" / "domain.md").read_text()
+    for file in ("domain.pddl", "bookshelf.pddl"):
+        assert (ROOT / "docs" / "examples" / "shelf" / file).read_text() in text
 
 
 def test_links_lead_somewhere() -> None:

@@ -1,4 +1,4 @@
-"""Drawings: every object is there, the goal is marked as it is, the same state gives the same bytes."""
+"""Drawings: every object is shown, the goal is marked, and equal states give equal bytes."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_things_are_drawn_where_they_are() -> None:
     drawn = artist("kitting/paper")
     start = drawn.draw().svg
     assert written_on(start, "box-a") == ["box-a", "hammer", "pliers"]
-    assert written_on(start, "slot-1") == ["slot-1", "hammer"]  # what is wanted there
+    assert written_on(start, "slot-1") == ["slot-1", "hammer"]  # the wanted item
     after = drawn.draw(drawn.subject.follow(["(fetch box-a)", "(place pliers slot-1 box-a)"])[-1]).svg
     assert written_on(after, "box-a") == ["box-a", "hammer"]
     assert written_on(after, "slot-1") == ["slot-1", "hammer", "pliers"]
@@ -134,7 +134,7 @@ def test_a_frame_is_green_when_all_parts_of_the_goal_that_name_the_object_hold(
         found = re.findall(r'<g class="([^"]*)" data-object="([^"]*)"', content)
         return {name for classes, name in found if "ka-done" in classes}
 
-    parts = {"nut", "cap"} if goal.startswith("(in") else set()  # the other goal does not say of which parts it speaks
+    parts = {"nut", "cap"} if goal.startswith("(in") else set()  # the other goal does not name its parts
     assert green() == set()
     assert green("(seal bin)") == set()  # it is empty
     assert green("(put nut bin)", "(seal bin)") == parts & {"nut"}
@@ -224,7 +224,7 @@ def test_tasks_with_derived_facts_are_drawn(tmp_path: Path) -> None:
         assert "Goal: 2 of 2" in after.text
         assert "axiom" not in after.svg
     moved = drawn.subject.follow(["(bring x a c)"])[-1]
-    for derived in ("", "(free a) (free b)", "(free c)"):  # they are derived, whatever a file says
+    for derived in ("", "(free a) (free b)", "(free c)"):  # derived facts in a file are ignored
         (tmp_path / "state").write_text(f"(in x c) (moved x) {derived}")
         assert read_state(tmp_path / "state", drawn.subject) == moved
 

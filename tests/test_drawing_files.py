@@ -1,4 +1,4 @@
-"""Plans, traces and states as files that drawings are made of, and pictures as files."""
+"""Plans, traces and states as input files of drawings, and drawings as output files."""
 
 from __future__ import annotations
 

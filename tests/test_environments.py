@@ -1,10 +1,11 @@
-"""Teams as environments of Gymnasium and PettingZoo: their libraries' own checks, and the simulator's episodes."""
+"""Teams as environments of Gymnasium and PettingZoo: the libraries' own checks, and the simulator's episodes."""
 
 from __future__ import annotations
 
 import importlib
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -19,6 +20,7 @@ from assist.interop.gymnasium import ID, TeamEnv, TeamVectorEnv
 from assist.interop.pettingzoo import parallel_env
 from assist.people.choices import Choices
 from assist.people.human import Population
+from assist.people.trust_rules import outcome_at_disagreement
 from assist.team.policies import POLICIES
 from assist.team.settings import Setting
 
@@ -26,7 +28,7 @@ EPISODES = 4
 
 
 def total(env: TeamEnv, policy: str) -> list[float]:
-    """The discounted return of each episode in which a team policy decides."""
+    """Return the discounted return of each episode in which a team policy decides."""
     chooses = env.pool.policy(policy, env.team.travel)
     returns = []
     for episode in range(EPISODES):
@@ -49,6 +51,17 @@ def test_an_episode_is_the_simulators(pool: Pool, policy: str) -> None:
 
 
 @pytest.mark.parametrize("world", ["people", "model"])
+def test_an_episode_is_the_simulators_with_another_rule_of_trust(tiny_choices: Choices, world: str) -> None:
+    setting = Setting(c_suggest=0.0, c_move=0.0, trust=outcome_at_disagreement(-4.0, 4.0, 4.0), max_steps=40)
+    pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
+    found = simulate(pool, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert total(TeamEnv(pool, 3, world=world), "attention") == pytest.approx(found.discounted_return.tolist())
+    constant = Pool.sample(tiny_choices, 4, seed=2, setting=replace(setting, trust="constant"))
+    other = simulate(constant, "attention", humans=3, episodes=EPISODES, seed=5, world=world)
+    assert other.discounted_return.tolist() != found.discounted_return.tolist()
+
+
+@pytest.mark.parametrize("world", ["people", "model"])
 def test_an_episode_is_the_simulators_where_ways_take_time(tiny_choices: Choices, world: str) -> None:
     setting = Setting(c_suggest=0.1, travel_time=2.0, max_steps=8)
     pool = Pool.sample(tiny_choices, 4, seed=2, setting=setting)
@@ -59,7 +72,9 @@ def test_an_episode_is_the_simulators_where_ways_take_time(tiny_choices: Choices
 
 
 def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> None:
-    found = simulate(pool, "attention", humans=2, episodes=70, seed=5)  # luck is drawn for 64 at a time
+    found = simulate(
+        pool, "attention", humans=2, episodes=70, seed=5
+    )  # random numbers are drawn for 64 episodes at a time
     env = TeamVectorEnv(pool, 70, 2)
     chooses = pool.policy("attention")
     env.reset(seed=5)
@@ -76,7 +91,7 @@ def test_many_teams_at_a_time_have_the_simulators_first_episodes(pool: Pool) -> 
         if not going.any():
             break
     assert returns == pytest.approx(found.discounted_return)
-    assert begun > 0  # who has ended begins again while others go on
+    assert begun > 0  # finished teams are reset while others continue
 
 
 def test_gymnasium_finds_nothing_wrong(pool: Pool) -> None:
@@ -108,7 +123,7 @@ def test_many_are_made_natively() -> None:
     unseen = TeamVectorEnv(env.unwrapped.pool, 3, 2, beliefs=False)
     other, _ = unseen.reset(seed=[1, 2, 3])
     assert {*first} - {*other} == {"belief"}
-    for _ in range(3):  # nobody's belief is kept, and the same happens
+    for _ in range(3):  # without beliefs, the dynamics are the same
         first, *_ = env.step(np.zeros(3, dtype=int))
         other, *_ = unseen.step(np.zeros(3, dtype=int))
         assert (first["state"] == other["state"]).all()
@@ -131,7 +146,7 @@ def test_what_is_not_possible_does_nothing_and_says_so(pool: Pool) -> None:
 
 
 def test_a_suggestion_is_heard(pool: Pool) -> None:
-    """What is seen of a person who was helped moves with the task, and the robot is there."""
+    """After a suggestion, the observation of the person changes and the robot is there."""
     env = TeamEnv(pool, 2)
     seen, info = env.reset(seed=2)
     action = int(np.flatnonzero(info["action_mask"])[-1])

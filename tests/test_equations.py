@@ -1,4 +1,4 @@
-"""Equations 4 to 6 and the filter: every second place, made for speed, against `decision` and `belief`."""
+"""Equations 4 to 6 and the filter: every fast implementation compared with `decision` and `belief`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from assist.people.decision import (
     trust,
 )
 from assist.people.human import HumanModel
-from assist.person import hsvi
+from assist.person import belief_filter
 from assist.person.alpha_vectors import VectorPolicy
 from assist.person.pomdp import AssistPOMDP
 from assist.person.problem_arrays import ProblemArrays
@@ -57,7 +57,7 @@ def problem_of(drawn: list[tuple[int, int, int]], person: dict[str, float], sigm
 
 
 def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
-    """The chance of each slot, shape (B, T, A), by the equations of `people.decision`."""
+    """Return the probability of each slot, shape (B, T, A), by the equations of `people.decision`."""
     model, applicable = problem.model, problem.model.choices.applicable[x]
     p = np.array([choice(model.q[x], applicable, beta) for beta in BETA])
     heard = [[influence(row, int(problem.suggested[x, r]), theta) for theta in THETA] for row in p]
@@ -65,7 +65,7 @@ def response(problem: AssistPOMDP, x: int, r: int) -> Floats:
 
 
 def moves(problem: AssistPOMDP, x: int, r: int) -> Floats:
-    """Where theta goes, shape (T, T), by the equations of `people.decision`."""
+    """Return the transition matrix of theta, shape (T, T), by the equations of `people.decision`."""
     model, choices = problem.model, problem.model.choices
     value, slot = perceived_value(choices, model.q), problem.suggested[x, r]
     after = THETA
@@ -98,7 +98,7 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
         for r in range(problem.robot_actions[x]):
             chance, theta = response(problem, x, r), moves(problem, x, r)
             told, other, lapsed, child = (np.empty(problem.prior.size) for _ in range(4))
-            place, slot = hsvi._split(x, r, belief.reshape(-1), told, other, lapsed, arrays)
+            place, slot = belief_filter.split(belief.reshape(-1), told, other, lapsed, lapsed, x, r, arrays)
             expected, gained = np.zeros(problem.grid.shape), 0.0
             for a in slots.tolist():
                 y = choices.targets[x, a]
@@ -106,7 +106,7 @@ def test_every_step_of_a_problem_is_that_of_the_equations(
                 likelihood = problem.likelihood(state, robot, action)[0]
                 np.testing.assert_allclose(likelihood, chance[:, :, a], rtol=1e-12, atol=1e-300)
                 joint = (belief * chance[:, :, a]) @ theta
-                mass = hsvi._child(place, a, slot, told, other, lapsed, child, arrays)
+                mass = belief_filter.child(child, place, a, slot, told, other, lapsed, lapsed, arrays)
                 np.testing.assert_allclose(child.reshape(joint.shape), joint, rtol=1e-11, atol=1e-280)
                 np.testing.assert_allclose(mass, joint.sum(), rtol=1e-11, atol=1e-280)
                 if joint.sum() > 1e-250:
@@ -139,13 +139,15 @@ def test_compiled_equations_are_those_of_the_model(
     p = expected.copy()
     heard = influence(expected, told, theta)
     if told >= 0:
-        same, other = influence_kernels.answer(theta, expected[told], expected[np.arange(len(q)) != told].sum())
+        same, other = influence_kernels.influence_factors(
+            theta, expected[told], expected[np.arange(len(q)) != told].sum()
+        )
         answered = expected * np.where(np.arange(len(q)) == told, same, other)
         np.testing.assert_allclose(answered, heard, rtol=1e-9, atol=1e-300)  # below that doubles are not as exact
-        influence_kernels.heed(p, len(q), told, theta)
+        influence_kernels.weigh_by_influence(p, len(q), told, theta)
     np.testing.assert_allclose(p / p.sum(), heard, rtol=1e-9, atol=1e-300)
     value, after = gained
-    if np.isinf(value):  # who sees no way to the goal sees none from the next state either
+    if np.isinf(value):  # from a perceived dead end, the next state is one too
         after = value
     for eta in (0.0, 0.2, 2.0):
         moved = float(trust(theta, value, after, eta))
@@ -155,7 +157,7 @@ def test_compiled_equations_are_those_of_the_model(
         elif np.isinf(after):
             assert moved == 0
         gain = 0.0 if value == after else after - value
-        assert influence_kernels.moved(theta, eta, gain) == moved
+        assert influence_kernels.update_trust(theta, eta, gain) == moved
 
 
 @examples
@@ -163,7 +165,9 @@ def test_compiled_equations_are_those_of_the_model(
 def test_the_likelihood_of_a_walk_is_that_of_the_equations(
     drawn: list[tuple[int, int, int]], person: dict[str, float], first: float, beta: float, seed: int
 ) -> None:
-    """What `fit` maximises, on any task, with suggestions into dead ends, eta 0 and theta at its ends."""
+    """The likelihood that `fit` maximises, on any task, with suggestions into dead ends, eta 0 and extreme values of
+    theta.
+    """
     problem = problem_of(drawn, person, 0.0)
     model, choices, rng = problem.model, problem.model.choices, np.random.default_rng(seed)
     value, lowest = perceived_value(choices, model.q), model.q.min(axis=1, keepdims=True)

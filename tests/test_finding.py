@@ -1,4 +1,4 @@
-"""Domain files are found by what they define, whatever they are called and wherever they usually lie."""
+"""Domain files are found by their content, whatever their names and usual locations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DOMAIN, PROBLEM = (KITTING / "domain.pddl").read_text(), (KITTING / "tiny.pddl")
 
 
 def written(folder: Path, *names: str, domain: str = "kitting") -> None:
-    """Write files: a domain where the name says so, else a problem."""
+    """Write files: a domain if the name contains "domain", otherwise a problem."""
     for name in names:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         text = DOMAIN if "domain" in name.lower() else PROBLEM
@@ -154,12 +154,13 @@ def test_domains_in_a_folder_are_no_problems(tmp_path: Path) -> None:
 
 
 def test_a_domain_that_no_problem_uses_is_told_of(tmp_path: Path) -> None:
-    """A user who names both files means this domain: another is not taken in silence."""
+    """If a user names both files, another domain is not used without a message."""
     written(tmp_path, "domain.pddl", "my-domain.pddl", "tiny.pddl")
     found = find_instances([tmp_path / "my-domain.pddl", tmp_path / "tiny.pddl"])
     assert [one.problem.name for one in found] == ["my-domain.pddl", "tiny.pddl"]
 
 
+@pytest.mark.slow
 def test_a_folder_of_many_problems(tmp_path: Path) -> None:
     numbers = range(1000)
     for number in numbers:

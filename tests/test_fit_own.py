@@ -1,4 +1,4 @@
-"""People who choose by a model of one's own: estimated as the paper's are, and refused where that cannot be."""
+"""People with a user's choice model: estimated as with the paper's model, and refused if that is impossible."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def short_sighted(choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarr
 
 
 def walked(model: object, beta: float, episodes: int) -> list[dict]:
-    """What somebody does who chooses by a model."""
+    """Return the log of a person who chooses by a model."""
     choices, rng, rows = Choices.of(PAPER), np.random.default_rng(3), []
     q = np.where(choices.applicable, choices.costs + choices.h[choices.targets], np.inf)
     p = model(choices, q, np.array([beta]))[0]  # type: ignore[operator]
@@ -69,7 +69,7 @@ def test_the_papers_model_as_ones_own_gives_the_papers_estimates(plain: FittedPe
 
 
 def test_the_likelihood_is_the_models_own() -> None:
-    """At the estimate it is the sum over the choices of what the model says, lapses included."""
+    """At the estimate, it is the sum of the model's log-probabilities, lapses included."""
     rows = walked(short_sighted, 1.5, 25)
     found = fit(PAPER, Log.of(rows), chooses=short_sighted)["ann"]
     low, high = found.beta_interval
@@ -84,6 +84,7 @@ def test_the_likelihood_is_the_models_own() -> None:
     assert found.fit.log_likelihood == pytest.approx(wanted, abs=1e-2)
 
 
+@pytest.mark.slow
 def test_trust_looks_at_the_models_own_value() -> None:
     class Doubled:
         def __call__(self, choices: Choices, q: np.ndarray, beta: np.ndarray) -> np.ndarray:
@@ -97,6 +98,7 @@ def test_trust_looks_at_the_models_own_value() -> None:
     assert np.any(gains[0] != 0)
 
 
+@pytest.mark.slow
 def test_people_like_them_choose_so_too(plain: FittedPeople) -> None:
     found = fit(PAPER, Log.of(ROWS), chooses=short_sighted)
     assert found.population().chooses is short_sighted

@@ -1,4 +1,4 @@
-"""Other people's PDDL: what Fast Downward's translator reads and unified-planning does not."""
+"""PDDL of others: files that Fast Downward's translator reads and unified-planning does not."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.batch.solve_instance import solve_instance
 from planner.grounding.semantics import replay
 from planner.pddl.validation import InvalidPlanError
 
-# Wires between places, closed and opened; a lamp is lit where power comes to it over closed wires.
+# Wires between places are closed and opened; a lamp is lit if a closed path connects it to the source.
 POWER = """(define (domain power) (:requirements :strips :typing :derived-predicates)
   (:types place)
   (:predicates (wire ?a ?b - place) (closed ?a ?b - place) (source ?p - place) (powered ?p - place) (tested ?p - place))
@@ -32,7 +32,7 @@ POWER_PROBLEM = """(define (problem lamps) (:domain power) (:objects s a b c - p
   (:init (source s) (wire s a) (wire a b) (wire s c) (wire b c))
   (:goal (and (tested a) (tested b))))"""
 
-# Each is a way to walk along four places; `step` is one action of two or three.
+# Variants of a walk along four places; `step` is one of two or three actions.
 WALK = """(define (domain walk) (:requirements {requirements}) {types}
   (:predicates (at ?p) (next ?a ?b) {predicates})
   {actions})"""
@@ -125,7 +125,7 @@ def test_derived_predicates(tmp_path: Path) -> None:
     table = sweep(load(instance))
     assert verify(table, 40, np.random.default_rng(0)) == 40
     assert replay(table.task, record["plan"]) == record["cost"] == table[table.initial]
-    # A state's own plan, wherever it is, is a plan of the replay as well.
+    # A plan from any state passes the replay from that state.
     with pytest.raises(InvalidPlanError, match="not applicable"):
         replay(table.task, record["plan"][1:])
     with pytest.raises(InvalidPlanError, match="goal does not hold"):

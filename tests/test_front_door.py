@@ -1,4 +1,4 @@
-"""What most users need, from two imports."""
+"""The main functions of the two packages, with two imports."""
 
 from __future__ import annotations
 
@@ -56,13 +56,13 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_program_that_it_was_designed_for(place: Path) -> None:
-    """As it is printed in the design; only that more than one thing is observed there."""
+    """The program of a newcomer, in which more than one action is observed."""
     assert place.is_dir()
     assert PROGRAM.count(OBSERVED) == 1
     names: dict[str, Any] = {}
 
     def happens(desk: Assistant) -> None:
-        """Everybody takes the advice that they have, and else a first step that there is."""
+        """Each person follows the advice. Those without advice take the first applicable action."""
         if not desk.log():
             exec(OBSERVED, {"desk": desk})
         for name in desk.people:

@@ -1,4 +1,4 @@
-"""Where a region breaks off: its bounds there against values worked out by other means, and its suggestions."""
+"""The frontier of a truncated task: its bounds compared with values from other methods, and its suggestions."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def solvable(drawn: list[tuple[int, int, int]]) -> Table | None:
 
 
 def values(problem: AssistPOMDP, *, policy: str) -> Floats:
-    """What somebody gets, shape (n, B, T), by plain value iteration over the equations of `people.decision`.
+    """Return values, shape (n, B, T), by plain value iteration with the equations of `people.decision`.
 
-    `policy` is "best", the best that can be done where beta and theta are seen, or "worst optimal": in every state some
-    optimal suggestion, each time the one that turns out worst, and nothing in dead ends.
+    `policy` is "best", the optimal policy with beta and theta observed, or "worst optimal": the worst optimal
+    suggestion in every state, and nothing in dead ends.
     """
     model, grid, c = problem.model, problem.grid, problem.model.choices
     steps = []  # of each state: what each suggestion makes people do, where it moves theta, and what all that costs
@@ -134,7 +134,7 @@ def test_a_part_suggests_what_the_whole_does(drawn: list[tuple[int, int, int]], 
 
 
 def test_what_is_suggested_on_demand_is_what_the_table_has() -> None:
-    """Loading and unloading are free: without an order among them a cheapest way could go in circles for ever."""
+    """Loading and unloading are free, so that without an order among them an optimal plan could contain a cycle."""
     table = table_of(ROUND_TRIP)
     asked = OnDemand(table.task)
     full, part = Choices.of(table), TruncatedTask.of(asked, states=30)
@@ -161,9 +161,9 @@ def test_bounds_of_a_whole_and_of_all_of_it_as_a_part_overlap_where_actions_are_
 
 @pytest.mark.parametrize("cost", [1, 3])
 def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
-    """A corridor: whoever walks it pays `cost` in each of five steps, and advice that costs nothing changes nothing.
+    """A corridor: each of five steps costs `cost`, and free suggestions change nothing.
 
-    As far as the upper bound knows, each of these steps may cost as little as standing still: 1.
+    For the upper bound, each of these steps may cost as little as 1.
     """
     table = sweep(graph_task([(node, node - 1, cost) for node in range(1, 9)], start=8))
     part = TruncatedTask.of(table, states=3)
@@ -175,7 +175,9 @@ def test_the_bounds_are_exact_where_there_is_one_way(cost: int) -> None:
 
 
 def test_the_lower_bound_knows_who_follows() -> None:
-    """A ladder with a wrong step at each rung: at theta 1 nobody takes it; without influence half of them may."""
+    """A ladder with a wrong step at each rung: at theta 1 it is never taken; at theta 0 half of the choices may be
+    wrong.
+    """
     up = [(node, node - 1, 1) for node in range(1, 13)]
     down = [(node, node + 1, 1) for node in range(1, 12)]
     table = sweep(graph_task(up + down, start=8))
@@ -186,7 +188,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
     assert sorted(h) == [6, 9]
     np.testing.assert_allclose(frontier.lower[:, -1], -1.5 * (1 - 0.9**h) / 0.1, rtol=1e-6)
     floor = -1.5 / 0.1
-    np.testing.assert_allclose(frontier.lower[:, 0], floor, rtol=1e-6)  # who never follows may never arrive
+    np.testing.assert_allclose(frontier.lower[:, 0], floor, rtol=1e-6)  # at theta 0 a person may never reach the goal
     assert (np.diff(frontier.lower, axis=1) > 0).all()
     # A suggestion in each step raises theta by eta, so that even someone who began without any influence arrives.
     moved = part.problem(gamma=0.9, c_suggest=0.5, eta=0.2, lapse=0.0).frontier
@@ -198,7 +200,7 @@ def test_the_lower_bound_knows_who_follows() -> None:
 @pytest.mark.parametrize("eta", [0.0, 0.2])
 @pytest.mark.parametrize(("top", "wrong"), [(12, 1), (2, 3)])
 def test_the_lower_bound_is_exact_on_a_ladder_for_people_who_choose_blindly(top: int, wrong: int, eta: float) -> None:
-    """Half of the choices are wrong and lead up by one, at another price: nothing is left for the bound to guess."""
+    """Half of the choices are wrong and lead up by one, at another cost; the bound is exact."""
     right_steps = [(node, node - 1, 1) for node in range(1, top + 1)]
     wrong_steps = [(node, min(node + 1, top), wrong) for node in range(1, top + 1)]
     table = sweep(graph_task(right_steps + wrong_steps, start=top))
@@ -236,15 +238,14 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
     tables = {name: sweep(graph_task(edges, start=6)) for name, edges in drawn.items()}
     tables["corridor"] = sweep(graph_task(drawn["corridor"], start=8))
 
-    def found(name: str) -> tuple[int, int, float]:
-        survey = truncated_task._Survey.of(tables[name], Choices.of(tables[name]))
+    def found(name: str, **options: int) -> tuple[int, int, float]:
+        survey = truncated_task._Survey.of(tables[name], Choices.of(tables[name]), **options)
         return survey.highest, survey.actions, survey.rise
 
-    for block in (1, 2, 5, truncated_task.BLOCK):
-        monkeypatch.setattr(truncated_task, "BLOCK", block)
-        assert found("ladder") == (6, 2, 1.0)
-        assert found("corridor") == (24, 1, 0.0)
-        assert found("dead ends") == (6, 3, np.inf)
+    for block in (1, 2, 5, 1_000_000):
+        assert found("ladder", rows_at_a_time=block) == (6, 2, 1.0)
+        assert found("corridor", rows_at_a_time=block) == (24, 1, 0.0)
+        assert found("dead ends", rows_at_a_time=block) == (6, 3, np.inf)
     monkeypatch.setattr(truncated_task, "SURVEYED", 6)
     assert found("ladder") == (6, 12, 6.0)
     assert found("dead ends") == (6, 15, np.inf)
@@ -254,7 +255,7 @@ def test_what_holds_everywhere_in_a_task(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_who_follows_for_nothing_pays_nothing() -> None:
-    """A goal that is a free step away: the bound comes as near to 0 as its sweeps do, from the worst there is."""
+    """A goal that is a free step away: the bound approaches 0 from the worst value, as far as its sweeps go."""
     table = sweep(graph_task([(3, 2, 1), (2, 1, 0), (1, 0, 0)], start=3))
     frontier = TruncatedTask.of(table, states=1).problem(gamma=0.9, c_suggest=0.0, lapse=0.0).frontier
     assert frontier is not None

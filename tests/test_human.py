@@ -1,4 +1,4 @@
-"""The human model against values worked out by hand on `tiny.pddl`, and its laws."""
+"""The human model compared with values computed by hand on `tiny.pddl`, and its properties."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def slots(choices: Choices, state: int) -> dict[str, int]:
 
 
 def test_values_by_hand_on_the_tiny_kit(tiny: Table, tiny_choices: Choices) -> None:
-    """Fetch box-a, then three choices: the right slot (4 to go), the wrong one, or back again.
+    """After fetching box-a there are three choices: the right slot (4 to go), the wrong slot, or going back.
 
-    With the hammer in slot-2 and box-a on the platform there are 6 actions to go: remove, place, return,
-    fetch, place, return. After `(return box-a)` there are again 6. So Q is 5, 7 and 7.
+    With the hammer in slot-2 and box-a on the platform there are 6 actions to go: remove, place, return, fetch, place,
+    return. After `(return box-a)` there are 6 again. So Q is 5, 7 and 7.
     """
     c = tiny_choices
     q = perceived_cost(c, c.h)
@@ -64,7 +64,7 @@ def test_values_by_hand_on_the_tiny_kit(tiny: Table, tiny_choices: Choices) -> N
     assert value[x] == -5
     assert value[c.targets[x, right]] == -4
     assert value[c.targets[x, wrong]] == -6
-    # A good suggestion raises theta by eta times one action, a bad one lowers it as much.
+    # A good suggestion raises theta by eta times one action; a bad one lowers it by as much.
     assert trust(0.6, value[x], value[c.targets[x, right]], 0.2) == pytest.approx(0.8)
     assert trust(0.6, value[x], value[c.targets[x, wrong]], 0.2) == pytest.approx(0.4)
     assert trust(0.6, value[x], value[c.targets[x, right]], 0.2, utility_scale=6) == pytest.approx(0.6 + 0.2 / 6)
@@ -193,7 +193,9 @@ def test_who_is_mistaken_about_actions_sees_each_outcome_for_itself(sealed: Tabl
     assert (np.isinf(h[x, slot]) == np.isinf(choices.h[after])).all()
     mistaken = ~choices.goal[after] & np.isfinite(choices.h[after])
     eps = h[x, slot][mistaken] - choices.h[after][mistaken]
-    assert len(np.unique(eps.round(9))) == len(eps)  # one of its own for each choice, though many lead to one state
+    assert len(np.unique(eps.round(9))) == len(
+        eps
+    )  # a separate value for each choice, although several lead to the same state
     assert len(np.unique(after[mistaken])) < len(eps)
     assert abs(eps.mean()) < 4 * 0.5 / np.sqrt(len(eps))
     assert eps.std() == pytest.approx(0.5, rel=0.15)
@@ -211,7 +213,7 @@ def test_population_draws_from_its_ranges(tiny_choices: Choices) -> None:
 
 
 def test_the_same_generator_draws_the_same_people(tiny_choices: Choices) -> None:
-    """Beta, theta and sigma one after the other, then what they are mistaken about."""
+    """Beta, theta and sigma are drawn first, in this order, then the misconceptions."""
     population = Population(beta=(1.0, 2.0), theta=(0.2, 0.4), sigma=(0.5, 0.7), noise="action")
     person, other = population.sample(tiny_choices, 2, np.random.default_rng(3))
     rng = np.random.default_rng(3)
@@ -340,7 +342,7 @@ def test_a_lapse_is_uniform_over_what_each_state_offers() -> None:
 
 
 def test_arrays_of_the_caller_stay_their_own(tiny: Table) -> None:
-    """They can be written to afterwards, and what was made of them does not change."""
+    """Arguments stay writable, and later changes to them do not affect the objects made from them."""
     choices = Choices.of(tiny)
     h, distance = choices.h.copy(), np.ones((3, 3)) - np.eye(3)
     human = Human(1.0, 0.5, 0.0, h)

@@ -1,4 +1,4 @@
-"""Signals, and consoles that do not take what is printed."""
+"""Signals, and consoles that cannot print all characters."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ STUCK = """try: wait('started')
 def waiting(
     wait: str, *, ignored: tuple[signal.Signals, ...] = (), patience: float = PATIENCE
 ) -> Iterator[subprocess.Popen[str]]:
-    """A process in a command that waits for ever; what the tests are started with is not handed on."""
+    """A process in a command that waits indefinitely; the signal handlers of the test run are not inherited."""
     nothing, end = os.pipe()
     before = {number: signal.signal(number, signal.SIG_DFL) for number in SIGNALS}
     try:
@@ -85,7 +85,7 @@ def test_ctrl_c_stays_ignored_where_it_was_and_sigterm_is_heard() -> None:
 
 @pytest.mark.parametrize(("again", "patience"), [(True, 1e6), (False, 0.0)])
 def test_no_command_takes_long_to_end(again: bool, patience: float) -> None:
-    """It ends with the second signal, or when patience does."""
+    """The process ends at the second signal, or after `PATIENCE` seconds."""
     assert PATIENCE <= 3
     with waiting(STUCK, patience=patience) as process:
         process.send_signal(signal.SIGTERM)
@@ -108,7 +108,7 @@ def test_no_command_takes_long_to_end(again: bool, patience: float) -> None:
     ],
 )
 def test_an_interrupt_is_no_other_error(wait: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As from modules that are being loaded, or from compilers, which turn whatever comes into errors of their own."""
+    """Modules that are being imported and compilers turn an interrupt into errors of their own."""
     (tmp_path / "slow.py").write_text(
         "import os\ntry:\n  print('started', flush=True)\n  os.read(0, 1)\nexcept BaseException: pass"
     )
@@ -170,7 +170,7 @@ def test_what_is_no_signal_passes_through() -> None:
     assert not isinstance(raised.value, Interrupted)
     before = signal.getsignal(signal.SIGINT)
 
-    def in_a_thread() -> object:  # where signals cannot be taken
+    def in_a_thread() -> object:  # where signal handlers cannot be set
         with interruptible():
             return signal.getsignal(signal.SIGINT)
 

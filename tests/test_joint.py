@@ -1,4 +1,4 @@
-"""A tiny team's problem as a whole: against one person's solver, trees of beliefs, simulation, the team's bound."""
+"""A tiny team's joint POMDP compared with one person's solver, belief trees, simulation, and the team's bound."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ GAP = 4e-3
 
 
 def pool_of(c_suggest: float, c_move: float, *, initial: int | None = None, seed: int = 0, **options: object) -> Pool:
-    """Two people who are mistaken about the task, and whom the robot knows but for two betas and three thetas."""
+    """Return two people with misconceptions that the robot knows, with a grid of two betas and three thetas."""
     choices = Choices.of(kit("tiny"))
     if initial is not None:
         choices = replace(choices, initial=initial)
@@ -78,6 +78,7 @@ def test_one_person_alone_is_the_problem_of_visits(costs: tuple[float, float], e
 
 
 @pytest.mark.parametrize("costs", [COSTS[0], pytest.param(COSTS[1], marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
     assert joint.gap <= GAP
@@ -95,6 +96,7 @@ def test_no_policy_is_above_and_the_teams_bound_is_not_below(costs: tuple[float,
 
 
 @pytest.mark.parametrize("costs", [COSTS[0], pytest.param(COSTS[1], marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_sampled_bound_is_not_below_and_much_nearer(costs: tuple[float, float]) -> None:
     pool, joint = solved(costs)
     bound = upper_bound(pool, jobs=1, paths=100)
@@ -118,7 +120,7 @@ def test_never_helping_is_everybodys_own_value() -> None:
 
 
 def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs: list[Floats], at: int) -> float:
-    """What is best in so many steps, by the whole tree of what may happen, with everybody's `tail` after that."""
+    """Return the optimal value over `depth` steps by the whole tree, with each person's `tail` afterwards."""
     if depth == 0:
         return sum(float((value[y] * belief).sum()) for value, y, belief in zip(tail, x, beliefs, strict=True))
     people, travel = [policy.pomdp for policy in pool.policies], pool.setting.travel(2)
@@ -151,7 +153,7 @@ def tree(pool: Pool, tail: list[Floats], depth: int, x: tuple[int, ...], beliefs
 
 @pytest.mark.parametrize("costs", [(0.01, 0.02), (0.03, 0.0)])
 def test_a_short_sighted_team_is_worth_what_the_whole_tree_is(costs: tuple[float, float]) -> None:
-    """A step from the goal and with a future of little weight, three steps are nearly all there is."""
+    """One step from the goal and with strong discounting, three steps are nearly everything."""
     choices = pool_of(*costs).choices(0)
     pool = pool_of(*costs, initial=int(np.flatnonzero(choices.h == 1)[0]), gamma=0.3)
     joint = joint_bounds(pool, gap=1e-5)
@@ -168,11 +170,11 @@ def test_what_cannot_be_solved_as_a_whole_is_refused() -> None:
     pool = pool_of(*COSTS[0])
     with pytest.raises(ValueError, match=r"team of 3: too large .* 37,044 observed and 216 hidden states"):
         joint_bounds(pool, (0, 1, 0))
-    with pytest.raises(ValueError, match="no time"):
+    with pytest.raises(ValueError, match="no travel time"):
         joint_bounds(pool, travel=Travel.of(2, travel_time=1.0))
-    with pytest.raises(ValueError, match="shorter than the direct one"):
+    with pytest.raises(ValueError, match="triangle inequality"):
         joint_bounds(pool, travel=Travel.of(2, distance=[[0, 1, 3], [1, 0, 1], [3, 1, 0]]))
-    with pytest.raises(ValueError, match="expected as many"):
+    with pytest.raises(ValueError, match="expected the same number"):
         joint_bounds(pool, travel=Travel.of(3))
 
 

@@ -28,7 +28,7 @@ from planner.system.processes import guarded_group
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What would outlive its parent does so for a minute or more; how soon it ends is measured by `kills.py`."""
+    """Processes that outlive their parent would do so for a minute or more; `kills.py` measures how soon they end."""
     monkeypatch.setattr("kills.LONGEST_SURVIVAL", 30.0)
 
 
@@ -70,7 +70,7 @@ def test_a_process_goes_with_the_one_that_started_it(end: str) -> None:
 
 
 def test_a_fork_does_not_keep_what_its_parent_has_started() -> None:
-    """The fork inherits what is open; here it lives in another session until the test ends."""
+    """The fork inherits open files; here it lives in another session until the test ends."""
     fork = "if os.fork() == 0: os.setsid(); os.read(0, 1)\nelse: os.kill(os.getpid(), 9)"
     code = CHILD.format(end="").replace('print("started", flush=True)', f'print("started", flush=True)\n{fork}')
     process = subprocess.Popen(
@@ -100,7 +100,7 @@ def test_nothing_can_be_started_in_the_group_of_one_that_is_gone() -> None:
 
 
 def test_fast_downward_goes_with_its_parent() -> None:
-    """A search that takes much longer than the test."""
+    """The search takes much longer than the test."""
     code = f"""
 import threading, time
 from planner import load
@@ -117,7 +117,7 @@ time.sleep(60)
 
 
 def kill_when_it_runs(process: subprocess.Popen[str], other: str) -> None:
-    """Kill a process when another program runs that it has started; see that none goes on."""
+    """Kill a process while a program that it started is running; check that no such program survives."""
     with process:
         while not any(other in command for command in alive(process.pid)):
             assert process.poll() is None, process.communicate()

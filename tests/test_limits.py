@@ -1,4 +1,4 @@
-"""Limits hold before the first state is found: while operators are split and laid out, and a ranking is computed."""
+"""Limits hold before the search: while operators are split, states are laid out, and a ranking is computed."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from plain import explore
 from test_dense import composed, tied
+from test_sweep import UNLISTED, SweepOptions, module
 from test_sweep import check as compared
-from test_sweep import module
 
 from planner import Effect, LimitError, Operator, Task, Variable, instance
 from planner.costtogo.orbits import orbits
@@ -22,6 +22,7 @@ from planner.search.ranking.mutexes import Mutexes
 from planner.search.ranking.state_ranking import StateRanking, denser, plain
 from planner.search.ranking.transition_normal_form import TNFOperator, exactly_one, split_operators
 from planner.search.ranking.variable_clusters import clusters
+from planner.search.state_registry import RegistrySpace
 from planner.search.successor_generator import build_tests, packed_operators
 from planner.states.packing import Packing
 from planner.system.limits import Budget, Check, MemoryLimitError, unchecked
@@ -50,7 +51,7 @@ def turning(needs: list[dict[int, int]], variables: int) -> Task:
 
 
 def chains(count: int, length: int) -> Task:
-    """Return a task in which each variable is turned after the one before: few states, very many indices."""
+    """Return a task in which each variable changes after the previous one: few states, but very many indices."""
     return turning([{v - 1: 1} if v % length else {} for v in range(count * length)], count * length)
 
 
@@ -73,7 +74,7 @@ def dense(task: Task) -> StateRanking:
 
 
 SEARCHED = ("mutexes", "linear_invariants", "variable_clusters")
-"""Modules that check their limits after so many steps."""
+"""Modules that check their limits after a number of steps."""
 
 SEARCHES: dict[str, Callable[[Task, Check], Any]] = {
     "split": split_operators,
@@ -150,10 +151,10 @@ def test_messages_say_in_which_phase_time_ended() -> None:
     ):
         stop.set()
         for phase, search in (
-            ("operators were split", lambda b: module._search(task, b, 1, lambda *_: None, None)),
+            ("operators were split", lambda b: module.explored(task, b, 1, lambda *_: None, SweepOptions())),
             ("an index was looked for", lambda b: plain(task, moves_of(task), b)),
             ("an index was looked for", lambda b: denser(task, None, moves_of(task), b)),
-            ("operators were laid out", lambda b: module._listed(task, b, 1, None, lambda *_: None)),
+            ("operators were laid out", lambda b: RegistrySpace(task, b)),
         ):
             with pytest.raises(LimitError, match=f"^{how} while {phase}$"):
                 search(budget)
@@ -167,7 +168,7 @@ def test_messages_say_in_which_phase_time_ended() -> None:
 
 @pytest.mark.parametrize("name", sorted(SEARCHES.keys() - {"proven", "plain"}))
 def test_memory_is_checked(name: str) -> None:
-    """One byte is allowed."""
+    """The limit is one byte."""
     with pytest.raises(MemoryLimitError, match=r"^\d+ MB of memory needed, 0 MB allowed$"):
         SEARCHES[name](tied(4, 3, 6), NARROW.during("it was looked for"))
 
@@ -183,9 +184,7 @@ def test_what_is_in_use_all_the_time_counts() -> None:
 def test_where_looking_for_an_index_takes_too_much_memory_states_are_listed() -> None:
     """Matrices of 160 facts need more memory than 1,681 states do."""
     task = chains(2, 40)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "FEW", -1)  # else they are listed before it is looked for
-        plenty, little = module.sweep(task), module.sweep(task, memory_limit_mb=1)
+    plenty, little = (module.sweep(task, memory_limit_mb=limit, options=UNLISTED) for limit in (None, 1))
     assert plenty.note is None
     assert little.note is not None
     assert little.note.endswith("looking for an index took too much memory")
@@ -211,13 +210,9 @@ def equal(one: Any, other: Any) -> None:
 
 @pytest.mark.parametrize("listed", [False, True])
 def test_facts_that_never_change_take_nothing_of_an_index(listed: bool) -> None:
-    """300 of them beside 384 states: the table is the one without them."""
+    """The table is the same as without 300 constant facts, next to 384 states."""
     task, alive = tied(3, 3, 7, 300), module.sweep(tied(3, 3, 7))
-    with pytest.MonkeyPatch.context() as patch:
-        if not listed:
-            patch.setattr(module, "FEW", -1)
-            patch.setattr(module, "HUGE", math.inf)
-        table = compared(task)
+    table = compared(task, None if listed else UNLISTED)
     assert table.note is None
     assert len(table) == len(alive) == 384
     values = table.values(np.arange(len(table)))
@@ -245,8 +240,7 @@ def test_facts_that_others_rule_out_never_change_either() -> None:
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(StateRanking, "of", classmethod(lambda *_: None))
-        patch.setattr(module, "FEW", -1)
-        table = compared(task)
+        table = compared(task, UNLISTED)
     assert len(table) == len(explore(task)) == 96
     assert not table.values(np.arange(96))[:, 7].any()
 

@@ -1,4 +1,4 @@
-"""What `serve` makes of its options: the session, the people in it, and what it says of faults."""
+"""Options of `serve`: the session that is built from them, its people, and messages about faults."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def own(tmp_path: Path) -> Path:
 
 
 class Begun:
-    """What would be served: the plan and its session, instead of a service."""
+    """Return the plan and its session, without starting a service."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sessions: list[Session] = []
@@ -117,7 +117,9 @@ def test_distances_are_those_of_people_in_their_order(begun: Begun, tmp_path: Pa
         to = {near: 0.1, far: 9}
         first, second = to["person-1"], to["person-2"]
         file.write_text(json.dumps([[0, 9, first], [9, 0, second], [first, second, 0]]))
-        session = begun(TINY, "--humans", 2, "--c-suggest", 0.02, "--c-move", 0.5, "--distances", file)
+        session = begun(
+            TINY, "--humans", 2, "--c-suggest", 0.02, "--c-move", 0.5, "--distances", file, "--trust", "paper"
+        )
         for action in ("(fetch box-a)", WRONG):
             for name in session.people:
                 session.observe(name, action)
@@ -132,7 +134,7 @@ def test_people_choose_as_a_function_says(begun: Begun, own: Path, tmp_path: Pat
     session = begun(*options, "--people", f"{own}:moves")
     for action in ("(fetch box-a)", WRONG):
         session.observe("person-1", action)
-    # Whoever chooses at random whatever their expertise, of them nothing is learned about it.
+    # Random choices do not depend on beta, so that nothing is learned about it.
     beta = np.frombuffer(session.beliefs()["person-1"]).reshape(6, 10).sum(axis=1)
     assert beta == pytest.approx(np.full(6, 1 / 6))
     task, state = session.place("simulated-1")
@@ -204,7 +206,7 @@ def test_several_tasks_are_given_in_turn_and_each_has_its_log(begun: Begun) -> N
 
 
 def test_a_simulated_person_chooses_as_the_model_says(tiny: Table) -> None:
-    """Along a walk, with terms that look back: as a `Human` on rows that remember what came before."""
+    """Along a walk, terms with memory have the values of a `Human` on states with memory."""
     weights = {"goals": 0.7, "name": -0.4, "arguments": 1.1, "back": -2.0}
     ranges = {name: (weight, weight) for name, weight in weights.items()}
     population = Population((1.3, 1.3), (0.8, 0.8), (0.0, 0.0), weights=ranges)

@@ -1,4 +1,4 @@
-"""A service that runs, under load, kills, and requests that nobody would think of."""
+"""A running service under load, kills and unusual requests."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from userstudies import written
 @pytest.mark.long
 @pytest.mark.slow
 def test_nothing_acknowledged_is_lost_when_the_service_is_killed(tmp_path: Path) -> None:
-    """What is compared, and with what, stands in `live_load.check`."""
+    """The comparison is that of `live_load.check`."""
     seen = asyncio.run(live_load.run(TINY, 6, seconds=3.0, every=0.1, kills=1, data=tmp_path, seed=1))
     assert seen.latencies
     assert any(seen.acknowledged.values())
 
 
 def conforms(service: Served, folder: Path, parameters: dict[str, str], *only: str) -> None:
-    """Make requests from the description, valid and not, in which somebody who is there has each path's `name`."""
+    """Send requests generated from the description, valid and invalid, for existing people in each path's `name`."""
     (folder / "schemathesis.toml").write_text(
         "".join(
             f'[[operations]]\ninclude-name = "{request}"\nparameters = {{ name = "{name}" }}\n'
@@ -60,6 +60,6 @@ def test_the_interface_of_a_user_study_is_what_its_description_says(tmp_path: Pa
         named = [
             f"{method.upper()} {path}" for path, methods in described.items() if "{name}" in path for method in methods
         ]
-        # What is answered otherwise than to a team.
+        # Requests that are answered differently than for a team.
         only = r"^/api/(study.*|team|people/\{name\}(/drawing|/actions)?)$"
         conforms(study, tmp_path, dict.fromkeys(named, seat["person"]), "--include-path-regex", only)

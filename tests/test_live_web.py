@@ -1,4 +1,4 @@
-"""The interface of the live assistant over HTTP and WebSocket: what it promises, and what it refuses."""
+"""The live assistant's HTTP and WebSocket interface: its guarantees and its refusals."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from starlette.websockets import WebSocketDisconnect
 from assist.live.course import Event
 from assist.live.journal import JournalError
 from assist.live.session import Session
+from assist.people.human import Population
 from assist.team.settings import Setting
 from assist.web import server
 from assist.web.app import make_app
@@ -29,7 +30,7 @@ from planner import Table
 ANN = "/api/people/ann"
 SEEN = {
     "person", "task", "present", "paused", "applicable", "suggestion", "reason", "cost_to_go", "steps", "finished",
-    "seq",
+    "explained", "seq",
 }  # fmt: skip
 WRONG = "(place hammer slot-2 box-a)"
 
@@ -38,7 +39,8 @@ class Web:
     """An application in this process, and its links."""
 
     def __init__(self, table: Table, folder: Path, **more: Any) -> None:
-        session = Session({"tiny": table}, folder / "journal.jsonl", setting=Setting(c_suggest=0.02, c_move=0.01))
+        setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
+        session = Session({"tiny": table}, folder / "journal.jsonl", setting=setting, population=Population())
         if not session.people:
             session.report([Event("joined", name) for name in ("ann", "bob")])
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
@@ -69,6 +71,42 @@ def web(tiny: Table, tmp_path: Path) -> Iterator[Web]:
         yield found
 
 
+def test_explanations(web: Web) -> None:
+    web.ask("POST", "/api/team/pause", json={"paused": True})
+    for name in ("ann", "bob"):
+        assert web.act("(fetch box-a)", name).json()["explained"]
+        found = web.ask("GET", f"/api/people/{name}/explanation", name).json()
+        assert (found["sentences"], found["step"]) == (["Suggestions are paused."], None)
+        refused = web.ask("GET", f"/api/people/{name}/explanation", name, params={"against": WRONG})
+        assert (refused.status_code, refused.json()["detail"][:19]) == (409, "nothing is suggeste")
+    web.ask("POST", "/api/team/pause", json={"paused": False})
+    views = {name: web.ask("GET", f"/api/people/{name}", name).json() for name in ("ann", "bob")}
+    (one,), (other,) = ([name for name, seen in views.items() if (seen["suggestion"] is None) == so] for so in (0, 1))
+    path, seen = f"/api/people/{one}/explanation", views[one]
+    found = web.ask("GET", path, one).json()
+    assert set(found) == {"sentences", "step", "now", "nothing", "against", "seq"}
+    assert (found["seq"], found["step"]["step"]) == (seen["seq"], "(place hammer slot-1 box-a)")
+    assert found["sentences"][0] == "I suggest that you put hammer into slot-1."
+    assert [rest["person"] for rest in found["now"]["others"]] == [None]  # people are not told about each other
+    assert [rest["person"] for rest in web.ask("GET", path).json()["now"]["others"]] == [other]
+    nothing = web.ask("GET", f"/api/people/{other}/explanation", other).json()["nothing"]
+    assert (nothing["reason"], nothing["elsewhere"]) == ("cost", True)
+    asked = web.ask("GET", path, one, params={"against": WRONG, "language": "de"}).json()
+    assert asked["against"]["difference"] == 2.0
+    assert asked["against"]["consequence"]["action"] == "(remove hammer slot-2 box-a)"
+    assert asked["sentences"][-1].endswith("2 Schritte mehr.")
+    for query, status, detail in (
+        ({"against": "(fetch box-a)"}, 409, "(fetch box-a) is not applicable here"),
+        ({"against": "(fly)"}, 422, "no action of the task"),
+        ({"against": seen["suggestion"]}, 422, "is the step itself"),
+        ({"language": "../en"}, 422, "language: expected one of en, de"),
+    ):
+        wrong = web.ask("GET", path, one, params=query)
+        assert wrong.status_code == status
+        assert detail in wrong.json()["detail"]
+    assert web.ask("GET", path, other).status_code == 403
+
+
 def test_what_a_person_sees_and_does(web: Web) -> None:
     assert web.client.get("/api/health").json() == {"status": "ok", "people": 2, "events": 2}
     seen = web.ask("GET", ANN, "ann").json()
@@ -82,6 +120,7 @@ def test_what_a_person_sees_and_does(web: Web) -> None:
     assert advised["suggestion"] == "(remove hammer slot-2 box-a)"
     assert set(advised["reason"]) == {
         "saving", "moving", "score", "beta", "beta_interval", "theta", "theta_interval",
+        "suggestions", "followed", "follow", "follow_interval",
     }  # fmt: skip
     assert web.act("(fetch box-a)", id="1").json() == done.json()
     undone = web.ask("POST", f"{ANN}/undo", "ann").json()
@@ -206,7 +245,7 @@ def test_what_changes_is_pushed_to_every_tab_and_a_late_end_ends_no_other(web: W
             assert second.receive_json()["steps"] == 0
             answer = web.act("(fetch box-a)").json()
             assert first.receive_json() == second.receive_json() == answer
-            first.close()  # the tab before the reload says only now that it has gone
+            first.close()  # the tab before the reload closes only now
             answer = web.act(WRONG).json()
             assert second.receive_json() == answer
             assert web.ask("GET", "/api/team").json()["people"][0]["connected"]
@@ -242,7 +281,7 @@ def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, t
         async def send(message: dict[str, Any]) -> None:
             sent.append(message["type"])
             if message["type"] == "websocket.send":
-                await asyncio.Event().wait()  # its buffers are full, for ever
+                await asyncio.Event().wait()  # its buffers are full indefinitely
 
         scope = {
             "type": "websocket", "path": f"{ANN}/events", "raw_path": b"", "query_string": b"", "root_path": "",
@@ -270,16 +309,15 @@ def test_a_watcher_that_does_not_read_is_dropped_and_nobody_waits(tiny: Table, t
 def test_a_connection_that_is_not_read_is_given_back_soon(
     tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, who: str | None
 ) -> None:
-    """Also where a real socket is full, and nothing that is left can ever be sent."""
-    monkeypatch.setattr(server, "LINGER", 0.1)
-    monkeypatch.setattr(server, "PING", 0.3)
+    """This holds even if a real socket is full and the remaining data can never be sent."""
+    monkeypatch.setattr(server._Connection, "linger", 0.1)
 
     async def run() -> None:
         web = Web(tiny, tmp_path)
         listening = server.listen("127.0.0.1", 0)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         ready = asyncio.Event()
-        serving = server.server_of(web.app, ready.set)
+        serving = server.server_of(web.app, ready.set, ping=0.3)
         running = asyncio.create_task(serving.serve([listening]))
         await ready.wait()
         stuck = socket.socket()
@@ -292,7 +330,7 @@ def test_a_connection_that_is_not_read_is_given_back_soon(
             "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
         )
         monkeypatch.setattr(Service, "pause_between", 0.0)
-        for number in range(150):  # far more than there is room for
+        for number in range(150):  # far more than the queue holds
             action = "(fetch box-a)" if number % 2 == 0 else "(return box-a)"
             await web.service.report(Event("acted", "ann", action))
             await asyncio.sleep(0.002)
@@ -327,6 +365,37 @@ def test_too_many_requests_are_refused_to_whom_they_are_from(tiny: Table, tmp_pa
         assert web.ask("GET", "/api/people/bob", "bob").status_code == 200
         now[0] += 1.0
         assert web.ask("GET", ANN, "ann").status_code == 200
+
+
+def test_a_waiting_room_opens_the_page_at_the_same_second(tiny: Table, tmp_path: Path) -> None:
+    """A hundred people behind one address, who load every file of the page; guesses of tokens keep their own limit."""
+    web = Web(tiny, tmp_path, allowance=Allowance(clock=lambda: 0.0))
+    with web.client:
+        page = web.client.get(f"/join/ann/{web.service.access.token('ann')}")
+        names = [name for name in re.findall(r'(?:src|href)="([^"]+)"', page.text) if not name.startswith("data:")]
+        assert names
+        guess = {"Authorization": "Bearer x"}
+        codes = {web.client.get(ANN, headers=guess).status_code for _ in range(500)}
+        assert codes == {401, 429}
+        for _ in range(100):
+            for name in (*names, *["connection.js"] * (15 - len(names))):
+                path = f"/pages/{name.rpartition('/')[2]}"
+                assert web.client.get(path).status_code == 200, path
+
+
+def test_connections_count_like_requests(tiny: Table, tmp_path: Path) -> None:
+    web = Web(tiny, tmp_path, allowance=Allowance(rate=1.0, burst=3.0, clock=lambda: 0.0))
+    headers = {"Authorization": f"Bearer {web.service.access.token('ann')}"}
+    with web.client:
+        for _ in range(3):
+            with web.client.websocket_connect(f"{ANN}/events", headers=headers) as connection:
+                assert connection.receive_json()["person"] == "ann"
+        with (
+            pytest.raises(WebSocketDisconnect) as closed,
+            web.client.websocket_connect(f"{ANN}/events", headers=headers),
+        ):
+            pass
+        assert closed.value.code == 1013
 
 
 def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:

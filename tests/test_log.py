@@ -1,4 +1,4 @@
-"""Logs: what can be read of them, what costs an episode, and how the rest is followed through the task."""
+"""Logs: lines that can be read, faults that exclude an episode, and the replay of the rest."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def text_of(rows: list[dict]) -> list[str]:
 
 
 def used(file: Path, table: Table, **options: bool) -> dict[str, int]:
-    """How many actions of each person are replayed."""
+    """Return the number of replayed actions of each person."""
     recording, _ = replay(read_log(file, **options), table)
     return {person: int((recording.person == k).sum()) for k, person in enumerate(recording.people)}
 
@@ -63,7 +63,7 @@ def test_a_broken_line_costs_its_episode_and_no_other(tmp_path: Path, line: int,
 @given(st.data())
 @settings(max_examples=60, deadline=None)
 def test_no_broken_line_makes_a_mistake(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    """People who follow the plan are never seen to err, whichever lines of a log are cut, joined, lost or damaged."""
+    """Whichever lines of a log are cut, joined, lost or damaged, people who follow the plan never appear to err."""
     rows = [row for k in range(3) for row in lines(*PAPER_PLAN, person=f"p{k % 2}", episode=str(k))]
     order = data.draw(st.permutations(range(3)))
     raw = [json.dumps(row).encode() for k in order for row in rows[k * len(PAPER_PLAN) : (k + 1) * len(PAPER_PLAN)]]
@@ -140,7 +140,7 @@ MALFORMED = [
         "if the log counts otherwise",
     ),
     (
-        [*lines(FETCH, WRONG), *(dict(row, step=2) for row in lines(FETCH))],  # two people under one name
+        [*lines(FETCH, WRONG), *(dict(row, step=2) for row in lines(FETCH))],  # two people with one name
         9,
         "person 'ann', episode '1', which is left out: step 2: (fetch box-a) is not applicable here; nearest of the 2 "
         "applicable: (return box-a)",
@@ -198,7 +198,7 @@ def test_what_comes_after_the_goal_is_left_out(tiny: Table) -> None:
 
 
 def test_steps_that_count_otherwise(tmp_path: Path, tiny: Table) -> None:
-    """Without knowing what steps count, a broken line may be of every episode that goes on after it."""
+    """If step numbers are unclear, a broken line may belong to every episode that continues after it."""
     rows = [dict(row, step=3 * row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
     file = write_log(tmp_path / "log.jsonl", rows)
     assert used(file, tiny) == {}
@@ -209,7 +209,7 @@ def test_steps_that_count_otherwise(tmp_path: Path, tiny: Table) -> None:
 
 @pytest.mark.parametrize(("begin", "kept"), [(0, ["ann", "bob"]), (1, ["ann", "bob"]), (2, [])])
 def test_a_line_that_may_have_been_the_first_of_an_episode(tmp_path: Path, tiny: Table, begin: int, kept: list) -> None:
-    """It cannot have been where each episode begins with the number that this log begins with."""
+    """The unreadable line begins no episode if all episodes begin with the first step number of this log."""
     rows = [dict(row, step=begin + row["step"]) for row in [*lines(*PLAN), *lines(*PLAN, person="bob")]]
     file = tmp_path / "log.jsonl"
     file.write_text("\n".join(["#", *text_of(rows)]) + "\n")
@@ -280,7 +280,7 @@ WHOLE = "".join(f"{line}\n" for line in text_of([*lines(FETCH, RIGHT, told={1: W
 def test_whatever_a_file_has_is_read_or_a_fault(
     tmp_path_factory: pytest.TempPathFactory, tiny: Table, text: str, data: st.DataObject
 ) -> None:
-    """Nothing is raised, and what can be read can be followed or is named with its line."""
+    """No error is raised. Each readable line can be replayed, or is reported with its number."""
     raw = bytearray(text.encode())
     for _ in range(data.draw(st.integers(1, 6))):
         begin, end = sorted(data.draw(st.tuples(*[st.integers(0, len(raw))] * 2)))
@@ -330,7 +330,7 @@ def test_names_that_stand_for_nothing_are_refused(tmp_path: Path, options: list[
 
 
 def test_what_the_robot_does_itself_is_no_choice(tiny: Table) -> None:
-    """It moves the task on before the person chooses; where it ends the task there is nothing left to choose."""
+    """The robot's action comes before the person's choice; if it reaches the goal there is no choice."""
     rows = [{**line, "executed": PLAN[2 * k]} for k, line in enumerate(lines(*PLAN[1::2]))]
     recording, faults = replay(log_of(rows), tiny)
     assert faults == []
@@ -365,7 +365,7 @@ class Busy:
 
 
 def test_episodes_in_which_the_robot_works_as_well_are_replayed() -> None:
-    """All of them, and they say of people what episodes without executions say."""
+    """All episodes are replayed, and their estimates agree with those of episodes without executions."""
     for execute in (False, True):
         setting = Setting(execute=execute, knowledge="exact")
         pool = Pool.sample(Choices.of(PAPER), 6, seed=5, setting=setting, population=Population(sigma=(0, 0)))
@@ -469,7 +469,7 @@ def test_fit_refuses_what_makes_no_sense(
 
 
 def test_what_depends_on_an_unknown_cost_is_left_out(tiny: Table) -> None:
-    """Of ann the step in which something was suggested and all after it in that episode, of bob that step alone."""
+    """Excluded are ann's step with a suggestion and her later steps of that episode, and bob's step alone."""
     rows = [
         *lines(FETCH, RIGHT, BACK, told={1: WRONG}),
         *lines(FETCH, episode="2"),

@@ -1,4 +1,4 @@
-"""Files of logs: what people, pandas, R and spreadsheets write is read, and what may mean two things is a fault."""
+"""Log files: files written by people, pandas, R and spreadsheets are read, and ambiguous content is a fault."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def test_tables_of_any_dialect_are_read_back(tmp_path_factory: pytest.TempPathFa
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
 def test_unicode_is_read_in_any_form(tmp_path: Path, tiny: Table, encoding: str) -> None:
-    """As spreadsheets and shells of other systems write it; a damaged line is one, and no more."""
+    """Spreadsheets and other systems write these encodings; a damaged line affects no other line."""
     file = tmp_path / "log.jsonl"
     texts = [*text_of(lines(*PLAN, person="Zoë")), *text_of(lines(*PLAN))]
     file.write_text("\n".join(texts) + "\n", encoding=encoding)

@@ -1,4 +1,4 @@
-"""What a machine, and the control groups on it, leave a process: read from folders as Linux fills them."""
+"""Resources that a machine and its control groups leave to a process, read from folders with the files of Linux."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.system.machine import available_memory, memory_limit, peak_memory_m
 MACHINE = {"proc/meminfo": "MemTotal: 9000 kB\nMemAvailable:    8000 kB\n"}
 FREE = 8000 * 1024
 UNLIMITED = "9223372036854771712\n"
-"""What the first version says of a group without a limit."""
+"""Value of version 1 for a group without a limit."""
 
 V2 = {
     "proc/self/cgroup": "0::/kubepods/pod7/box\n",
@@ -61,7 +61,7 @@ def memory1(group: str, most: int | str, used: int, **stat: int) -> dict[str, st
         ([V2], FREE),
         ([V2, memory2(f"{GROUP2}box/", "max", 7_000_000)], FREE),
         ([V2, memory2(f"{GROUP2}box/", 5_000_000, 1_000_000)], 4_000_000),
-        # Files that are kept in memory are given back; those in a file system that is memory are not.
+        # Cached files can be evicted; files in a memory file system cannot.
         (
             [V2, memory2(f"{GROUP2}box/", 5_000_000, 4_900_000,
                          anon=1_000_000, file=3_500_000, shmem=500_000, inactive_file=2_000_000,
@@ -82,7 +82,7 @@ def memory1(group: str, most: int | str, used: int, **stat: int) -> dict[str, st
             5_000_000,
         ),
         ([V1, memory1(f"{GROUP1}box/", UNLIMITED, 0), memory1(GROUP1, 4_000_000, 1_000_000)], 3_000_000),
-        # Inside of a container, with and without a view of its own of the groups.
+        # Inside a container, with and without a separate view of the groups.
         (
             [V2, {"proc/self/cgroup": "0::/\n"}, memory2("sys/fs/cgroup/", 5_000_000, 1_000_000)],
             4_000_000,
@@ -95,7 +95,7 @@ def memory1(group: str, most: int | str, used: int, **stat: int) -> dict[str, st
             ],
             4_000_000,
         ),
-        ([V2, {f"{GROUP2}box/memory.max": "5000000\n"}], FREE),  # how much is used is not said
+        ([V2, {f"{GROUP2}box/memory.max": "5000000\n"}], FREE),  # the usage is not reported
     ],
 )  # fmt: skip
 def test_the_memory_that_is_left(tmp_path: Path, files: list[Mapping[str, str]], free: float) -> None:

@@ -1,4 +1,4 @@
-"""Misconceptions are functions of person and state: whoever numbers the states, and in whatever order they are met."""
+"""Misconceptions are functions of person and state, independent of how and in which order states are numbered."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_numbers_are_those_of_a_standard_normal_distribution() -> None:
 
 
 def test_a_sweep_and_answers_on_demand_give_the_same_people(tiny: Table) -> None:
-    """On demand states are numbered in the order in which they are met: here in one of our own."""
+    """On demand, states are numbered in the order of their visits, here in a random order."""
     met = np.random.default_rng(1).permutation(len(tiny))
     asked = OnDemand(tiny.task)
     numbers = asked.numbers(tiny.values(met))

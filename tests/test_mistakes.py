@@ -1,4 +1,4 @@
-"""A mistake is an action that is not an optimal choice: in a log, in a simulation and in a live session alike."""
+"""A mistake is an action that is not an optimal choice, in a log, in a simulation and in a live session."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def delivery(name: str) -> Table:
 
 @cache
 def at_work(name: str) -> list[dict]:
-    """What two people do, one of whom makes many mistakes; each episode has 60 actions at most."""
+    """Return the log of two people, one of whom makes many mistakes; an episode has at most 60 actions."""
     rows = people_at_work(Choices.of(delivery(name)), [0.3, 1.0], np.random.default_rng(5), suggest=0.2)
     return [row for row in rows if row["step"] < 60]
 
@@ -95,7 +95,7 @@ def test_a_fit_counts_mistakes() -> None:
 
 
 def test_in_a_dead_end_nothing_is_optimal() -> None:
-    """They go wherever they like until they have lost their way, and three actions further."""
+    """The person acts at random until three actions after entering a dead end."""
     table, rng = delivery("one-way"), np.random.default_rng(0)
     at, actions, lost = table.initial, list[str](), 0
     while lost < 3:
@@ -104,5 +104,5 @@ def test_in_a_dead_end_nothing_is_optimal() -> None:
         actions.append(list(options)[int(rng.integers(len(options)))])
         at = options[actions[-1]]
     (o,) = observed(table, lines(*actions))
-    assert o.mistake[-4:].all()  # the one that led there as well
+    assert o.mistake[-4:].all()  # including the one that led there
     assert (o.mistake == ~Choices.of(table).optimal[o.state, o.chosen]).all()

@@ -1,4 +1,4 @@
-"""Numbers of states, values of states and files of tables: what is none is refused, and in one way."""
+"""Numbers of states, values of states and table files: invalid ones are refused, always in the same way."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from conftest import KITTING, ROOT, kit
 from test_architecture import PACKAGES, handed_on
 
-from planner import Cache, Instance, OnDemand, Table, cost_to_go, load, open_table, save_table, sweep
+from planner import Cache, Instance, OnDemand, load, open_table, save_table, sweep
 from planner.costtogo.orbits import orbits
 from planner.grounding.task import pddl_fact
 
@@ -58,7 +58,7 @@ def test_single_numbers_count_from_the_first() -> None:
 
 @pytest.mark.parametrize("name", ["tiny", "paper", "sealed"])
 def test_values_that_are_no_state_have_no_orbit(name: str) -> None:
-    """These kits begin with everything alike, so that whatever is like a state is one."""
+    """In these kits all symmetric objects begin alike, so that the image of a state is a state."""
     table = kit(name)
     found = orbits(table.task, max_orbits=10**6)
     sizes, rng = [len(variable.facts) for variable in table.task.variables], np.random.default_rng(0)
@@ -114,15 +114,14 @@ def test_paths_may_be_strings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     task = load(Instance(problem, domain), cache="kept")  # type: ignore[arg-type]
     assert load(problem, domain, cache="kept") == task
     assert len(list(Path("kept").iterdir())) == 1
-    table = sweep(task, checkpoint="begun.sweep")
-    assert isinstance(cost_to_go(task, checkpoint="begun.sweep"), Table)
+    table = sweep(task)
     save_table("tiny.npz", table)
     assert open_table("tiny.npz").lookup([0]).tolist() == table.lookup([0]).tolist()
     assert Cache(task, "costs").file == Cache(task, Path("costs")).file
 
 
 def functions() -> Iterator[tuple[str, Callable[..., Any]]]:
-    """Everything that can be called of what the packages hand on, but what dataclasses and errors are made from."""
+    """Yield all callables that the packages export, except those generated for dataclasses and errors."""
     for package in PACKAGES:
         for name, module in handed_on(package):
             one = getattr(import_module(module), name)

@@ -1,4 +1,4 @@
-"""Cost-to-go on demand against tables, its cache, and the choice between the two."""
+"""Cost-to-go on demand compared with tables, its cache, and the choice between the two."""
 
 from __future__ import annotations
 
@@ -53,8 +53,9 @@ def test_answers_equal_the_tables(name: str) -> None:
     assert asked.task.plan_cost(plan) == table[table.initial]
 
 
+@pytest.mark.slow
 def test_any_thread_may_ask() -> None:
-    """States are numbered once, and nothing is read while the rows move."""
+    """Each state is numbered once, and no array is read while it is moved."""
     table = table_of(Instance(KITTING / "ladder-3x5.pddl", KITTING / "domain.pddl"))
     asked, found = OnDemand(table.task), np.full((8, len(table)), -1)
 
@@ -171,6 +172,7 @@ def test_a_task_from_the_cache_is_as_one_that_was_read(tmp_path: Path) -> None:
         assert len(entry.read_bytes()) > len(whole) / 2
 
 
+@pytest.mark.slow
 def test_what_was_found_survives_a_kill(tmp_path: Path) -> None:
     code = f"""
 from pathlib import Path
@@ -222,7 +224,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     little = cost_to_go(load(HUGE), memory_limit_mb=20)
     assert isinstance(little, OnDemand)
     assert "memory" in (little.reason or "")
-    middle = load(KITTING / "ladder-4x9.pddl")  # 88 million states, of which one is wanted
+    middle = load(KITTING / "ladder-4x9.pddl")  # 88 million states, one of which is wanted
     few = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**12)
     assert isinstance(few, OnDemand)
     assert "asking for 1 states took" in (few.reason or "")
@@ -230,7 +232,7 @@ def test_the_choice_of_the_method(tiny: Table, monkeypatch: pytest.MonkeyPatch) 
     hasty = cost_to_go(middle, states=np.array([middle.initial]), max_states=10**5, limits=Limits(seconds=0.001))
     assert isinstance(hasty, OnDemand)  # no search answers in a millisecond, so that the sweep had to try
     assert hasty.reason == "more than 100000 states"
-    with monkeypatch.context() as patch:  # the sweep would win the race anyway, but for a machine that is busy
+    with monkeypatch.context() as patch:  # the sweep would be faster anyway, except on a busy machine
         patch.setattr("planner.costtogo.portfolio.FIRST", 60)
         assert isinstance(cost_to_go(tiny.task, states=tiny.values([0, 1])), Table)
     with pytest.raises(LimitError):
@@ -261,7 +263,7 @@ def test_the_search_is_chosen_by_measurement(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("planner.costtogo.astar.fast_downward.optimal_plan", optimal_plan)
     monkeypatch.setattr("planner.costtogo.astar.time", SimpleNamespace(monotonic=lambda: clock[0]))
     assert fastest_search(tiny, ["slow", "fast", "between"]).search == "fast"
-    assert allowed == [None, 3.0, 1.0]  # nobody gets longer than the best so far
+    assert allowed == [None, 3.0, 1.0]  # no search may take longer than the best so far
     assert fastest_search(tiny, ["slow", "between"], limits=Limits(seconds=2.5)).search == "between"
 
 
@@ -325,7 +327,7 @@ def test_asking_ends_when_all_states_are_enumerated_and_most_are_not_answered(tm
     cache, told = Cache(table.task, tmp_path), list[int]()
 
     def wait(what: str, *_: object) -> None:
-        """Hold the sweep up once it has enumerated the states, until nothing is answered any more."""
+        """Delay the sweep after its enumeration, until no further answers arrive."""
         while what == "cost-to-go" and (not told or told[-1] < len(cache.read())):
             told.append(len(cache.read()))
             time.sleep(0.3)

@@ -1,4 +1,4 @@
-"""Bad input: one line that says what is wrong, in which file, on which line."""
+"""Invalid PDDL: one line with the fault, the file and the line number."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def changed(text: str, old: str, new: str) -> str:
 
 COSTS = changed(DOMAIN, "(:predicates", "(:functions (total-cost) - number)\n  (:predicates")
 
-# What is broken, the two files, which of them is at fault, a part of that file on the line to be named
-# (None where no line can be), and words that the message has to say.
+# The fault, the two files, the file at fault, a part of that file on the reported line (None if there is no line), and
+# words of the message.
 BROKEN = [
     (
         "missing parenthesis in a section",

@@ -1,4 +1,6 @@
-"""What readers of PDDL understand differently, or take without a word, is refused with its line or read rightly."""
+"""Constructs that PDDL readers interpret differently or accept silently are refused with their line, or read
+correctly.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,7 @@ def test_the_task_that_is_changed_below_can_be_read(tmp_path: Path) -> None:
     ],
 )
 def test_ways_to_write_types_that_mean_the_same(tmp_path: Path, old: str, new: str) -> None:
-    """An object of a type is one of all types above it, of which there may be several."""
+    """An object belongs to its type and all supertypes, of which there may be several."""
     assert old in DOMAIN
     general = DOMAIN.replace(old, new).replace("(on ?p - part ?t - tray)", "(on ?p - part ?t - (either tray box))")
     assert cost(tmp_path, general if "box" in new else DOMAIN.replace(old, new), PROBLEM) == 7

@@ -1,4 +1,4 @@
-"""From a log to people: `fit` from Python, and the command on top of it."""
+"""From a log to people: `fit` in Python, and the command."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def rows(tiny: Table) -> list[dict]:
     return people_at_work(Choices.of(tiny), [0.3, 0.8, 1.5], rng, suggest=0.4, episodes=4)
 
 
+@pytest.mark.slow
 def test_people_by_their_names(tiny: Table, rows: list[dict], tmp_path: Path) -> None:
-    """What the command prints is what Python gives, on a table and on demand alike."""
+    """The command prints the results of the Python function, on a table and on demand."""
     file = write_log(tmp_path / "log.jsonl", rows)
     people = fit(tiny, read_log(file))
     assert list(people) == ["p0", "p1", "p2"]
@@ -85,7 +86,7 @@ def test_misconceptions_of_several_people(tiny: Table, rows: list[dict]) -> None
 
 
 def test_what_is_not_identified_has_no_value(tiny: Table, tmp_path: Path) -> None:
-    """Of an expert who follows one good suggestion nothing can be said of how trust changes."""
+    """An expert who follows one good suggestion gives no information about how trust changes."""
     people = fit(tiny, Log.of(lines(*PLAN, told={1: PLAN[1]})))
     record = people["ann"]
     assert (record.eta, record.eta_interval) == (None, (0.0, 1.0))
@@ -99,11 +100,12 @@ def test_what_is_not_identified_has_no_value(tiny: Table, tmp_path: Path) -> Non
     assert (silent.beta, silent.theta, silent.theta_interval) == (None, None, None)
 
 
+@pytest.mark.slow
 def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
     several = [row for name in "abcd" for row in lines(*PLAN, person=name, told={1: PLAN[1]})]
     assert fit(tiny, Log.of(several)).distribution().eta is None
     assert fit(tiny, Log.of(several), method=Method(eta=0.2)).distribution().eta == 0.2
-    many = people_at_work(Choices.of(tiny), [0.5] * 15, np.random.default_rng(1), suggest=0.6, episodes=8)
+    many = people_at_work(Choices.of(tiny), [0.5] * 8, np.random.default_rng(1), suggest=0.6, episodes=8)
     eta = fit(tiny, Log.of(many)).distribution().eta
     assert eta == pytest.approx(0.2, abs=0.1)
 
@@ -111,10 +113,10 @@ def test_eta_of_a_population_only_where_it_is_known(tiny: Table) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--out", "{0}/x", "--population", "{0}/x"], "--population {0}/x: this is the file of --out"),
-        (["--out", "{0}/log.jsonl"], "--out {0}/log.jsonl: this is the file of LOG"),
-        (["--population", "{0}/tiny.pddl"], "--population {0}/tiny.pddl: this is the file of INSTANCE"),
-        (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: this is the file of its domain"),
+        (["--out", "{0}/x", "--population", "{0}/x"], "--population {0}/x: the same file as --out"),
+        (["--out", "{0}/log.jsonl"], "--out {0}/log.jsonl: the same file as LOG"),
+        (["--population", "{0}/tiny.pddl"], "--population {0}/tiny.pddl: the same file as INSTANCE"),
+        (["--out", "{0}/domain.pddl"], "--out {0}/domain.pddl: the same file as its domain"),
         (["--family", "uniform", "--json"], "--family: expected --population"),
         (["--largest-beta", "1e300"], "largest beta 1e+300: expected 1e-09 to 1e+09"),
         (["--utility-scale", "1e-300"], "utility scale 1e-300: expected 1e-09 to 1e+09"),

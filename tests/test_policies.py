@@ -1,4 +1,4 @@
-"""Team policies: the rules of each, what they may do, the paper's order."""
+"""Team policies: the rules of each, valid actions, and the order of the paper."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_reactive_goes_to_whoever_erred_and_stays_on_ties(pool: Pool) -> None:
 
 
 def test_a_mistake_is_an_action_that_is_not_an_optimal_choice() -> None:
-    """Where actions cost more or less, or nothing: a cheapest way may begin with an action that does not lower h*."""
+    """If costs differ or actions are free, an optimal plan may begin with an action that does not lower h*."""
     table = cost_to_go(load("delivery/one-parcel"))
     choices, reactive = Choices.of(table), Reactive()
     assert (choices.optimal & ~(choices.h[choices.targets] < choices.h[:, None])).any()
@@ -84,7 +84,7 @@ def test_attention_follows_algorithm_1(pool: Pool) -> None:
 
 
 def test_attention_goes_to_nobody_to_say_nothing(pool: Pool) -> None:
-    """Where help is worth nothing the best is to say nothing, however much better than never helping again it is."""
+    """If assistance has no value, the best action is to say nothing, even if it is better than never helping again."""
     x = [pool.choices(0).initial] * 2
     dear = replace(pool, policies=tuple(qmdp(replace(p.pomdp, robot_costs=1e3 * p.pomdp.robot_costs))
                                         for p in pool.policies))  # fmt: skip
@@ -117,11 +117,11 @@ def test_attention_leaves_out_whoever_has_finished(pool: Pool) -> None:
 
 
 def test_a_policy_cannot_write_into_the_simulation(pool: Pool) -> None:
-    """Each array that a policy can reach refuses to be written to, and stays as it was."""
+    """Each array that a policy can reach is read-only and keeps its values."""
     tried: set[str] = set()
 
     def vandal(team: TeamState) -> TeamAction:
-        action = AttentionSwitching()(team)  # so that what is cached is there
+        action = AttentionSwitching()(team)  # so that cached values exist
         team.first_optimal()
         for name, array in reachable(team, "team", {}).items():
             before = array.copy()
@@ -194,14 +194,14 @@ def test_the_other_reading_refers_to_never_helping_again(tiny_choices: Choices) 
 
 
 def with_them(pool: Pool, price: object, step: int, x: list[int]) -> list[float]:
-    """What going to each of them is worth in this step, and holding on to the first, with these prices."""
+    """Return the value of attending to each person in this step at these prices, and of staying with the first."""
     team = replace(state(pool, x, location=0), step=step)
     _, going, holding = Priority.of(pool.policies, team.travel, price).worth(team)
     return [*going[0].tolist(), *holding.tolist()]
 
 
 def test_priority_goes_by_the_prices_of_the_steps_to_come(pool: Pool) -> None:
-    """The same at all steps they are one price; and what is over does not matter any more."""
+    """If all prices are equal they act as one price; prices of past steps have no effect."""
     x, prices = [pool.choices(0).initial] * 3, np.array([0.3, 0.0, 0.5, 0.1, 0.4, 0.2])
     # Fetching a box and returning it leads back.
     assert with_them(pool, np.full(200, 0.2), 2, x) == pytest.approx(with_them(pool, 0.2, 0, x), abs=1e-4)
@@ -221,11 +221,11 @@ def test_prices_of_steps_are_for_whole_tasks_and_people_who_begin_together(pool:
     nearly = int(np.flatnonzero((table.h > 0) & (table.h <= table.h[table.h > 0].min()))[0])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         with_them(pool, np.full(4, 0.2), 1, [table.initial, nearly, table.initial])
-    # People who join after a step are where those who began before them cannot be.
+    # Late joiners are in states that earlier ones cannot be in.
     policy = Priority.of(pool.policies, travel, np.full(4, 0.2))
     late = Schedule.of(3, joins=[0, 0, 1])
     with pytest.raises(ValueError, match="nobody can be so soon: with prices of steps all begin at step 0"):
         simulate(pool, policy, humans=3, episodes=4, seed=0, presence=late)
     part = Pool.sample(tiny, 3, seed=0, states=1)
-    with pytest.raises(ValueError, match="prices of 4 steps: expected one price where tasks are not looked at whole"):
+    with pytest.raises(ValueError, match="prices of 4 steps: expected one price where tasks are truncated"):
         Priority.of(part.policies, travel, np.full(4, 0.2))

@@ -1,4 +1,4 @@
-"""Pools: the people from whom teams are drawn, what the robot knows of them, and what that takes."""
+"""Pools: the people from whom teams are drawn, the robot's knowledge of them, and memory."""
 
 from __future__ import annotations
 
@@ -49,10 +49,10 @@ def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
         ("execute", {"setting": Setting(execute=True)}),
         ("weights", {"population": Population(weights={"goals": (0.0, 1.0)})}),
     ):
-        with pytest.raises(ValueError, match=f"{name}: expected a task that is looked at whole, of at most 200,000"):
+        with pytest.raises(ValueError, match=f"{name}: expected an enumerated task, of at most 200,000"):
             Pool.sample(OnDemand(tiny.task), 2, seed=0, **options)  # type: ignore[arg-type]
     large = Pool.sample(tiny, 2, seed=0, states=5)
-    with pytest.raises(ValueError, match=r"'attention-never': expected a task that is looked at whole"):
+    with pytest.raises(ValueError, match=r"'attention-never': expected an enumerated task"):
         large.policy("attention-never")
     with pytest.raises(ValueError, match="expected one kind"):
         simulate(Pool.joined([large, Pool.sample(tiny, 2, seed=0)]), "none", humans=2, episodes=1, seed=0)
@@ -60,7 +60,7 @@ def test_pools_that_cannot_be(tiny: Table, tiny_choices: Choices) -> None:
 
 @pytest.mark.parametrize("options", [{}, {"suggestions": "all"}, {"execute": True}, {"knowledge": "exact"}])
 def test_memory_is_known_before_it_is_taken(fixed: Table, options: dict[str, Any]) -> None:
-    """What a pool is said to take is what its arrays take, and a pool that takes more than is allowed is refused."""
+    """The predicted memory of a pool is that of its arrays, and a pool beyond the limit is refused."""
     setting, choices = Setting(**options), Choices.of(fixed)
     pool = Pool.sample(choices, 2, seed=0, setting=setting)
     arrays = [array for p in pool.policies for array in reachable(p, "", {}).items() if ".choices." not in array[0]]
@@ -87,7 +87,7 @@ def test_only_people_who_are_drawn_are_solved_and_results_are_the_same(tiny_choi
     found = simulate(lazy, policy, humans=2, episodes=3, seed=4, jobs=2, progress=lambda *what: told.append(what))
     drawn = set(found.people.ravel().tolist())
     assert 2 <= len(drawn) < 12
-    needs = policy.startswith("attention")  # priority has problems of its own, and the others have none
+    needs = policy.startswith("attention")  # priority has its own problems; the other policies have none
     assert {id(one) for one in solved} == {id(lazy.policies[n].pomdp) for n in drawn if needs}
     assert len(solved) == len(drawn) * needs  # once each
     if policy not in ("none", "reactive"):
@@ -105,7 +105,7 @@ def test_people_of_large_tasks_are_solved_when_they_are_drawn(tiny: Table) -> No
         found = simulate(pool, name, humans=2, episodes=1, seed=1)
         drawn = set(found.people.ravel().tolist())
         assert {n for n, one in enumerate(pool.policies) if one.solved} == drawn  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="expected a task that is looked at whole"):
+    with pytest.raises(ValueError, match="expected an enumerated task"):
         pool.policy("attention-never")
 
 
@@ -135,7 +135,7 @@ def test_exact_knowledge_shares_one_policy(tiny_choices: Choices) -> None:
 
 
 def test_a_team_of_different_tasks_costs_and_models(tiny_choices: Choices, fixed: Table) -> None:
-    """Each person of a mixed team does what they do in a pool of their own kind."""
+    """Each person of a mixed team acts as in a pool of their own kind."""
     small = Pool.sample(tiny_choices, 2, seed=1, setting=Setting(c_suggest=0.05, c_move=0.1))
     large = Pool.sample(Choices.of(fixed), 2, seed=2, setting=Setting(c_suggest=0.1, c_move=0.1))
     mixed = Pool.joined([small, large])
@@ -159,7 +159,7 @@ def test_people_may_be_mistaken_about_actions(tiny_choices: Choices) -> None:
     to_goal = tiny_choices.goal[tiny_choices.targets][tiny_choices.applicable]
     assert (noise[to_goal] == 0).all()
     assert 0.3 < noise[~to_goal].std() < 0.7
-    # Two ways into one state look different.
+    # Two choices that lead to the same state have different costs.
     assert len(np.unique(noise[~to_goal].round(9))) == (~to_goal).sum()
     pool = Pool.sample(tiny_choices, 2, seed=0, population=Population(noise="action"))
     assert simulate(pool, pool.policy("attention"), humans=2, episodes=3, seed=0).finished.all()

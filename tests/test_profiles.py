@@ -1,4 +1,4 @@
-"""Estimates from a few actions, where likelihoods have ridges and flat parts: against grids of all parameters."""
+"""Estimates from few actions, whose likelihoods have ridges and flat parts, compared with grids of all parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DROP = 1.9207
 
 
 def ten_actions(instance: str, people: int, suggest: float, seed: int) -> list[Observations]:
-    """People of whom ten actions are recorded, with a suggestion in a share of the steps."""
+    """Return observations of ten actions of each person, with suggestions in a share of the steps."""
     table = kit(instance)
     choices, rng = Choices.of(table), np.random.default_rng(seed)
     rows = []
@@ -50,7 +50,7 @@ def test_nothing_on_a_grid_is_likelier_or_left_out(instance: str, suggest: float
 
 
 def test_an_interval_is_open_where_the_profile_is_flat_up_to_the_bound() -> None:
-    """One fetch says nothing at all; a good choice after it bounds beta from below only, whatever theta and eta are."""
+    """One fetch gives no information; a good choice after it bounds beta from below only, for all theta and eta."""
     plan = ["(fetch box-a)", "(place hammer slot-1 box-a)"]
     for told in ({}, {1: plan[1]}):
         for actions in (plan[:1], plan):

@@ -1,4 +1,4 @@
-"""What commands say of how far they are: a line now and then, a bar on a terminal, and that something is compiled."""
+"""Progress of commands: lines at intervals, a bar on a terminal, and messages about compilation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from planner.system.workers import outcomes
 
 
 class Heard(io.StringIO):
-    """A file that is no terminal, and that tells when what is waited for has been written."""
+    """A file that is not a terminal, and that signals when the awaited text was written."""
 
     def __init__(self, awaited: str) -> None:
         super().__init__()
@@ -49,12 +49,12 @@ class Heard(io.StringIO):
 
 
 def on_terminal(monkeypatch: pytest.MonkeyPatch, work: Callable[[], object]) -> str:
-    """Give what some work shows on a terminal."""
+    """Return what a piece of work shows on a terminal."""
     inner, outer = pty.openpty()
     shown: list[str] = []
 
     def read() -> None:
-        with suppress(OSError):  # Linux says so when the other side is closed
+        with suppress(OSError):  # Linux reports a closed terminal as an error
             while more := os.read(inner, 1 << 16):
                 shown.append(more.decode())
 
@@ -155,7 +155,7 @@ QUICK = {"window": 0, "gap": 0.5}
 LONG: dict[str, tuple[str, Callable[..., object]]] = {
     "sweep": ("cost-to-go", lambda told, task, **_: sweep(task, **told)),
     "cost_to_go": ("cost-to-go", lambda told, task, **_: cost_to_go(task, **told)),
-    "Pool.sample": ("setting people's POMDPs up", lambda told, table, **_: Pool.sample(table, 2, seed=0, **told)),
+    "Pool.sample": ("setting up people's POMDPs", lambda told, table, **_: Pool.sample(table, 2, seed=0, **told)),
     "qmdp": ("solving a person's POMDP: sweeps", lambda told, pomdp, **_: qmdp(pomdp, **told)),
     "solve": ("solving a person's POMDP: backups", lambda told, pomdp, **_: solve(pomdp, **told)),
     "simulate": (
@@ -175,12 +175,12 @@ LONG: dict[str, tuple[str, Callable[..., object]]] = {
     "compare": ("comparing models", lambda told, table, log, **_: compare(table, log, folds=2, **told)),
     "run_study": ("episodes", lambda told, study, results, **_: run_study(study, results, resume=True, **told)),
 }
-"""Functions of which each may take minutes: a stage that each of them shows, and how it is called."""
+"""Functions that may take minutes: a stage that each shows, and how it is called."""
 
 
 @pytest.fixture(scope="module")
 def things(tiny: Table) -> dict[str, Any]:
-    """What these functions are called with."""
+    """Record the arguments of calls to these functions."""
     setting = Setting(c_suggest=0.2, c_move=0.1)
     pool = Pool.sample(tiny, 2, seed=0, setting=setting)
     rows = people_at_work(Choices.of(tiny), [0.5, 1.0], np.random.default_rng(0), suggest=0.4, episodes=2)
@@ -191,11 +191,14 @@ def things(tiny: Table) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LONG)
+LONGEST = {"compare", "run_study"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGEST)) for name in LONG])
 def test_long_work_shows_how_far_it_is(
     name: str, things: dict[str, Any], request: pytest.FixtureRequest, monkeypatch, capsys
 ) -> None:
-    """It does on a terminal, without being asked and after a while; or it calls a function."""
+    """Progress is shown on a terminal by default after a while, or passed to a function."""
     stage, call = LONG[name]
     given = dict(things)
     if name == "run_study":

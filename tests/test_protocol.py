@@ -1,4 +1,4 @@
-"""Studies as data: read, refused with the place, and the same people whatever the setting."""
+"""Study protocols: reading, errors with their place, and the same people in all settings."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
             "[reference]\nsource = 'me'\nheadline = { actions_vs_non = 3 }\n[populations.everybody]",
             "reference.headline.actions_vs_non: unknown; did you mean 'actions_vs_none'?",
         ),
-        ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team, and 1 in a pool"),
+        ("pool = 4", "pool = 1", "conditions[1].humans: 2 people in a team; expected at most 1, the size of the pool"),
         ("humans = [1, 2]", "humans = 2", "humans: 2; expected a list of whole numbers"),
         ("tiny.pddl", "tinny.pddl", "tinny.pddl: no such file"),
         ("c_suggest = 0.2\n", 'c_suggest = "low"\n', 'setting.c_suggest: "low"; expected a number'),
@@ -118,7 +118,12 @@ def test_cells_draw_the_same_people_whatever_the_setting(tmp_path: Path) -> None
         (
             "beta = [0.1, 0.5]",
             'beta = [0.1, 0.5]\nfile = "people.json"',
-            "populations.novices: file says what beta would; expected one of them",
+            "populations.novices: file also sets beta; expected one of them",
+        ),
+        (
+            "beta = [0.1, 0.5]",
+            "advice_takers = true\ntheta = [0.1, 0.5]",
+            "populations.novices: advice_takers also sets theta; expected one of them",
         ),
         (
             "[populations.everybody]",
@@ -172,7 +177,7 @@ def test_what_can_be_read_but_not_done_is_refused_before_the_work(tmp_path: Path
         check(read(write(tmp_path, TINY.replace("c_suggest = 0.2\n", "gamma = 1.5\n"))))
     with pytest.raises(InputFileError, match="the goal cannot be reached"):
         check(read(write(tmp_path, TINY.replace("tiny.pddl", "unsolvable.pddl"))))
-    with pytest.raises(InputFileError, match=r"episodes; at most 100,000,000 are carried out"):
+    with pytest.raises(InputFileError, match=r"episodes; expected at most 100,000,000"):
         check(read(write(tmp_path), repeats=10**20))
     (tmp_path / "mine.py").write_text("other = 1\n")
     with pytest.raises(InputFileError, match=r"mine.py: has no function 'mine'"):

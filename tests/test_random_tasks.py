@@ -1,4 +1,4 @@
-"""Small random STRIPS tasks, from PDDL text to the cost-to-go of every state, against Fast Downward's A*."""
+"""Small random STRIPS tasks, from PDDL text to the cost-to-go of every state, compared with Fast Downward's A*."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner import astar, load, sweep, verify
 ATOMS = [f"(p{i})" for i in range(5)]
 some_atoms = st.lists(st.sampled_from(ATOMS), max_size=2, unique=True)
 several_atoms = st.lists(st.sampled_from(ATOMS), min_size=1, max_size=3, unique=True)
-# Preconditions, negative preconditions, what is added, what is deleted, and the cost of each action.
+# Preconditions, negative preconditions, add and delete effects, and the cost of each action.
 actions = st.lists(
     st.tuples(some_atoms, some_atoms, several_atoms, some_atoms, st.integers(0, 3)), min_size=1, max_size=7
 )

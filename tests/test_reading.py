@@ -1,7 +1,7 @@
-"""The project's own reading of PDDL: all legal ways of writing are read, by unified-planning too, and faults are told.
+"""The project's own PDDL parser: all legal forms are read, by unified-planning too, and faults are reported.
 
-Names, numbers of arguments and types are checked everywhere: an argument may be of a supertype of what is expected,
-but not of a type that is disjoint from it.
+Names, arities and types are checked everywhere. An argument may be of a supertype of the expected type, but not of a
+disjoint type.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def swept(folder: Path, domain: str, problem: str) -> Table:
 
 
 def changed(old: str, new: str) -> tuple[str, str]:
-    """The files with one part written otherwise: in the domain if it is there, else in the problem."""
+    """Return the files with one part replaced, in the domain if it occurs there, otherwise in the problem."""
     assert DOMAIN.count(old) + PROBLEM.count(old) >= 1, old
     return (DOMAIN.replace(old, new, 1), PROBLEM) if old in DOMAIN else (DOMAIN, PROBLEM.replace(old, new, 1))
 
@@ -102,7 +102,7 @@ def test_the_task_that_is_changed_below(tmp_path: Path) -> None:
 )
 def test_ways_to_write_the_same(tmp_path: Path, old: str, new: str) -> None:
     domain, problem = changed(old, new)
-    if "red)" in new and "exists" in new:  # what is named in the domain is one of its constants
+    if "red)" in new and "exists" in new:  # objects that the domain names are constants
         domain = domain.replace("spare - tool", "spare - tool red blue - tray")
         problem = problem.replace("red blue - tray", "")
     table = swept(tmp_path, domain, problem)
@@ -158,7 +158,7 @@ def test_variables_of_one_name_do_not_disturb_each_other(tmp_path: Path) -> None
 
 
 def test_what_is_of_a_supertype_may_be_of_the_type(tmp_path: Path) -> None:
-    """Such files are read as the translator reads them; unified-planning does not accept them, which is said."""
+    """Such files are read as the translator reads them; a note says that unified-planning does not accept them."""
     table = swept(
         tmp_path, DOMAIN.replace("(held ?p - thing)", "(held ?p - part)"), PROBLEM.replace(" (not (held spare))", "")
     )

@@ -23,7 +23,7 @@ def entries(documented: Any) -> set[str]:
 
 
 def expected(value: Any) -> set[str]:
-    """What there is to list: the fields of a dataclass, the parameters of anything else that is called."""
+    """Return the names to be listed: fields of a dataclass, or parameters of another callable."""
     if inspect.isclass(value) and (issubclass(value, BaseException) or getattr(value, "_is_protocol", False)):
         return set()
     if dataclasses.is_dataclass(value):

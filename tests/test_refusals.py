@@ -1,4 +1,4 @@
-"""What the functions refuse that Python users call, and in which words: each says what would be right."""
+"""Refusals of Python functions and their messages; each says what would be valid."""
 
 from __future__ import annotations
 
@@ -206,10 +206,10 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     "drawing of a pool": (
         lambda g: TeamEnv(g.pool, render_mode="rgb_array").render(),
-        TypeError, "expected an environment of a task by its file or name, and this one is of a pool",
+        TypeError, "expected an environment made from a task's file or name, not from a pool",
     ),
     "team around a state": (
-        lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "a task that is looked at whole",
+        lambda g: Teams(Pool.sample(g.table, 2, seed=0, states=5), 1, 2), ValueError, "an enumerated task",
     ),
     # Learning.
     "weights of nobody": (
@@ -227,7 +227,7 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     ),
     "no choice": (
         lambda _: Matcher(["(go)"]).slot(("go",), np.array([], dtype=np.int32)),
-        UnmatchedError, "(go) is not applicable; here one can only stand still, (wait)",
+        UnmatchedError, "(go) is not applicable; a person can only wait here, (wait)",
     ),
     "misconceptions and terms": (
         lambda g: learned(g.table, ACTIONS, misconceptions=True, terms=True),
@@ -258,16 +258,16 @@ REFUSED: dict[str, tuple[Callable[[Given], Any], type[Exception], str]] = {
     "an empty trace": (lambda g: episode_frames(Artist(g.table.task), []), FramesError, "the trace is empty"),
     "the operator's link": (
         lambda _: Client("http://127.0.0.1:9/operator/secret").see(),
-        ValueError, "expected a person, as the link is the operator's",
+        ValueError, "expected the name of a person, since the link is the operator's",
     ),
     "a long answer": (
         lambda _: replace(FORMS["text"], items=(Item("why", "Why?"),)).check({"why": "x" * 100_000}),
-        ValueError, "answers.why: expected a text of up to",
+        ValueError, "answers.why: expected a text of at most",
     ),
     "no task": (lambda _: Course({}), ValueError, "there is no task; expected one or more"),
     "secret": (
         lambda g: AccessTokens.kept(says("short", g.folder), "http://x"),
-        OSError, "from which the links' tokens follow;",
+        OSError, "bytes of the session's secret;",
     ),
     "advice": (
         lambda _: Advice.of({"reason": None, "arrived": "yes", "person": None, "suggestion": None}),
@@ -337,17 +337,16 @@ def test_words_of_a_command_that_do_not_go_together(words: str, message: str, tm
     assert (result.exit_code, message in result.stderr) == (2, True), result.stderr
 
 
-def test_a_service_forgets_who_has_not_called_for_longest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever has used up what they may call waits, unless so many others have come that nobody knows any more."""
-    monkeypatch.setattr(request_limits, "MOST_CALLERS", 2)
-    allowance = request_limits.Allowance(rate=1.0, burst=1.0, clock=lambda: 0.0)
+def test_a_service_forgets_who_has_not_called_for_longest() -> None:
+    """A caller over the limit waits, unless enough other callers came that it was forgotten."""
+    allowance = request_limits.Allowance(rate=1.0, burst=1.0, callers=2, clock=lambda: 0.0)
     assert [allowance.wait(caller) for caller in ("ann", "ann", "bob", "ann", "cat", "dan", "ann")] == [
         0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0,
     ]  # fmt: skip
 
 
 def test_episodes_in_threads_are_the_same(pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module("assist.simulation.simulate"), "TOGETHER", 1)
+    monkeypatch.setattr(import_module("assist.simulation.simulate"), "PEOPLE_AT_A_TIME", 1)
     alone = run(pool, "reactive", 2, 3 * BLOCK, 5)
     assert equal(run(pool, "reactive", 2, 3 * BLOCK, 5, jobs=2), alone)
 

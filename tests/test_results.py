@@ -1,4 +1,4 @@
-"""What a resumed batch keeps: what was made from the same files and is still all there."""
+"""A resumed batch keeps complete results that were made from the same files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from planner.batch import results_folder as results
 from planner.batch import solve_batch as batch
 from planner.batch.results_folder import Results
 from planner.batch.solve_batch import solve_batch
-from planner.batch.solve_instance import SolveOptions, begun_sweep, solve_instance
+from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.system.workers import WorkerDiedError
 
 OPTIONS = SolveOptions(verify=1)
@@ -48,6 +48,7 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+@pytest.mark.slow
 def test_a_changed_problem_is_solved_again(tmp_path: Path, instance: Instance) -> None:
     out = tmp_path / "out"
     out_json = ("--out", out, "--verify", 1, "--json")
@@ -83,7 +84,7 @@ def test_what_an_answer_depends_on(
             options = replace(OPTIONS, time_limit=100.0, memory_limit=5000.0)
         case "no file":
             instance.problem.unlink()
-        case "record":  # still one in form
+        case "record":  # still a valid record
             records = tmp_path / "out" / "results.jsonl"
             records.write_text(records.read_text().replace('"cost": 6', '"cost": 7'))
         case "search":
@@ -108,13 +109,6 @@ def test_damaged_tables_and_plans_are_made_again(ending: str, damage: str, tmp_p
         file.write_bytes(file.read_bytes()[:-1])
     assert kept(out, instance) == set()
     assert not list(out.rglob("problem.*"))  # nothing is left that no record stands for
-
-
-def test_a_long_sweep_that_was_cut_off_goes_on(tmp_path: Path, instance: Instance) -> None:
-    results = solved(tmp_path / "out", instance)
-    assert kept(tmp_path / "out", instance) == {str(instance.problem)}
-    begun_sweep(results.place(instance)).touch()  # it was then solved on demand
-    assert kept(tmp_path / "out", instance) == set()
 
 
 def test_results_of_other_instances_stay(tmp_path: Path, instance: Instance) -> None:
@@ -180,8 +174,9 @@ def test_an_instance_whose_worker_ends_does_not_end_the_others(tmp_path: Path, m
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == len(ends)
 
 
+@pytest.mark.slow
 def test_one_problem_with_two_domains_is_two_instances(tmp_path: Path) -> None:
-    """Each has a record, a table and a plan of its own, and both are kept by a run that resumes."""
+    """Each has its own record, table and plan, and a resumed run keeps both."""
     dear = tmp_path / "in" / "dear.pddl"
     dear.parent.mkdir()
     dear.write_text(

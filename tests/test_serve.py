@@ -1,4 +1,4 @@
-"""The command `serve`, as a user starts it: links, actions, the end, and going on."""
+"""The command `serve`, as a user starts it: links, actions, shutdown and resuming."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tasks that come with the package are found by folder and name, wherever one is."""
+"""Bundled tasks are found by folder and name from every working directory."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ def test_a_folder_of_the_package_stands_for_all_of_its_tasks(elsewhere: Path) ->
         with pytest.raises(InstanceError):
             find_instances([empty])
     (elsewhere / "blocks").mkdir()
-    with pytest.raises(InstanceError, match=r"^blocks: no problem file"):  # one's own folder comes first
+    with pytest.raises(
+        InstanceError, match=r"^blocks: no problem file"
+    ):  # a folder in the working directory comes first
         find_instances(["blocks"])
 
 

@@ -1,4 +1,4 @@
-"""What objects look like when they are printed, and episodes as a data frame."""
+"""Printed representations of objects, and episodes as a data frame."""
 
 from __future__ import annotations
 

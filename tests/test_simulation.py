@@ -1,4 +1,4 @@
-"""Simulation: the laws of an episode, against the equations of people and by hand."""
+"""Simulation: properties of episodes, compared with the equations of people and with values by hand."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ def test_policies_meet_the_same_people(pool: Pool) -> None:
 
 
 def test_unaided_people_choose_as_the_model_says(tiny_choices: Choices) -> None:
-    """First choices of many episodes against the Boltzmann probabilities of the person's own costs."""
+    """First choices of many episodes compared with the Boltzmann probabilities of the person's own costs."""
     population = Population(beta=(1.0, 1.0), theta=(0.6, 0.6), sigma=(1.0, 1.0))
     pool = Pool.sample(tiny_choices, 1, seed=9, population=population)
     trace: Trace = []
@@ -212,7 +212,7 @@ def test_laws_of_every_episode(pool: Pool, seed: int, humans: int, name: str) ->
     watched.uses_belief = inner.uses_belief  # type: ignore[attr-defined]
     for episode in simulate(pool, watched, humans=humans, episodes=3, seed=seed):
         assert sum(episode.helped) == episode.interventions
-        assert all(actions >= 6 for actions in episode.actions)  # nobody beats the exact cost-to-go
+        assert all(actions >= 6 for actions in episode.actions)  # no episode is shorter than the exact cost-to-go
         assert episode.discounted_return <= 0
         assert episode.moves <= episode.steps
         assert episode.interventions <= episode.steps
@@ -284,7 +284,7 @@ def test_in_the_models_world_the_belief_is_right_on_average(pool: Pool) -> None:
     believed, alive = mean[0], len(mean[0])
     here = (episodes.beta == grid.beta)[episodes.steps > 5]
     assert len(here) == alive
-    sure = believed > 0.3  # calibration where the belief says something
+    sure = believed > 0.3  # calibration where the belief is informative
     assert abs(here[sure].mean() - believed[sure].mean()) < 4 * 0.5 / np.sqrt(sure.sum())
 
 
@@ -311,7 +311,7 @@ def matrices(places: int) -> st.SearchStrategy[np.ndarray]:
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataObject) -> None:
-    """The robot acts on nobody who is not there, pays travel when it moves and then only, and rewards add up."""
+    """The robot acts only on people who are present, pays for travel only when it moves, and rewards add up."""
     humans = data.draw(st.integers(1, 4))
     name = data.draw(st.sampled_from([*POLICIES, "restless"]))
     travel = Travel.of(
@@ -365,7 +365,7 @@ def test_laws_with_travel_and_people_who_come_and_go(pool: Pool, data: st.DataOb
 
 
 def test_execution_by_the_robot(tiny_choices: Choices) -> None:
-    """Where executing costs nothing the robot does half of the work of one person alone."""
+    """If execution is free, the robot does half of the work of a single person."""
     setting = Setting(execute=True, c_execute=0.0, c_move=0.0)
     pool = Pool.sample(tiny_choices, 2, seed=0, setting=setting)
     trace: Trace = []
@@ -396,7 +396,7 @@ def test_teams_may_differ_from_episode_to_episode(tiny_choices: Choices) -> None
 
 
 def test_people_who_left_are_not_cut_off(pool: Pool) -> None:
-    """An episode is cut off where a person could have gone on after the last step."""
+    """An episode is cut off if a person could have continued after the last step."""
     short = replace(pool, setting=replace(pool.setting, max_steps=3))
     for leaves, cut in ((1, 0), (3, 0), (4, 20)):
         presence = Schedule.of(2, leaves=[leaves, leaves])

@@ -1,4 +1,4 @@
-"""Statistics over pools: intervals against scipy's, and as wide as they say."""
+"""Statistics over pools: intervals compared with scipy's, and their coverage."""
 
 from __future__ import annotations
 
@@ -72,13 +72,13 @@ def test_changes_ratios_and_effects() -> None:
 
 
 def test_an_interval_is_put_into_words() -> None:
-    """What is shown needs the whole interval on one side; without one nothing is shown."""
+    """A conclusion needs the whole interval on one side; without an interval there is none."""
 
     def between(low: float | None, high: float | None) -> dict[str, float | None]:
         return {"mean": 5.0, "low": low, "high": high}
 
     assert [sign(between(*ends)) for ends in ((1, 9), (-1, 9), (None, None))] == ["yes", "not shown", "not shown"]
-    assert [sign(between(1, 9), at) for at in (0.5, 5.0, 10.0)] == ["yes", "not shown", "no, the contrary"]
+    assert [sign(between(1, 9), at) for at in (0.5, 5.0, 10.0)] == ["yes", "not shown", "no, the opposite"]
     assert sign({"mean": None}) == "yes"  # of nothing there is no smallest number
     assert [beside(between(1, 9), other) for other in (0.5, 4.0, 6.0, 10.0)] == [
         "better, the whole interval", "better, not the whole interval", "worse, not the whole interval",

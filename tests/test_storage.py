@@ -1,4 +1,4 @@
-"""Outputs: whole or not at all, and what a user points them at stays what it is."""
+"""Output files are written completely or not at all, and existing files at their paths are kept."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_link_goes_on_leading_to_its_file(tmp_path: Path) -> None:
 
 
 def test_several_threads_write_one_file(tmp_path: Path) -> None:
-    """Each writes under a name of its own, and the one that ends last is what is kept."""
+    """Each thread writes to a file of its own, and the one that ends last is kept."""
     file = tmp_path / "file.txt"
     with atomic(file) as first:
         first.write_text("first")
@@ -131,7 +131,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_said_with_the_files_name(tmp_path: Path) -> None:
-    """A limit on the size of files stands for it."""
+    """A limit on the size of files stands for a full disk."""
     whole, started = tmp_path / "whole.jsonl", tmp_path / "started.jsonl"
     append(started, "first\n")
     many = (*SIMULATE[:-5], "500", *SIMULATE[-4:])
@@ -199,7 +199,7 @@ def test_files_of_one_command_are_kept_apart(tmp_path: Path) -> None:
     separate_files({"--out": other, "--trace": tmp_path / "third", "--figure": None}, {"LOG": log})
     separate_files({"--out": Path("/dev/null"), "--trace": Path("/dev/null")})
     for outputs in ({"--out": other, "--trace": tmp_path / "x" / ".." / "other"}, {"--out": tmp_path / "again"}):
-        with pytest.raises(click.UsageError, match="this is the file of"):
+        with pytest.raises(click.UsageError, match="the same file as"):
             separate_files(outputs, {"LOG": log})
 
 

@@ -1,4 +1,4 @@
-"""Studies carried out: killed and resumed, damaged, and with policies that fail."""
+"""Runs of studies: killed and resumed, damaged, and with failing policies."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from planner.system.errors import DamagedFileError, InputFileError
 
 @pytest.fixture
 def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cells are carried out here: a worker takes a second to start."""
+    """Run cells in this process, since a worker takes a second to start."""
     monkeypatch.setattr("assist.study.runner.outcomes", here)
 
 
@@ -56,6 +56,7 @@ def test_a_killed_study_resumes_to_the_same_bytes(small_study: tuple[Study, Path
 
 
 @pytest.mark.usefixtures("one_picture", "in_this_process")
+@pytest.mark.slow
 def test_repeats_can_be_added_and_another_study_is_refused(
     small_study: tuple[Study, Path, dict], tmp_path: Path
 ) -> None:
@@ -72,7 +73,7 @@ def test_repeats_can_be_added_and_another_study_is_refused(
         run_study(study, out)
     with pytest.raises(InputFileError, match="expected --repeats 3 or more"):
         run_study(read(study.file, repeats=2), out, resume=True)
-    with pytest.raises(InputFileError, match="these are results of another study"):
+    with pytest.raises(InputFileError, match="the results belong to another study"):
         run_study(read(write(tmp_path, TINY.replace("seed = 5", "seed = 4"))), out, resume=True)
     assert (out / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     assert set(profile(out)) >= {"people's POMDPs", "simulating none", "simulating attention"}
@@ -106,7 +107,7 @@ def test_cells_with_damaged_lines_are_run_again(
     assert run_study(study, results, resume=True, warn=said.append, progress=told) == []
     assert said == [
         f"{results / 'episodes.jsonl'}:7: {what}; the cells of such lines are run again",
-        f"{results / 'profile.jsonl'}:2: {what}; how long these cells took is forgotten",
+        f"{results / 'profile.jsonl'}:2: {what}; the times of these cells are lost",
     ]
     assert (results / "episodes.jsonl").read_bytes() == (whole / "episodes.jsonl").read_bytes()
     total = sum(map(study.episodes, study.cells()))
@@ -130,7 +131,7 @@ def test_lines_that_are_missing_twice_there_or_moved_are_noticed(
 @pytest.mark.parametrize(
     ("content", "what"),
     [
-        (b'{\n"schema": 1,\n"finger', "study.json:3: is no JSON"),
+        (b'{\n"schema": 1,\n"finger', "study.json:3: is not valid JSON"),
         (b"\x89PNG\xff", "study.json: is not text (UTF-8)"),
         (b"[]", "study.json: has no field 'schema'"),
         (None, "study.json: is missing"),
@@ -213,7 +214,7 @@ def test_episodes_load_at_once(small_study: tuple[Study, Path, dict], tmp_path: 
     assert row["human_actions_per_person"] == sum(row["actions"]) / row["humans"]
     assert len(row["people"]) == len(row["beta"]) == row["humans"]
     assert row["interventions"] == sum(row["helped"])
-    # People and luck are common: without help costs and conditions make no difference.
+    # People and random numbers are common: without assistance, costs and conditions make no difference.
     first = frame[frame["condition"] == "first"].set_index(["repeat", "humans", "draw", "trial", "policy"])
     assert first.loc[0, 2, 0, 0, "none"]["people"] == first.loc[0, 2, 0, 1, "attention"]["people"]
     with pytest.raises(InputFileError, match="no results of a study"):

@@ -1,4 +1,4 @@
-"""What a study has found: in numbers, and as a report."""
+"""Results of a study: the summary and the report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from planner import Instance
 
 @pytest.fixture(scope="module", autouse=True)
 def in_this_process() -> Iterator[None]:
-    """Cells are carried out here: a worker takes a second to start."""
+    """Run cells in this process, since a worker takes a second to start."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("assist.study.runner.outcomes", here)
         yield
@@ -92,7 +92,9 @@ def test_the_report_says_what_was_found_and_shows_its_pictures(small_study: tupl
     assert page.count("<picture>") == len(shown)
     files = {*shown, *re.findall(r'(?:src|srcset)="([^"]+)"', page)}
     assert len(files) == 3 * len(shown)
-    drawn = [out / name for name in files if Path(name).name.startswith("team-size")]  # the only one, see the fixture
+    drawn = [
+        out / name for name in files if Path(name).name.startswith("team-size")
+    ]  # the only one drawn, see the fixture
     assert [file.is_file() for file in drawn] == [True] * 3
 
 
@@ -120,7 +122,7 @@ def report_of(folder: Path, text: str, repeats: int) -> Report:
 
 
 def words_in(report: Report, name: str) -> list[str]:
-    """All that is written in a picture."""
+    """Return all text in a picture."""
     (picture,) = [each for each in report.pictures if each.name == name]
     return [text.get_text() for text in picture.figure().findobj(Text) if text.get_text()]
 
@@ -132,7 +134,7 @@ def several(tmp_path_factory: pytest.TempPathFactory) -> Report:
 
 
 def rows_below(text: str, title: str) -> list[list[str]]:
-    """The first table below a title, without its head."""
+    """Return the first table below a title, without its head."""
     below = text.split(f"## {title}\n", 1)[1]
     lines = [line for line in below.split("\n## ")[0].splitlines() if line.startswith("|")]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
@@ -154,13 +156,14 @@ def test_every_population_of_the_first_condition_has_a_headline(several: Report)
         ("actions against none", "everybody"), ("actions against none", "novices"),
     }  # fmt: skip
     effects = [row for row in rows if row[:4] == ["novices", "tiny", "actions", "none"]]
-    assert len(effects) == 1  # and not two that nothing tells apart
+    assert len(effects) == 1  # and not two that cannot be distinguished
     assert len({tuple(row) for row in rows_below(text, "Team sizes")}) == 2 * 2 * 3
     assert "(population 'everybody')](figures/team-size.png)" in text
     assert {"everybody", "novices"} <= set(words_in(several, "categories"))
     assert "| default | attention | tiny |" in text.split("## Sensitivity")[1]
 
 
+@pytest.mark.slow
 def test_nothing_that_somebody_else_claims_is_in_a_report(several: Report, tmp_path: Path) -> None:
     theirs = ("paper", "24.48", "12.35", "25.94", "3.86", "31.685", "Algorithm 1")
     compared = report_of(tmp_path, SEVERAL + PUBLISHED, 1)
@@ -196,7 +199,7 @@ def test_a_single_episode_makes_a_report(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
-    """All conditions of the paper, on a task that takes no time; `make study` has them on the paper's tasks."""
+    """All conditions of the paper, on a task that takes no time; `make study` runs them on the paper's tasks."""
     paper = read("paper", repeats=1)
     conditions = tuple(replace(c, instances=("tiny",), humans=(1, 2)) for c in paper.conditions)
     tiny = Instance(KITTING / "tiny.pddl", KITTING / "domain.pddl")
@@ -209,7 +212,7 @@ def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
         "Team sizes",
         "Does the benefit decline with the number of people?",
         "Kinds of people",
-        "Which reading comes nearest to the interventions of the paper",
+        "Which interpretation fits the interventions of the paper best",
         "Sensitivity",
         "One episode",
     ):
@@ -221,7 +224,7 @@ def test_the_papers_protocol_makes_its_whole_report(tmp_path: Path) -> None:
 
 def test_the_pages_figures_are_those_of_the_record() -> None:
     record = json.loads((ROOT / "bench" / "records" / "study.json").read_text())["headline"]["instances"]
-    page = (ROOT / "docs" / "study.md").read_text().split("saves, reduced |")[1]
+    page = (ROOT / "docs" / "results" / "study.md").read_text().split("saves, reduced |")[1]
     for key in ("actions_vs_none", "actions_vs_reactive", "interventions_vs_reactive"):
         cells = [interval(record[instance][key]) for instance in ("paper", "paper-fixed")]
         assert f"| {key.replace('_vs_', ', against ')} | {' | '.join(cells)} |" in page

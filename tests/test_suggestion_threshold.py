@@ -1,4 +1,4 @@
-"""Thresholds of policies that weigh costs and make no suggestion."""
+"""Suggestion thresholds of policies that weigh costs and make no suggestion."""
 
 from __future__ import annotations
 
@@ -76,9 +76,13 @@ def test_a_threshold_in_words() -> None:
     assert search_threshold(0.0, lambda _: True) == SuggestionThreshold(0.0, None, searched=True)
 
 
-@pytest.mark.parametrize("policy", ["attention", "attention-never", "priority"])
+@pytest.mark.parametrize(
+    "policy", ["attention", *(pytest.param(name, marks=pytest.mark.slow) for name in ("attention-never", "priority"))]
+)
 def test_a_policy_without_suggestions_has_a_threshold(policy: str, tiny: Table) -> None:
-    """The same people with the same luck are spoken to at that cost, and not at the next that was tried."""
+    """With the same people and random numbers, suggestions are made at that cost, but not at the next one that was
+    tried.
+    """
 
     def run(c_suggest: float, **options: Any) -> Any:
         return simulate(pool_at(tiny, c_suggest), policy, humans=2, episodes=20, seed=3, **options)
@@ -171,7 +175,7 @@ def test_a_study_says_where_a_policy_is_no_assistance(tmp_path: Path, monkeypatc
         True,
     )
     threshold = SuggestionThreshold(40.0, row["worth_at"], searched=True)
-    note = f"attention is no assistance (first, c_suggest 40, everybody, tiny): {threshold}"
+    note = f"attention makes no suggestion (first, c_suggest 40, everybody, tiny): {threshold}"
     assert list(study_report.threshold_notes(summary)) == [note]
     assert f"\n\n**Note.** {note}.\n\n" in (out / "report.md").read_text()
     assert run_study(study, out, resume=True) == []

@@ -1,4 +1,4 @@
-"""Tables of figures in the documentation: what they show is what is stored, and who made it is said."""
+"""Tables in the documentation equal their records, which name the commands that made them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_every_record_is_shown() -> None:
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_commands_of_records_can_be_run(name: str) -> None:
-    """As far as their options go: many of them take long."""
+    """Only the options are parsed, since many commands take long."""
     for command in TABLES.read_record(name)["commands"]:
         program, first, *arguments = shlex.split(command)
         if program == "kitassist" and not first.startswith("-"):
@@ -75,7 +75,7 @@ def test_commands_of_records_can_be_run(name: str) -> None:
 
 @pytest.mark.parametrize("instance", solvable(SMALL), ids=named)
 def test_instances_are_what_their_readme_says(instance: Instance) -> None:
-    """As far as they are small."""
+    """Only small instances are checked."""
     readme = next(folder / "README.md" for folder in instance.problem.parents if (folder / "README.md").exists())
     name = str(instance.problem.relative_to(readme.parent))
     described = [

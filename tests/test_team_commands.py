@@ -1,4 +1,4 @@
-"""`simulate` and `bound` on the command line: own policies, populations, limits, and what they say of faults."""
+"""`simulate` and `bound` on the command line: user policies, populations, limits, and error messages."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def leaves(team):
 
 def test_the_region_is_of_so_many_states_however_the_cost_to_go_is_found() -> None:
     def printed(known: CostToGo, *options: object) -> tuple[float, float]:
-        """What the command says of a task with this cost-to-go, and what Python does at so small a region."""
+        """Return the printed return on a task with this cost-to-go, and that of Python with so small a region."""
         pool = Pool.sample(known, 2, seed=0, setting=Setting(c_suggest=0.2), states=1, region=5)
         expected = simulate(pool, "attention", humans=2, episodes=20, seed=0).discounted_return.mean()
         command = ["simulate", TINY, "--humans", 2, "--pool", 2, "--policy", "attention", "--episodes", 20]
@@ -135,6 +135,7 @@ def test_a_file_that_cannot_be_run_is_named_with_its_line(tmp_path: Path, text: 
     assert words in result.stderr
 
 
+@pytest.mark.slow
 def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: Path) -> None:
     record = {"parts": [{"share": 1.0, "beta": [2.0, 2.5], "theta": [0.8, 0.9], "sigma": [0.0, 0.0]}]}
     file = tmp_path / "people.json"
@@ -152,7 +153,7 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
         for name, *span in (("beta", 1, 2), ("theta", 0.5, 0.6)):
             both = invoke(command, TINY, *team, "--population", file, f"--{name}", *span)
             assert (both.exit_code, both.stdout) == (2, "")
-            assert f"says what --{name} says; expected one of them" in both.stderr
+            assert f"also sets --{name}; expected one of them" in both.stderr
     file.write_text('["no population"]')
     assert invoke("bound", TINY, "--humans", 2, "--population", file).exit_code == 2
 
@@ -165,7 +166,7 @@ def test_a_population_is_taken_by_every_command_and_not_beside_ranges(tmp_path: 
         (("bound", "--memory-limit", 1), 1, "2 problems of people, each of up to"),
         (("simulate", "--policy", "Attention"), 2, "'Attention'; did you mean 'attention'"),
         (("simulate", "--policy", "nowhere.py:f"), 2, "nowhere.py: no such file"),
-        (("simulate", "--out", "same.jsonl", "--trace", "same.jsonl"), 2, "this is the file of --out"),
+        (("simulate", "--out", "same.jsonl", "--trace", "same.jsonl"), 2, "the same file as --out"),
     ],
 )
 def test_what_cannot_be_is_said_before_the_work_begins(
@@ -190,8 +191,9 @@ def test_a_bound_where_everybody_has_finished_is_zero(tmp_path: Path) -> None:
     assert (found["value"], found["upper"], found["gap_percent"]) == (0, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
-    """However little time there is: something is proven, and it is sound."""
+    """With any time limit, a valid bound is proven."""
     options: tuple[Any, ...] = (TINY, "--humans", 3, "--c-suggest", 0.1, "--gamma", 0.95, "--json")
     short = invoke("bound", *options, "--time-limit", 0.05, "--gap", 0)
     assert short.exit_code == 0, short.output
@@ -199,7 +201,7 @@ def test_a_time_limit_is_for_all_of_a_bound_which_holds_all_the_same() -> None:
     hasty = json.loads(short.stdout)
     assert hasty["upper"] >= good["upper"] - 1e-9
     assert hasty["value"] <= hasty["upper"] + 4 * hasty["value_stderr"]
-    assert (hasty["price"], hasty["episodes"]) == ([], 1024)  # no round of prices, and one portion of episodes
+    assert (hasty["price"], hasty["episodes"]) == ([], 1024)  # no round of prices, and one batch of episodes
 
 
 def test_a_single_episode_has_no_standard_error() -> None:
@@ -214,3 +216,20 @@ def test_more_episodes_than_anybody_can_wait_for_are_refused() -> None:
     said = invoke("bound", str(TINY), "--humans", "2", "--policy", "none", "--episodes", "99999999999")
     assert said.exit_code == 2
     assert "99999999999 is not in the range" in said.stderr
+
+
+def test_old_names_of_options_are_accepted_with_a_warning() -> None:
+    """`--paths` was renamed to `--samples`; both give the same bound, and only the old name prints a warning."""
+    options = ("bound", TINY, "--humans", 1, "--policy", "none", "--episodes", 10, "--gap", 2, "--json")
+    printed = {}
+    for given in (("--samples", "2"), ("--paths=2",)):
+        result = invoke(*options, *given)
+        assert result.exit_code == 0
+        document = json.loads(result.stdout)
+        printed[given] = {name: document[name] for name in ("value", "upper")}
+        warned = [line for line in result.stderr.splitlines() if "deprecated" in line]
+        old = given[0].startswith("--paths")
+        assert warned == ["--paths is deprecated and will be removed in version 2.0; use --samples"] * old
+    assert len({json.dumps(found) for found in printed.values()}) == 1
+    assert "No such option '--paths'" in invoke("policy", TINY, "--paths", 2).stderr
+    assert "--paths" not in invoke("bound", "--help").stdout

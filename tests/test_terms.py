@@ -1,4 +1,4 @@
-"""Terms of choices: what else than cost speaks for an action."""
+"""Terms of choice models: features of actions besides cost."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from planner import OnDemand, Table
 
 
 def after(table: Table, *actions: str) -> Situation:
-    """What somebody can choose from who has taken actions from the beginning on."""
+    """Return the situation of a person after these actions from the initial state."""
     states = [table.initial, *(table.space.follow(actions[: n + 1]) for n in range(len(actions)))]
     choices, state = Choices.of(table), np.array(states[-1:])
     met = goals_met(table, np.arange(len(table)))

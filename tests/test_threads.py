@@ -1,4 +1,4 @@
-"""Work on several threads: what each part comes to, also where threads do not begin, or end without a word."""
+"""Work on several threads: the results of each part, also if threads cannot start or end silently."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_what_fails_is_raised_and_nothing_is_begun_after_it() -> None:
 
 
 def never(*_: object) -> int:
-    """Say that a thread was started whose beginning then found no memory."""
+    """Report a started thread that in fact found no memory to begin."""
     return 0
 
 
@@ -115,11 +115,11 @@ def test_rows_that_somebody_looks_at_stay_where_they_are() -> None:
     growing = _Growing(np.int64)
     before = id(growing.rows)
     growing.append(0, np.arange(1 << 16))
-    assert id(growing.rows) == before  # nobody does: the array itself has grown
+    assert id(growing.rows) == before  # no copy is made: the array itself has grown
 
 
 def test_a_copy_of_numbered_states_is_one_moment_of_them() -> None:
-    """Another thread goes on numbering meanwhile."""
+    """Another thread numbers states at the same time."""
     met, over = StateRegistry(1), threading.Event()
 
     def number() -> None:
@@ -181,6 +181,7 @@ WORK = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", WORK)
 def test_ctrl_c_in_a_sweep_leaves_no_thread_at_work(work: str) -> None:
     """Sweeps of 2^27 states, and a blind search through 10^11, take much longer than the signal."""

@@ -1,4 +1,4 @@
-"""The upper bound on one person's problem: against linear programs, and in the form that the search works with."""
+"""The upper bound on one person's POMDP: compared with linear programs, and in the form used by the search."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hull_and_sawtooth(corner: np.ndarray, point: np.ndarray, drop: np.ndarray, b
 
 
 def of_state(solution: Solution, x: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The corner, the points and their drops."""
+    """Return the corner values, the points and their drops of a state."""
     rows = slice(solution.first[x], solution.first[x + 1])
     size = solution.pomdp.prior.size
     return solution.corner[x].reshape(-1), solution.point[rows].reshape(-1, size), solution.drop[rows]
@@ -55,7 +55,7 @@ def test_upper_bound_is_convex(name: str, seed: int) -> None:
     x, one = some_beliefs(solution, seed)
     rng = np.random.default_rng(seed)
     other = some_beliefs(solution, seed + 1)[1]
-    for i in np.flatnonzero(rng.random(len(x)) < 0.7):  # between the state's own points the bound bends most
+    for i in np.flatnonzero(rng.random(len(x)) < 0.7):  # the bound is most curved between the state's own points
         point = of_state(solution, x[i])[1]
         if len(point):
             other[i] = (rng.dirichlet(np.full(len(point), 0.1)) @ point).reshape(other[i].shape)
@@ -71,7 +71,7 @@ def test_upper_bound_is_convex(name: str, seed: int) -> None:
 @few
 @given(seed=seeds)
 def test_upper_bound_holds_wherever_the_pivots_end(seed: int) -> None:
-    """Should they go round in circles, what has been found by then is a bound, and no worse than an earlier one."""
+    """Even if pivots cycle, the result so far is a valid bound, and no worse than an earlier one."""
     rng = np.random.default_rng(seed)
     size, count, people = int(rng.choice([3, 10, 60])), int(rng.integers(1, 80)), 10
     point = rng.dirichlet(np.full(size, rng.choice([0.05, 1.0])), count)

@@ -1,4 +1,4 @@
-"""User studies: what their files say, who is assigned to what, and what is left of them after a kill."""
+"""User studies: their files, the assignment of participants, and the data after a kill."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ("c_move = 0.01", "travel_time = 1", "setting.travel_time: 1; expected 0"),
         ('form = "likert"', 'form = "likart"', r"questionnaires\[2\].form: 'likart'; did you mean 'likert'"),
         ("reversed = true", "reversd = true", r"questionnaires\[2\].items\[2\].reversd: unknown"),
-        ('name = "wary"', 'name = "rely"', r"questionnaires\[2\].items\[2\].name: 'rely'; expected a name of its own"),
+        ('name = "wary"', 'name = "rely"', r"questionnaires\[2\].items\[2\].name: 'rely'; expected a unique name"),
         ("seed = 3", "seed = -3", "seed: -3; expected a whole number of 0 or more"),
         ("away = 10", "away = 0", "away: 0; expected a number of minutes above 0"),
         ("seed = 3", "seed = ", "Invalid value"),
@@ -88,10 +88,10 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ('policy = "attention"', 'policy = "own.py:mine"', r"conditions\[2\].policy: .*own.py: no such file"),
         ('name = "trust"', 'name = "1st"', r"questionnaires\[2\].name: '1st'; expected a letter"),
         ('name = "trust"', 'name = "nasa-tlx"', r"questionnaires\[2\]: there are two questionnaires 'nasa-tlx'"),
-        ('form = "likert"', 'form = "nasa-tlx"', r"questionnaires\[2\].items: the form nasa-tlx has its own"),
+        ('form = "likert"', 'form = "nasa-tlx"', r"questionnaires\[2\].items: the form nasa-tlx has fixed items"),
         ('form = "nasa-tlx"', 'form = "text"\nname = "more"', r"questionnaires\[1\]: items: is missing"),
-        ('/tiny.pddl"]', '/tiny.pddl", "kitting/tiny"]', "tasks: two of them have the same file name"),
-        ('/tiny.pddl"]', '"]', r"tasks\[1\]: '.*kitting' stands for [1-9]\d+ problems; expected the file of one"),
+        ('/tiny.pddl"]', '/tiny.pddl", "kitting/tiny"]', "tasks: two tasks have the same file name"),
+        ('/tiny.pddl"]', '"]', r"tasks\[1\]: '.*kitting' matches [1-9]\d+ problems; expected the file of one"),
     ],
 )
 def test_a_file_that_cannot_be_carried_out_is_refused(tmp_path: Path, right: str, wrong: str, message: str) -> None:
@@ -113,7 +113,7 @@ ORDER = ["d", "c", "attention", "none", "none", "attention", "c"]
 
 @pytest.fixture(scope="module")
 def cohort_of(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Callable[[bool], Cohort]:
-    """Nobody has come yet, to a study of four conditions; whoever begins a task and leaves is replaced or not."""
+    """Return a function that makes an empty cohort of four conditions, in which dropouts are replaced or not."""
     folder = tmp_path_factory.mktemp("study")
     four = PLAN + "".join(f'[[conditions]]\nname = "{name}"\npolicy = "none"\n' for name in ("c", "d"))
     four = four.replace("seed = 3", f"seed = 3\nparticipants = {PLACES}", 1).replace("simulated = 2", "simulated = 0")
@@ -125,6 +125,7 @@ def cohort_of(tiny: Table, tmp_path_factory: pytest.TempPathFactory) -> Callable
 
 @settings(max_examples=30, deadline=None)
 @given(HAPPENS, st.booleans())
+@pytest.mark.slow
 def test_conditions_stay_balanced_whoever_comes_and_goes(
     cohort_of: Callable[[bool], Cohort], events: list[tuple[str, int]], replaced: bool
 ) -> None:
@@ -134,7 +135,7 @@ def test_conditions_stay_balanced_whoever_comes_and_goes(
         person = cohort.participants.get(f"p{who}")
         stage = None if person is None else cohort.stages[person.at]
         if kind == "onward" and person is not None and stage is not None and stage.kind in ("practice", "task"):
-            person.expired = True  # in place of everything that they do there
+            person.expired = True  # instead of their actions there
         answers = SCORES.get(stage.what) if stage and stage.kind == "questionnaire" else None
         before = {
             name: sum(
@@ -165,7 +166,7 @@ def test_conditions_stay_balanced_whoever_comes_and_goes(
 
 
 def done_together(journal: Path) -> list[list[str]]:
-    """What ann and the simulated people of her team did in the task, action by action."""
+    """Return the actions in the task of ann and the simulated people of her team."""
     records = [json.loads(line) for line in journal.read_bytes().splitlines()[1:]]
     own = [
         one for one in records if one["person"] == "ann" and one.get("stage") == "task tiny" and "answers" not in one
@@ -205,12 +206,12 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
     for number, (journal, views) in enumerate(seen):
         folder = tmp_path / f"after-{number}"
         folder.mkdir()
-        (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # of which nobody was told
+        (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # an event that was never acknowledged
         again = opened(folder=folder)
         found = {name: again.person(name) for name in again.people}
         assert {**found, "log": again.log(), "beliefs": again.beliefs()} == views
         if (mine := views.get("ann")) and mine["study"]["kind"] == "task" and mine["steps"] == 1:
-            Part(again, "ann").finish()  # and simulated people go on as they would have
+            Part(again, "ann").finish()  # and simulated people continue as they would have
             assert done_together(folder / JOURNAL) == done_together(tmp_path / "data" / JOURNAL)
         again.close()
         shutil.rmtree(folder)
@@ -218,7 +219,7 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5])
 def test_orders_of_conditions_are_balanced(count: int) -> None:
-    """Each condition at each place, and directly after each other one, equally often."""
+    """Each condition is equally often at each position, and directly after each other one."""
     names = [f"condition {number}" for number in range(count)]
     orders = balanced_orders(names)
     assert all(sorted(order) == names for order in orders)
@@ -252,7 +253,7 @@ def test_within_participants_all_conditions_are_compared(opened: Open) -> None:
         for number, condition in enumerate(order.split(" > "), start=1)
     ]
     told = Counter(row["condition"] for row in found.actions if row["suggestion"] is not None)
-    assert set(told) == {"attention"}  # nothing is suggested where nobody helps
+    assert set(told) == {"attention"}  # the policy "none" makes no suggestion
     (_, log), *_ = found.logs()
     assert {(row["person"], row["episode"]) for row in map(json.loads, log.splitlines())} == {
         (part.name, episode) for part in parts for episode in ("1", "2")
@@ -298,13 +299,13 @@ def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:
     ann = Part(session, "ann")
     first = ann.come()
     assert ann.report("visited", id="visit ann") == first  # a reload
-    with pytest.raises(FullError, match="no place left"):
+    with pytest.raises(FullError, match="study is full"):
         Part(session, "bob").come()
     before = session.person("ann")
     for kind, more, message in [
         ("onward", {"stage": "instructions"}, "ann is at consent, not at 'instructions'"),
-        ("acted", {"action": "(fetch box-a)"}, "nothing can be done there"),
-        ("undone", {}, "cannot be done within a user study"),
+        ("acted", {"action": "(fetch box-a)"}, "no action is possible there"),
+        ("undone", {}, "not possible within a user study"),
         ("onward", {"stage": "consent", "answers": {"a": 1}}, "expected none at consent"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -324,13 +325,39 @@ def test_what_cannot_be_is_refused_and_changes_nothing(opened: Open) -> None:
             ann.report("onward", stage="questionnaire nasa-tlx", answers=answers)
 
 
+def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Open, tmp_path: Path) -> None:
+    session = opened()
+    ann, bob = Part(session, "ann"), Part(session, "bob")
+    for part in (ann, bob):
+        part.come()
+        part.to("thanks")
+    journal = next(tmp_path.rglob("journal.jsonl"))
+    before = tables(session.study, journal)
+    assert {row["participant"] for row in before.actions} == {"ann", "bob"}
+    assert all(row["consented"] >= row["arrived"] for row in before.participants)
+    assert ann.report("withdrew")["study"]["kind"] == "withdrew"
+    with pytest.raises(InapplicableError):
+        ann.report("withdrew")
+    with pytest.raises(InapplicableError):
+        ann.report("returned")
+    after = tables(session.study, journal)
+    assert [(row["participant"], row["status"], bool(row["completion_code"])) for row in after.participants] == [
+        ("ann", "withdrew", False), ("bob", "done", True),
+    ]  # fmt: skip
+    for name in ("tasks", "actions", "answers", "events"):
+        kept = [row for row in getattr(before, name) if row["participant"] == "bob"]
+        assert getattr(after, name) == kept
+    session.close()
+    assert opened().cohort.person("ann")["study"]["kind"] == "withdrew"
+
+
 def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opened: Open) -> None:
     session = opened(PLAN.replace("seed = 3", "seed = 3\nparticipants = 1"))
     ann, bob = Part(session, "ann"), Part(session, "bob")
     ann.come()
     ann.to("practice")
     ann.report("left")
-    bob.come()  # there is a place again
+    bob.come()  # a place is free again
     assert ann.report("returned")["study"]["kind"] == "full"
     with pytest.raises(InapplicableError):
         ann.onward()
@@ -341,7 +368,7 @@ def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opene
     assert session.cohort.taken == 1  # whose task has begun keeps it
     with pytest.raises(FullError):
         Part(session, "cleo").come()
-    ann.finish()  # which is to come back
+    ann.finish()  # finishing a task readmits her
     assert session.person("ann")["study"]["over"]
     assert session.cohort.participants["ann"].status == "here"
 
@@ -374,7 +401,7 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
 
 def test_a_folder_of_another_study_is_refused(opened: Open) -> None:
     opened().close()
-    with pytest.raises(ResultsExistError, match=r"not that of .*study.toml"):
+    with pytest.raises(ResultsExistError, match=r"belongs to another study than .*study.toml"):
         opened(PLAN.replace("seed = 3", "seed = 4"))
 
 

@@ -1,4 +1,4 @@
-"""A user study as participants and whoever conducts it have it: the interface, and the pages in a real browser."""
+"""A user study for participants and the experimenter: the interface, and the pages in a real browser."""
 
 from __future__ import annotations
 
@@ -22,23 +22,22 @@ from assist.userstudy.plan import read
 from assist.userstudy.session import StudySession
 from assist.web.app import make_app
 from assist.web.tokens import AccessTokens
-from assist.web.user_study import service
 from assist.web.user_study.routes import router
 from assist.web.user_study.service import VISITOR, StudyService
 from planner import Table
 
 __all__ = ["chromium"]
-PATIENCE = 60_000  # milliseconds until something is taken not to come
+PATIENCE = 60_000  # milliseconds after which an event is taken as missing
 
 
 class Web:
     """A study in this process."""
 
-    def __init__(self, table: Table, folder: Path, text: str = PLAN) -> None:
+    def __init__(self, table: Table, folder: Path, text: str = PLAN, **options: Any) -> None:
         study = read(written(folder / "study.toml", text))
         session = StudySession(study, {"tiny": table, "practice": table}, folder / "data")
         self.access = AccessTokens.kept(folder / "data" / "secret", "http://testserver")
-        self.service = StudyService(session, self.access)
+        self.service = StudyService(session, self.access, **options)
         self.client = TestClient(make_app(self.service, more=[router]), raise_server_exceptions=False)
 
     def ask(self, method: str, path: str, who: str | None = None, **more: Any) -> Any:
@@ -66,6 +65,25 @@ def test_everybody_gets_a_place_of_their_own_once(web: Web) -> None:
     assert len({seat.json()["person"] for seat in seats}) == 50  # the same browser twice: the same place
     assert all(seat.json()["part"].startswith(f"/part/{seat.json()['person']}/") for seat in seats)
     assert web.ask("GET", "/api/study").json()["taken"] == 50
+
+
+def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
+    refused = web.ask("POST", "/api/study/seats", VISITOR, json={"id": "forger", "simulated": True})
+    said = "simulated participants are admitted in a rehearsal only"
+    assert (refused.status_code, refused.json()["detail"]) == (403, said)
+    assert web.come("ann").status_code == 200
+    people = web.ask("GET", "/api/study").json()["participants"]
+    assert [one["simulated"] for one in people] == [False]
+
+
+def test_a_fault_of_the_program_is_one_sentence_and_stops_nobody(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    ann = web.come("ann").json()
+    with monkeypatch.context() as patch:
+        patch.setattr(type(web.service.session._course), "happen", lambda *_: 1 / 0)
+        answer = web.onward(ann["person"], ann["study"]["stage"])
+        assert answer.status_code == 500
+        assert "ZeroDivisionError" in answer.json()["detail"]
+    assert web.onward(ann["person"], ann["study"]["stage"]).status_code == 200
 
 
 def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
@@ -97,18 +115,18 @@ def test_what_is_not_theirs_is_refused_in_one_sentence(web: Web) -> None:
         assert (answer.status_code, set(answer.json())) == (status, {"detail"}), (path, answer.text)
     for path in ("/study/x", f"/study/{web.access.operator}", f"/part/{ann}/{web.access.token(bob)}"):
         page = web.client.get(path)
-        assert (page.status_code, "This link does not lead anywhere" in page.text) == (403, True)
+        assert (page.status_code, "This link is not valid" in page.text) == (403, True)
     assert web.client.get("/study/export/x").status_code == 403
     assert web.ask("GET", "/api/study").json()["events"] == 2
     seen = web.onward(ann, "consent", id="1").json()
-    assert web.onward(ann, "consent", id="1").json() == seen  # said twice, it has happened once
-    assert "condition" not in json.dumps(seen)  # nobody is told theirs
+    assert web.onward(ann, "consent", id="1").json() == seen  # a repeated request has one effect
+    assert "condition" not in json.dumps(seen)  # conditions are not disclosed
     packed = zipfile.ZipFile(io.BytesIO(web.client.get(f"/study/export/{web.access.operator}").content))
     assert ann in packed.read("participants.csv").decode()
     web.come("participant 5f3a-of-a-recruiting-service")
     journal = (web.service.folder / "journal.jsonl").read_text()
     assert "visited" in journal
-    assert "recruiting" not in journal  # who comes with a name has none here
+    assert "recruiting" not in journal  # an external name is not stored
     assert web.ask("GET", "/api/team").status_code == 200
 
 
@@ -121,13 +139,9 @@ def test_whoever_conducts_a_study_sees_which_orders_are_drawn(tiny: Table, tmp_p
     assert sorted(rows) == [("attention > none",) * 2, ("none > attention",) * 2]
 
 
-def test_who_is_not_connected_for_long_is_gone_and_may_come_back(
-    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(service, "LOOK", 0.02)
-    web = Web(
-        tiny, tmp_path, PLAN.replace("away = 10", "away = 0.002").replace("seed = 3", "seed = 3\nparticipants = 1")
-    )
+def test_who_is_not_connected_for_long_is_gone_and_may_come_back(tiny: Table, tmp_path: Path) -> None:
+    plan = PLAN.replace("away = 10", "away = 0.002").replace("seed = 3", "seed = 3\nparticipants = 1")
+    web = Web(tiny, tmp_path, plan, look_every=0.02)
     with web.client:
         ann = web.come("ann").json()["person"]
         path = f"/api/people/{ann}"
@@ -192,20 +206,20 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         page.wait_for_function("() => document.getElementById('steps').textContent === '2'")
         work()
         page.click("#onward")
-        page.wait_for_selector('h2:text("How the task was")')
+        page.wait_for_selector('h2:text("Workload")')
         page.click('button:text("Continue")')
-        assert page.locator(".error:visible").count() == 6  # nothing is marked that nobody has marked
+        assert page.locator(".error:visible").count() == 6  # no scale is marked by default
         is_well()
         for name in list(SCORES["nasa-tlx"])[:3]:
             page.locator(f'[id="item {name}"] input').press("ArrowRight")
-        page.reload()  # what is marked remains
+        page.reload()  # marks survive a reload
         page.wait_for_selector('[id="item mental"] output:text("55")')
         for name in list(SCORES["nasa-tlx"])[3:]:
             page.locator(f'[id="item {name}"] input').press("Enter")
         second = context.new_page()  # of the same browser
         second.set_default_timeout(PATIENCE)
         second.goto(study.links["everybody"])
-        second.wait_for_selector('h2:text("How the task was")')
+        second.wait_for_selector('h2:text("Workload")')
         page.click('button:text("Continue")')
         second.wait_for_selector('h2:text("Your view")')
         page.locator('[name="item rely"]').nth(5).check()
@@ -225,7 +239,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         second.click('button:text("Begin as the next participant")')
         second.click("text=I agree and take part")
         second.click('h2:text("What you will do") ~ form >> button')
-        second.wait_for_selector("#drawing svg")  # which moves the link downwards as it comes
+        second.wait_for_selector("#drawing svg")  # the drawing moves the link when it appears
         second.click('#leave:not([hidden]) a[href*="?leave"]')  # in the middle of practice
         second.click("#stay")
         second.wait_for_selector("#drawing svg")
@@ -239,7 +253,7 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
             second.click("#export")
         packed = zipfile.ZipFile(download.value.path())
     people = [line.split(",") for line in packed.read("participants.csv").decode().splitlines()[1:]]
-    assert [(row[3], row[4], row[6]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
+    assert [(row[4], row[5], row[7]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
     answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]
     assert [row[-2:] for row in answers[:8]] == [
         *[["55", "55"]] * 3, *[["50", "50"]] * 3, ["6", "6"], ["3", "5"],

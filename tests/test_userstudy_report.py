@@ -1,4 +1,4 @@
-"""A rehearsal in one command, and what is made of it: an export that others read, and figures that are right."""
+"""A rehearsal in one command, its export, which other programs read, and its correct figures."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import math
 import statistics
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from assist.reports.effects import (
 )
 from assist.userstudy.tables import COLUMNS
 from assist.userstudy.tables import written as written_rows
-from assist.web.user_study import rehearsal
+from assist.web.user_study import rehearsal, server
 from planner.system.errors import DamagedFileError
 
 
@@ -45,9 +46,10 @@ def read(folder: Path, name: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO((folder / name).read_text())))
 
 
+@pytest.mark.slow
 def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # All come at once, and whoever leaves takes their time: there is one place too few for a while.
-    monkeypatch.setattr(rehearsal, "AT_ONCE", 9)
+    # All arrive at once, and the leaver is slow, so that for a while one place is missing.
+    monkeypatch.setattr(server, "rehearse", partial(rehearsal.rehearse, at_once=9))
     step = rehearsal.SimulatedParticipant._step
 
     def slowly(self: Any, seen: dict[str, Any]) -> dict[str, Any]:
@@ -71,7 +73,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     )
     done = [one for one in people if one["status"] == "done"]
     assert [one["condition"] for one in done].count("none") == len(done) / 2 == 4
-    assert len(people) == 9  # one left before the task, and holds no condition
+    assert len(people) == 9  # one left before the task, and counts in no condition
     assert [one["condition"] for one in people if one["status"] != "done"] == [""]
     assert len({one["completion_code"] for one in done}) == 8
     assert len(answers) == 8 * (6 + 2 + 1)
@@ -111,13 +113,13 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
     assert sum(row["left"] for row in summary["flow"]) == 1
 
     text = (data / "report" / "report.md").read_text()
-    assert "**A rehearsal.** Participants are simulated" in text
+    assert "**Rehearsal.** Participants are simulated" in text
     assert "**Few participants.** Fewer than 10 in every condition" in text
     for name in ("outcomes", "differences", "flow", "scales-nasa-tlx", "scales-trust"):
         assert f"](figures/{name}.png)" in text
         assert (data / "report" / "figures" / f"{name}.svg").stat().st_size > 1000
 
-    # An unpacked export says the same as the folder, and `fit` reads its log.
+    # An unpacked export gives the same report as the folder, and `fit` reads its log.
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(userstudy_report, "_pictures", lambda *_: iter(()))  # which are drawn already
         assert json.loads(run("study-report", unpacked, "--json").stdout) == summary
@@ -129,7 +131,7 @@ def test_a_rehearsal_goes_from_the_file_to_the_drawn_result(tmp_path: Path, monk
 
 
 def exported(folder: Path, **rows: list[dict[str, object]]) -> Path:
-    """An unpacked export that says so much."""
+    """Write an unpacked export with the given rows."""
     folder.mkdir()
     written(folder / "study.toml")
     for name, columns in COLUMNS.items():
@@ -142,7 +144,7 @@ def test_a_study_in_which_hardly_anybody_took_part_says_so(tmp_path: Path) -> No
     nobody = run("study-report", exported(tmp_path / "nobody"), "--out", tmp_path / "report")
     assert "actions per task" in nobody.stdout
     text = (tmp_path / "report" / "report.md").read_text()
-    assert "With fewer than two participants in a condition nothing can be compared." in text
+    assert "Conditions with fewer than two participants cannot be compared." in text
     assert "rehearsal" not in text
     assert "](figures/" not in text
 
@@ -151,7 +153,7 @@ def test_an_export_that_was_changed_is_refused(tmp_path: Path) -> None:
     folder = exported(tmp_path / "export", tasks=[{"actions": 3.0}])
     file = folder / "tasks.csv"
     for wrong, words in (
-        (file.read_text().replace("3.0", "three"), "tasks.csv:2: a number was expected where there is none"),
+        (file.read_text().replace("3.0", "three"), "tasks.csv:2: expected a number"),
         (file.read_text().replace("actions,", "", 1), "tasks.csv:1: expected the columns participant"),
     ):
         file.write_text(wrong)
@@ -168,9 +170,12 @@ def test_what_the_command_refuses(tmp_path: Path) -> None:
     file = written(tmp_path / "study.toml", PLAN.replace("seed = 3", "seed = 3\nparticipants = 8"))
     for words, message in [
         (["serve"], "expected INSTANCE and --humans K, or --study FILE.toml"),
-        (["serve", "--study", file], "--study needs --data DIR"),
-        (["serve", "--study", file, "--data", tmp_path, "--policy", "none"], "--policy does not go with --study"),
-        (["serve", "--study", file, "--data", tmp_path, "--rehearse", "9"], "the study has 8 places"),
+        (["serve", "--study", file], "--study: expected --data DIR as well"),
+        (
+            ["serve", "--study", file, "--data", tmp_path, "--policy", "none"],
+            "--policy cannot be combined with --study",
+        ),
+        (["serve", "--study", file, "--data", tmp_path, "--rehearse", "9"], "the study is planned for 8 participants"),
         (["serve", "--study", written(tmp_path / "bad.toml", "tasks = 1")], "bad.toml:1: tasks: 1; expected a list"),
     ]:
         result = CliRunner().invoke(main, [str(word) for word in words])
@@ -195,3 +200,10 @@ def test_statistics_are_those_worked_out_by_hand() -> None:
         hedges_g([1], [2, 3]), cronbach_alpha([[1, 2]]), detectable(1, 5),
     ):  # fmt: skip
         assert math.isnan(nothing)
+
+
+def test_no_cell_of_a_table_is_a_formula() -> None:
+    cells = ["=1+1", "+1", "-1", "@x", "\tx", "\rx", "a\r\nb", "x=1", "", None, -1, True]
+    found = written_rows(("any",), [{"any": cell} for cell in cells])
+    rows = [row[0] if row else "" for row in csv.reader(io.StringIO(found, newline=""))]
+    assert rows == ["any", "'=1+1", "'+1", "'-1", "'@x", "'\tx", "'\nx", "a\nb", "x=1", "", "", "-1", "true"]

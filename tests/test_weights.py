@@ -1,4 +1,4 @@
-"""What terms weigh for people: learned from what they did, and compared by how well it predicts others."""
+"""Weights of terms: estimated from people's actions, and compared by held-out prediction."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def paper() -> Table:
 
 @cache
 def rows() -> tuple[dict, ...]:
-    """What people did who have these weights, and a beta of 1."""
+    """Return the log of people with these weights and a beta of 1."""
     rng = np.random.default_rng(1)
     return tuple(record_with_terms(paper(), np.ones(COUNT), np.tile(WEIGHTS, (COUNT, 1)), 60, rng))
 
@@ -46,7 +46,7 @@ def alone() -> Likelihood:
 
 @cache
 def advised() -> tuple[Likelihood, Observations]:
-    """A person who gets suggestions, and whose trust moves."""
+    """Return the data of a person who receives suggestions, and whose trust changes."""
     people = People(np.array([0.8]), np.array([0.6]), 0.1)
     told = record(paper(), people, episodes=4, rng=np.random.default_rng(2), suggest=0.5)
     (o,) = observed(paper(), told, TERMS)
@@ -81,7 +81,7 @@ def test_probabilities_are_those_of_the_model() -> None:
         if o.suggested[i] != NOTHING:
             now = min(max(now + 0.1 * o.gain[i], 0.0), 1.0)
     assert (o.suggested != NOTHING).any()
-    # Theta is kept from 0 and 1 by a billionth.
+    # Theta is kept away from 0 and 1 by 1e-9.
     assert likelihood.log_probability(at) == pytest.approx(np.array(found), abs=1e-8)
 
 
@@ -222,6 +222,7 @@ def test_a_term_of_ones_own_is_compared_like_the_others() -> None:
     assert [row.model for row in found.models] == ["boltzmann", "first"]
 
 
+@pytest.mark.slow
 def test_the_command_line_fits_and_compares(tmp_path: Path) -> None:
     log, people = tmp_path / "log.jsonl", tmp_path / "people.json"
     log.write_text("".join(json.dumps(row) + "\n" for row in rows() if row["person"] < "person-07"))

@@ -96,15 +96,16 @@ SHADOWING = (
 
 
 def shadow(folder: Path) -> None:
-    """Put modules into a folder that end each program that imports one of them, as files and as packages."""
+    """Write modules to a folder, as files and as packages, that end every program that imports them."""
     for number, name in enumerate(SHADOWING.split()):
         file = folder / f"{name}.py" if number % 2 else folder / name / "__init__.py"
         file.parent.mkdir(exist_ok=True)
         file.write_text("raise SystemExit(f'{__name__} is of the working directory')")
 
 
+@pytest.mark.slow
 def test_modules_in_the_working_directory_are_not_imported(tmp_path: Path) -> None:
-    """By none of the programs: workers, the translator, the one that checks, and those of multiprocessing itself."""
+    """No program imports them: workers, the translator, the validator, and processes of multiprocessing itself."""
     shadow(tmp_path)
     command = [Path(sys.executable).with_name("kitassist"), "solve", "kitting/tiny", "gripper/balls-01", "--jobs", "2"]
     done = subprocess.run(
@@ -121,7 +122,7 @@ def test_modules_in_the_working_directory_are_not_imported(tmp_path: Path) -> No
 def test_an_interactive_session_finds_modules_of_its_folder_last(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its own and others' entries of the path are kept; the environment has no effect, and bad characters no harm."""
+    """Entries of the path are kept; the environment has no effect, and unusual characters do no harm."""
     (tmp_path / "made.py").write_text(
         "import json, other, planner, queue, sys; print(json.dumps([other.HERE, sys.argv[1:]]))"
     )

@@ -1,4 +1,4 @@
-"""A small user study for tests, and somebody who takes part in it without a network."""
+"""A small user study for tests, and a participant without a network."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def written(file: Path, text: str = PLAN) -> Path:
 
 
 class Part:
-    """Somebody who takes part."""
+    """A participant."""
 
     def __init__(self, session: StudySession, name: str) -> None:
         self.session, self.name = session, name
@@ -96,7 +96,7 @@ class Part:
         return self.report("onward", stage=stage, answers=answers or SCORES.get(self.what))
 
     def errs(self) -> None:
-        """Do what leads nowhere, or least far."""
+        """Take the action whose successor has the largest h*."""
         table, state = self.session.place(self.name)
         rows = table.choices([state])
         costs = table.lookup(rows.targets)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from conftest import kit
+from recorded import people_at_work
 
 from assist.people.choices import Choices
 from planner import Limits, cost_to_go, load, sweep
@@ -33,22 +34,28 @@ def planner() -> None:
     large = load("kitting/ladder-4x9")  # without an answer in a millisecond, all states are tried, and then orbits
     cost_to_go(large, states=np.array([large.initial]), max_states=100_000, limits=Limits(seconds=0.001))
     test_sweep.test_costs_beyond_32_bits()
-    for hashed, few in ((False, False), (True, False), (False, True)):
+    for few in (False, True):
         for costs in (range(1, 2), range(3, 90_000, 11)):
-            case(test_dense.test_tables_equal_plain_search)(1, costs, hashed, few)
+            case(test_dense.test_tables_equal_plain_search)(1, costs, few)
     case(test_dense.test_all_that_is_said_of_reachable_states_is_true)(0)
 
 
 def people() -> None:
+    import test_advice
     import test_alpha_vectors
     import test_bounded
     import test_equations
     import test_fit
+    import test_fit_own
     import test_joint
     import test_refusals
     import test_solver
+    import test_trust_fit
     import test_upper_bound
 
+    from assist import fit
+    from assist.learning.advice_model import AdviceModel
+    from assist.learning.log import Log
     from assist.team.settings import Setting
 
     case(test_solver.test_bounds_are_ordered_everywhere)("tiny", 0)
@@ -63,6 +70,10 @@ def people() -> None:
     )
     test_refusals.learned(kit("tiny"), test_refusals.ACTIONS, terms=True)
     test_bounded.test_nobody_gets_more("sealed", 4, Setting(c_suggest=0.2), test_bounded.somebody())
+    AdviceModel.of("E", "L outcome at disagreement gain/loss").fit(test_advice.simulated(4, 4, 0))
+    rows = people_at_work(Choices.of(kit("tiny")), [0.5], np.random.default_rng(0), suggest=0.4, episodes=2)
+    fit(kit("tiny"), Log.of(rows), chooses=test_fit_own.same)
+    test_trust_fit.test_held_out_people_are_predicted_from_the_others()
     test_joint.test_one_person_alone_is_the_problem_of_visits(test_joint.COSTS[0], False)
 
 
