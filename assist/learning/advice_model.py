@@ -316,7 +316,20 @@ def compare_advice(log: AdviceLog, *, folds: int = 8, level: float = 0.95) -> Tr
 
 
 def fit_advice(log: AdviceLog, rule: str) -> dict[str, Any]:
-    """Return, as plain data, the parameters of a rule of `OF_NAMES` that fit a log best."""
+    """Return the parameters of a trust rule that fit a log of advice best, as plain data.
+
+    Parameters
+    ----------
+    log
+        People's choices before and after advice.
+    rule
+        A name of `OF_NAMES`.
+
+    Returns
+    -------
+    dict
+        The rule, its base, its parameters, the log likelihood in nats, and the numbers of people and choices.
+    """
     base = base_of(log)
     model = AdviceModel.of(base, OF_NAMES[rule]).fit(log)
     return {
