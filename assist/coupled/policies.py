@@ -34,7 +34,7 @@ def policy(
     name : str or callable
         "whittle": by Whittle index. "prices": by the gain at the bound's prices of later steps. "benefit": by the gain
         if the resource were free afterwards. "rollout": "prices", improved by simulation (`RolloutPolicy`). A
-        callable is returned as it is.
+        callable is returned unchanged.
     resources : float
         Units of the resource at each step.
     prices : PriceBound, optional

@@ -43,7 +43,7 @@ class RolloutOptions:
     samples : int
         Sample paths of each alternative.
     horizon : int
-        Steps of a sample path. The bound's values stand for what comes afterwards.
+        Steps of a sample path. The bound's values stand for later steps.
     alternatives : int
         Alternatives at most to the base policy's actions.
     errors : float

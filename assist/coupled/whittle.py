@@ -53,7 +53,8 @@ def whittle_index(agents: Agents) -> WhittleIndex:
     Raises
     ------
     ValueError
-        There are not two actions, of which the first uses nothing and the second the same in all states of a kind.
+        There are not two actions, of which the first uses nothing and the second the same amount in all states of
+        an agent.
     """
     K, A, S = agents.shape
     unit = agents.uses[:, -1].max(axis=1)

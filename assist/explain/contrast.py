@@ -40,7 +40,7 @@ Kind = Literal["needed", "possible", "same", "no-closer", "further", "longer", "
 
 @dataclass(frozen=True, slots=True)
 class Consequence:
-    """What follows from an action instead of a step.
+    """Consequences of an action taken instead of a step.
 
     Attributes
     ----------

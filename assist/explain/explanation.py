@@ -107,7 +107,7 @@ class WhyNothing:
     ----------
     reason : str
         "paused": suggestions are paused. "never": the team's policy makes none. "finished": the person has reached the
-        goal. "nobody": nobody is at work. "waiting": everybody at work has a suggestion. "no-mistake",
+        goal. "nobody": no one is at work. "waiting": everybody at work has a suggestion. "no-mistake",
         "mistake-elsewhere": the policy "reactive" helps after mistakes, and there was none, or the robot is with
         somebody else. "no-step": there is no step to suggest.
         "cost": the suggestion is expected to bring less than it costs, or the policy does not go by that alone.
@@ -140,7 +140,7 @@ class Explanation:
     step : WhyStep or None
         Why this step; None without a suggestion.
     now : WhyPerson or None
-        Why this person, now; None if nobody is attended to.
+        Why this person, now; None if no person is attended to.
     nothing : WhyNothing or None
         Why nothing is suggested.
     against : Contrast or None

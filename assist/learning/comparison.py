@@ -243,7 +243,7 @@ def pooled(
 def _predictions(
     likelihood: Likelihood, model: str, logs: Floats, reference: Predictions | None, *, known: bool
 ) -> Predictions:
-    """Return the summary of a model's log-probabilities `logs`, beside those of a reference model."""
+    """Return the summary of a model's log-probabilities `logs`, and those of a reference model."""
     steps = likelihood.steps
     _, at = pooled(likelihood, known=known)
     mean, error, each = summed_up(likelihood, logs)

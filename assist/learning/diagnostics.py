@@ -47,7 +47,7 @@ class Calibration:
 
 
 def calibrate(fits: list[Fit], bins: int = 10) -> Calibration:
-    """Return predicted probabilities beside observed frequencies, over all people and alternatives.
+    """Return predicted probabilities and observed frequencies, over all people and alternatives.
 
     Parameters
     ----------

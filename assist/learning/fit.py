@@ -328,7 +328,7 @@ def observed(
     Raises
     ------
     LogError
-        No cost-to-go is known, or nobody can reach the goal.
+        No cost-to-go is known, or no person can reach the goal.
     """
     recording, left_out = recording.evaluated(known.h)
     if not len(recording):

@@ -86,7 +86,7 @@ def log_likelihood(
 class Data(NamedTuple):
     """Observations in the form that compiled code reads; numba accepts named tuples and no dataclasses.
 
-    `heard` are the steps with a suggestion. `anew` tells at which of these a new episode has begun since the last one.
+    `heard` are the steps with a suggestion. `anew` marks those at which a new episode has begun since the last one.
     """
 
     excess: Floats

@@ -389,7 +389,7 @@ def _table(lines: Sequence[str | Broken], columns: Mapping[str, str], file: Path
 
 
 def _split(texts: Sequence[str], separator: str) -> tuple[list[tuple[int, list[str]]], list[Row]]:
-    """Return the cells of each row with its line, and the row at which the table breaks off, if there is one."""
+    """Return the cells of each row with its line, and the row at which the table ends early, if there is one."""
     reader = csv.reader((f"{text}\n" for text in texts), delimiter=separator, strict=True, skipinitialspace=True)
     rows: list[tuple[int, list[str]]] = []
     while True:

@@ -280,7 +280,7 @@ def fit_influence(
     observations : sequence of Observations
         One for each person.
     rule : str or TrustRule
-        The name of a shipped rule, whose parameters are estimated; or a rule, taken as it is.
+        The name of a shipped rule, whose parameters are estimated; or a rule, taken unchanged.
     method : Method, optional
         Level of the intervals, lapse, and what is known beforehand.
     carry : bool

@@ -15,7 +15,7 @@ from ..people.decision import Floats
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why somebody is to be helped: the numbers of Algorithm 1, whatever the team's policy goes by.
+    """Why a person is to be helped: the numbers of Algorithm 1, whatever the team's policy goes by.
 
     Attributes
     ----------
@@ -176,10 +176,10 @@ class PersonState:
 
     @property
     def beta(self) -> Spread:
-        """Their expertise, as far as it is known."""
+        """The belief in their expertise."""
         return self.grid.spreads(self.belief)[0]
 
     @property
     def theta(self) -> Spread:
-        """The robot's influence on them, as far as it is known."""
+        """The belief in the robot's influence on them."""
         return self.grid.spreads(self.belief)[1]

@@ -4,7 +4,7 @@
 receives people's actions by name (`observe`), and returns advice (`recommend`).
 
 Timing. In the model's steps, the robot does one thing, then everybody acts once. An assistant that is asked once before
-each round of actions makes exactly the model's decisions. Real people do not act in rounds, and nobody waits for the
+each round of actions makes exactly the model's decisions. Real people do not act in rounds, and no one waits for the
 others:
 
 - A request for advice is a decision. Its advice counts as carried out. A second request before anything has happened
@@ -328,7 +328,7 @@ class Assistant:
         Parameters
         ----------
         person : str, optional
-            By default, why nobody has a suggestion; the advice explains any other decision.
+            By default, why there is no suggestion; the advice explains any other decision.
         against : str, optional
             An action of the person with which the suggested step is compared.
 

@@ -1,9 +1,9 @@
 """The events of a live session, the robot's decision after each, and the views of people and of the operator.
 
 Timing. A decision follows every event: an action, an undo, a person who joins, leaves or begins a task, the robot's
-arrival. Idle people cause no events, and the robot does one thing per decision. So a person who needs help while nobody
-acts would wait for ever. Therefore elapsed time is an event, too (`elapsed`), if the robot then does something new. An
-action counts as the answer to a suggestion only if the person can have seen it.
+arrival. Idle people cause no events, and the robot does one thing per decision. So a person who needs help while no one
+acts would wait without end. Therefore elapsed time is an event, too (`elapsed`), if the robot then does something new.
+An action counts as the answer to a suggestion only if the person can have seen it.
 
 Each event has a record, which includes the advice. `Course.again` applies a record, and leads to the same beliefs, bit
 for bit, without computing a decision again.
@@ -50,7 +50,7 @@ class AbsentError(UnknownError):
 
 @dataclass(frozen=True)
 class Event:
-    """An event, as it is reported.
+    """An event, as reported.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class Course:
     Attributes
     ----------
     fault : str or None
-        Error of the policy after the last event; the robot then does nothing, and people go on.
+        Error of the policy after the last event; the robot then does nothing, and people continue to act.
     """
 
     def __init__(
@@ -447,7 +447,7 @@ class Course:
         if task is not None:
             self._task(task)
         rows = []
-        times = {name: iter(note.times) for name, note in self._notes.items()}  # in the order of somebody's rows
+        times = {name: iter(note.times) for name, note in self._notes.items()}  # in the order of one person's rows
         for row in self.desk.log():
             note, number, time = self._notes[row["person"]], int(row["episode"]) - 1, next(times[row["person"]])
             own = note.tasks[number] if number < len(note.tasks) else note.task

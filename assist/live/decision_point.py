@@ -1,7 +1,7 @@
-"""The team as it is at a decision, from which the decision is explained later.
+"""The team at the time of a decision, from which the decision is explained later.
 
 A `DecisionPoint` copies what events change: states, beliefs, open suggestions and the robot's place. So it costs
-little while a decision is made, and all else is computed only if somebody asks.
+little while a decision is made, and all else is computed only on request.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class DecisionPoint:
         Parameters
         ----------
         place : int or None
-            The person's place; None to explain why nobody has got a suggestion.
+            The person's place; None to explain why there is no suggestion.
         attended : int or None
             Place of the person to whom the robot attends.
         arrived : bool
@@ -164,7 +164,7 @@ class DecisionPoint:
         return self._too_little(place, prospect, elsewhere=attended not in (None, place), about=name)
 
     def nothing_at_all(self) -> Explanation:
-        """Return why nobody has got a suggestion."""
+        """Return why there is no suggestion."""
         working = self.present & ~self.ended
         if not working.any():
             return Explanation(nothing=WhyNothing("nobody", self.rule))

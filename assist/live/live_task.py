@@ -1,7 +1,7 @@
 """A task of people in a live session, with the robot's policy for one person.
 
 A small task is enumerated, and its policy is solved once. For a larger one, or one that is solved on demand
-(`assist.large_tasks.person_problem` decides), a local problem is built for each state in which somebody is
+(`assist.large_tasks.person_problem` decides), a local problem is built for each state in which a person is
 (`assist.large_tasks.truncated_policy`). It is released when they have left. The belief in a person is the same either
 way.
 """
@@ -103,7 +103,7 @@ class LiveTask:
         else:
             self.initial = self.policy.pomdp.model.choices.initial
             self._whole = TaskPart(self.policy, ProblemArrays.of(self.policy.pomdp))
-        # Local problems exist only while somebody is in their state.
+        # Local problems exist only while a person is in their state.
         self._around: WeakValueDictionary[int, TaskPart] = WeakValueDictionary()
         part, row = self.at(self.initial)
         require_goal(part.choices.h[row])

@@ -102,7 +102,7 @@ class Roster:
     Attributes
     ----------
     parts : list of TaskPart
-        Parts of the people's tasks, numbered; a number is reused when nobody is in that part any more.
+        Parts of the people's tasks, numbered; a number is reused when that part has no people any more.
     records : list of RosterEntry
         Records by place.
     x, model : int arrays, shape (P,)

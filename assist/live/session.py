@@ -397,7 +397,7 @@ class Session:
         return self._one(Event("elapsed"))
 
     def pause(self, paused: bool = True) -> dict[str, Any]:
-        """Stop the robot's suggestions, or resume them; people can go on acting."""
+        """Stop the robot's suggestions, or resume them; people can still act."""
         return self._one(Event("paused" if paused else "resumed"))
 
     def now(self) -> float:

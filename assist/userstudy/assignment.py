@@ -1,6 +1,6 @@
 """Assignment of participants to conditions, or to orders of conditions: a random one among the least frequent ones.
 
-The counts of any two conditions differ by at most one after each assignment, whoever drops out before it. Each block of
+The counts of any two conditions differ by at most one after each assignment, also after dropouts. Each block of
 as many participants as conditions contains each condition once. The assignment depends only on the study's seed and the
 number of previous assignments, so it is reproducible.
 """

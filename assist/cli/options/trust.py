@@ -82,7 +82,7 @@ def trust_of(
     Raises
     ------
     click.UsageError
-        An option has no effect beside the others.
+        An option has no effect together with the others.
     """
     found = TrustOptions(trust, compare_trust, not theta_per_episode, advice, confidence)
     if theta_per_episode and not found.wanted:

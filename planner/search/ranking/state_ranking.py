@@ -2,7 +2,7 @@
 
 A *rank* is a mixed-radix number whose digits belong to clusters of variables. A digit is the position of the variables'
 values in the list of their possible joint values. Variables that the others determine are left out. There are two
-rankings. In `StateRanking.of`, every variable is a cluster of its own. It leaves out what follows from groups of facts
+rankings. In `StateRanking.of`, every variable is a cluster of its own. It leaves out consequences of groups of facts
 of which exactly one always holds. A move then adds a constant to the rank. If this gives very many ranks,
 `StateRanking.dense` is tried. It leaves out variables that any linear invariant determines (`linear_invariants`), and
 uses clusters of variables with few joint values (`variable_clusters`). A move then adds an entry of a table, which
