@@ -63,8 +63,8 @@ def dijkstra(task: Task) -> float:
             continue
         if all(state[variable] == value for variable, value in task.goal):
             return cost
-        for extra, after in successors(task, state):
-            new, values = cost + extra, tuple(after)
+        for action, after in successors(task, state).items():
+            new, values = cost + task.costs[action], tuple(after)
             if new < best.get(values, math.inf):
                 best[values] = new
                 heapq.heappush(queue, (new, values))

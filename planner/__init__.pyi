@@ -24,8 +24,7 @@ from .pddl.instances import Instance as Instance
 from .pddl.instances import PDDLError as PDDLError
 from .states.packing import Packing as Packing
 from .states.state_space import StateSpace as StateSpace
-from .states.successors import Successors as Successors
-from .states.successors import Transitions as Transitions
+from .states.state_space import Transitions as Transitions
 from .system.errors import InputFileError as InputFileError
 from .system.errors import MismatchError as MismatchError
 from .system.limits import LimitError as LimitError

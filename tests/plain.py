@@ -1,97 +1,63 @@
-"""A simple enumeration of a task's states in numpy, as a reference for the sweep."""
+"""A simple enumeration of a task's states by the definition of its actions, as a reference for the sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.grounding.semantics import derived, successors
 from planner.grounding.task import Fact, Task
-from planner.states.packing import Ints, Packing, Words, holds
-from planner.states.state_space import StateSpace
-from planner.states.successors import Successors, Transitions, distinct
-
-
-def sort_keys(states: Words) -> NDArray[np.generic]:
-    """Return one sortable key, shape (n,), for each packed state, shape (n, words)."""
-    if states.shape[1] == 1:
-        return states[:, 0]
-    return np.ascontiguousarray(states.astype(">u8")).view(f"S{8 * states.shape[1]}")[:, 0]
+from planner.states.packing import Ints
+from planner.states.state_space import Part, StateSpace
 
 
 @dataclass(frozen=True)
 class Listed:
-    """States numbered breadth first, layers in the order of their keys.
+    """States in the order of their discovery, breadth first.
 
     Attributes
     ----------
-    packing : Packing
-    states : uint64 array, shape (n, words)
-    rows : Transitions
+    number : dict
+        Number of each state.
+    after : list of dict
+        State after each applicable action of each state.
     """
 
-    packing: Packing
-    states: Words
-    rows: Transitions
-
-    @cached_property
-    def _sorted(self) -> tuple[NDArray[np.generic], Ints]:
-        keys = sort_keys(self.states)
-        order = np.argsort(keys, kind="stable")
-        return keys[order], order
+    number: dict[tuple[int, ...], int]
+    after: list[dict[int, list[int]]]
 
     def numbers(self, values: Ints) -> Ints:
         """Return the numbers of the states with these values, shape (n, variables); -1 for values that are no state."""
-        sizes = np.left_shift(1, self.packing.bits)
-        legal = np.all((values >= 0) & (values < sizes), axis=1)
-        wanted = sort_keys(self.packing.pack(np.where(legal[:, None], values, 0)))
-        keys, order = self._sorted
-        at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        return np.where(legal & (keys[at] == wanted), order[at], -1)
+        return np.array([self.number.get(tuple(row), -1) for row in values.tolist()], dtype=np.int64)
 
     def values(self, numbers: Ints) -> Ints:
         """Return the values of states, shape (n, variables)."""
-        return self.packing.unpack(self.states[numbers])
+        return np.array(list(self.number))[numbers]
 
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
         """Return whether facts hold in each state, shape (states,)."""
-        return holds(self.states, *self.packing.condition(facts))
+        return np.array([all(state[v] == value for v, value in facts) for state in self.number])
 
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Return the transitions of all states."""
-        assert (len(self.states), len(self.rows.actions)) == (states, transitions)
-        return self.rows
+    def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
+        """Yield the transitions of states, one state at a time."""
+        for state in range(len(self.after)) if numbers is None else numbers:
+            found = self.after[state]
+            targets = [self.number[tuple(values)] for values in found.values()]
+            yield np.array([len(found)], np.int32), np.array(list(found), np.int32), np.array(targets, np.int64)
 
 
 def explore(task: Task) -> StateSpace:
-    """Enumerate the reachable states of any task, breadth first, with all transitions in memory."""
-    packing = Packing.of(task)
-    successors = Successors(task, packing)
-    layer = successors.derive(packing.pack([task.initial]))
-    layers = [layer]
-    seen = sort_keys(layer)  # sorted
-    edges: list[tuple[Ints, NDArray[np.int32], Words]] = []
-    first = 0  # the number of a layer's first state
-    while len(layer):
-        rows, actions, after = successors.edges(layer)
-        edges.append((rows + first, actions, after))
-        first += len(layer)
-        keys, places = np.unique(sort_keys(after), return_index=True)
-        at = np.minimum(np.searchsorted(seen, keys), len(seen) - 1)
-        new = seen[at] != keys
-        layer = after[places[new]]
-        seen = np.sort(np.concatenate([seen, keys[new]]))
-        layers.append(layer)
-
-    states = np.concatenate(layers)
-    keys = sort_keys(states)
-    order = np.argsort(keys, kind="stable")
-    sources, actions, after = (np.concatenate([edge[part] for edge in edges]) for part in range(3))
-    kept = distinct(sources, actions)
-    targets = order[np.searchsorted(keys[order], sort_keys(after[kept]))]
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(sources[kept], minlength=len(states)))]).astype(np.int64)
-    numbering = Listed(packing, states, Transitions(offsets, actions[kept], targets))
-    return StateSpace(task, len(states), 0, len(kept), numbering)
+    """Enumerate the reachable states of any task, breadth first."""
+    waiting = [tuple(derived(task, task.initial))]
+    number = {waiting[0]: 0}
+    after = []
+    for state in waiting:  # which grows meanwhile
+        after.append(successors(task, state))
+        for values in map(tuple, after[-1].values()):
+            if values not in number:
+                number[values] = len(waiting)
+                waiting.append(values)
+    return StateSpace(task, len(number), 0, sum(map(len, after)), Listed(number, after))

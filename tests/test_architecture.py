@@ -22,7 +22,7 @@ ROOMS = {
     "planner.pddl": """s_expressions bundled instances instance_finder declarations fragment formulas reader writer
         source validation validation_process built_problems""",
     "planner.grounding": "fast_downward cross_check task load semantics",
-    "planner.states": "packing successors state_space",
+    "planner.states": "packing state_space",
     "planner.search.kernels": """atomics unranking rank_set state_hash decision_tree packed_successors ranked_successors
         expansion relaxation""",
     "planner.search.ranking": "transition_normal_form mutexes linear_invariants variable_clusters state_ranking",

@@ -32,12 +32,12 @@ def reference(task: Task) -> dict[State, float]:
     into: dict[State, list[tuple[int, State]]] = {initial: []}
     waiting = [initial]
     for state in waiting:  # which grows meanwhile
-        for cost, after in semantics.successors(task, state):
+        for action, after in semantics.successors(task, state).items():
             target = tuple(after)
             if target not in into:
                 into[target] = []
                 waiting.append(target)
-            into[target].append((cost, state))
+            into[target].append((task.costs[action], state))
     h = dict.fromkeys(into, math.inf)
     queue = [(0, state) for state in into if all(state[v] == value for v, value in task.goal)]
     while queue:

@@ -11,8 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from planner import Packing, Successors, Task
-from planner.grounding.semantics import derived
+import numpy as np
+
+from planner import Task
+from planner.grounding.semantics import derived, successors
 from planner.pddl.instances import PDDLError
 from planner.pddl.s_expressions import Expression
 from planner.pddl.source import Source
@@ -143,13 +145,12 @@ class Subject:
         ValueError
             The action is unknown, or not applicable in the state.
         """
-        packing, successors, matcher = self._moves
-        state = packing.pack([list(values)])
-        _, actions, after = successors.choices(state)
-        slot = matcher.slot(words_of(action), actions)
-        if not len(actions):
+        after = successors(self.task, values)
+        slot = self._matcher.slot(words_of(action), np.array(list(after), dtype=np.int64))
+        if not after:
             return STAND_STILL, list(values)
-        return self.task.actions[actions[slot]], packing.unpack(after[[slot]])[0].tolist()
+        number = list(after)[slot]
+        return self.task.actions[number], after[number]
 
     def follow(self, plan: Sequence[str], values: Sequence[int] | None = None) -> list[list[int]]:
         """Return the values of the states along a plan, the first state included.
@@ -168,9 +169,8 @@ class Subject:
         return states
 
     @cached_property
-    def _moves(self) -> tuple[Packing, Successors, Matcher]:
-        packing = Packing.of(self.task)
-        return packing, Successors(self.task, packing), Matcher(self.task.actions)
+    def _matcher(self) -> Matcher:
+        return Matcher(self.task.actions)
 
 
 def atom(fact: str) -> Atom | None:

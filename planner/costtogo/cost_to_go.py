@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Task
 from ..states.packing import Ints
-from ..states.successors import Transitions
+from ..states.state_space import Transitions
 
 
 class CostToGo(Protocol):

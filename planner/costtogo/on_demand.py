@@ -22,14 +22,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..grounding.semantics import derived
 from ..grounding.task import Task
 from ..search.distances import UNREACHED
+from ..search.kernels import packed_successors
 from ..search.kernels.packed_successors import PackedOperators
 from ..search.state_registry import StateRegistry
 from ..search.successor_generator import expanded, packed_operators
 from ..states.packing import Ints, Packing, Words, holds
-from ..states.state_space import state_numbers
-from ..states.successors import Successors, Transitions
+from ..states.state_space import Transitions, joined, state_numbers
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from ..system.machine import processors
 from ..system.threads import on_threads
@@ -77,7 +78,6 @@ class OnDemand:
         self._priced, self._unit = priced(task)
         self.reason = reason
         self.packing = Packing.of(task)
-        self._successors = Successors(task, self.packing)
         self._goal = self.packing.condition(task.goal)
         self._cache = cache
         self._known = cache.read() if cache else {}
@@ -85,7 +85,7 @@ class OnDemand:
         self._limits = limits
         self._search: str | None = None
         self._met = StateRegistry(self.packing.words)
-        self.initial = int(self._meet(self._successors.derive(self.packing.pack([task.initial])))[0])
+        self.initial = int(self._meet(self.packing.pack([derived(task, task.initial)]))[0])
 
     def __len__(self) -> int:
         """Return the number of states that have been numbered."""
@@ -93,7 +93,7 @@ class OnDemand:
 
     @cached_property
     def _book(self) -> PackedOperators:
-        return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.found.book
+        return packed_operators(self.task, self.packing) if self.orbits is None else self.orbits.index.book
 
     @cached_property
     def _counting(self) -> OnDemand:
@@ -120,7 +120,10 @@ class OnDemand:
         whole = not array.size or array.dtype.kind in "iu"
         if not whole or array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
-        return self._meet(self._successors.derive(self.packing.pack(array.astype(np.int64, copy=False))))
+        states = self.packing.pack(array)
+        if self.task.axioms:
+            packed_successors.derive(self._book.axioms, self._book.again, states)
+        return self._meet(states)
 
     def values(self, states: ArrayLike) -> NDArray[np.int64]:
         """Return the values, shape (N, variables), of states, shape (N,)."""
@@ -135,11 +138,8 @@ class OnDemand:
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Return the transitions of states, shape (N,), as compressed rows; their successors are numbered."""
-        none = np.empty(0, dtype=np.int32)
-        parts = [(none, none, np.empty((0, self.packing.words), dtype=np.uint64))]
-        parts += expanded(self._book, self._rows(states))
-        counts, actions, after = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, self._meet(after))
+        parts = expanded(self._book, self._rows(states))
+        return joined((counts, actions, self._meet(after)) for counts, actions, after in parts)
 
     def lookup(self, states: ArrayLike, progress: Callable[[int], None] | None = None) -> NDArray[np.float64]:
         """Return h* of states, shape (N,), infinite at dead ends; unknown states are solved by Fast Downward.
@@ -291,7 +291,9 @@ class OnDemand:
             )
         found = {row.tobytes(): price}
         for action in plan:
-            row = self._successors.follow(row, self.task.action_index[action])
-            price -= self._priced.costs[self.task.action_index[action]]
+            number = self.task.action_index[action]
+            _, actions, after = next(expanded(self._book, row))
+            row = after[[actions.tolist().index(number)]]
+            price -= self._priced.costs[number]
             found[row.tobytes()] = price
         return found

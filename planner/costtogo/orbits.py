@@ -163,4 +163,5 @@ def orbits(
         price = distance.astype(np.int64)
         lengths = np.where(dead, UNREACHED, price % long)
         distance = compact(np.where(dead, UNREACHED, price // long))
-    return OrbitTable(OrbitIndex(forms, space.index), distance, lengths, group.order, space.transitions)
+    index = OrbitIndex(**vars(space.index), forms=forms)
+    return OrbitTable(index, distance, lengths, group.order, space.transitions)

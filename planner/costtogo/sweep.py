@@ -105,7 +105,8 @@ def sweep(
     threads = threads or processors()
     space, note = explored(task, budget, threads, progress, options or SweepOptions())
     distance = distances(space, task.goal, budget, threads, progress)
-    return Table(StateSpace(task, len(distance), space.initial, space.transitions, space.index), distance, note)
+    found = StateSpace(task, len(distance), space.initial, space.transitions, space.index, budget.check_memory)
+    return Table(found, distance, note)
 
 
 def explored(

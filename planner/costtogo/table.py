@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..grounding.task import Task
 from ..search.distances import UNREACHED, backward
 from ..states.packing import Ints
-from ..states.state_space import StateSpace, state_numbers
-from ..states.successors import Transitions
+from ..states.state_space import StateSpace, Transitions, state_numbers
 from ..system.errors import MismatchError
 from .cost_to_go import optimal_choices
 

@@ -153,9 +153,9 @@ def check_successors(table: Table, count: int, rng: np.random.Generator, *, seco
             expected = 0.0
         else:
             after = semantics.successors(task, values)
-            targets = np.array([target for _, target in after], dtype=np.int64).reshape(len(after), len(values))
+            targets = np.array(list(after.values()), dtype=np.int64).reshape(len(after), len(values))
             try:
-                least = np.array([cost for cost, _ in after]) + table.lookup(space.numbers(targets))
+                least = np.array([task.costs[action] for action in after]) + table.lookup(space.numbers(targets))
             except KeyError as error:
                 raise MismatchError(f"state {state} leads to {error}, which is no state of the table") from error
             expected = float(least.min(initial=np.inf))

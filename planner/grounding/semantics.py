@@ -36,10 +36,10 @@ def replay(task: Task, plan: Sequence[str]) -> int:
     return cost
 
 
-def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
-    """Return the cost of each applicable operator and the successor state.
+def successors(task: Task, state: Sequence[int]) -> dict[int, list[int]]:
+    """Return the state after each applicable action, by actions in ascending order.
 
-    An action with several operators may occur repeatedly.
+    If several operators of an action apply, the first one counts.
 
     Parameters
     ----------
@@ -47,11 +47,11 @@ def successors(task: Task, state: Sequence[int]) -> list[tuple[int, list[int]]]:
     state : sequence of int, shape (variables,)
         Values of all variables, derived ones included.
     """
-    return [
-        (task.costs[operator.action], derived(task, _applied(operator, state)))
-        for operator in task.operators
-        if _hold(operator.preconditions, state)
-    ]
+    first: dict[int, Operator] = {}
+    for operator in task.operators:
+        if operator.action not in first and _hold(operator.preconditions, state):
+            first[operator.action] = operator
+    return {action: derived(task, _applied(operator, state)) for action, operator in sorted(first.items())}
 
 
 def derived(task: Task, state: Sequence[int]) -> list[int]:

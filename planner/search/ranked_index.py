@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Fact
 from ..states.packing import Ints, Words
-from ..states.successors import Transitions
+from ..states.state_space import Part
 from ..system.limits import Budget
 from ..system.threads import on_threads
 from .kernels import expansion, rank_set, relaxation, unranking
@@ -26,6 +26,9 @@ from .search_space import relaxed
 
 RANKS_AT_A_TIME = 1 << 16
 """Ranks in a block of the frontier, which is the unit of a thread's work and of checks of limits."""
+
+TRANSITIONS_AT_A_TIME = 1 << 18
+"""Most transitions that are built at once, so that they fit the processor's cache."""
 
 CLOSED = 0.75
 """Share of the available memory up to which the backward search uses a bitmap of closed ranks. The bitmap saves time.
@@ -75,9 +78,12 @@ class RankedIndex:
 
     def values(self, numbers: Ints) -> NDArray[np.int64]:
         """Return the values, shape (n, variables), of states, shape (n,)."""
+        return self.coding.decode(self._ranks(numbers))
+
+    def _ranks(self, numbers: Ints) -> Ints:
         index = np.empty(len(numbers), dtype=np.int64)
         rank_set.select(self.states, numbers, index)
-        return self.coding.decode(index)
+        return index
 
     def blocks(self) -> Iterator[Ints]:
         """Yield the ranks of all states in ascending order, in blocks."""
@@ -110,20 +116,19 @@ class RankedIndex:
             self.budget.check_time(len(self))
             yield block[self._holding(block, facts)]
 
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
-        self.budget.check_memory(8 * states + 12 * transitions)
-        small = states <= np.iinfo(np.int32).max
-        rows = Transitions(
-            np.zeros(states + 1, dtype=np.int64),
-            np.empty(transitions, dtype=np.int32),
-            np.empty(transitions, dtype=np.int32 if small else np.int64),
-        )
-        number = 0
-        for block in self.blocks():
-            expansion.fill_transitions(self.operators, self.coding.decoder, self.states, block, number, *rows)
-            number += len(block)
-        return rows
+    def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
+        """Yield the transitions of states, shape (n,), in parts; by default those of all states, in order."""
+        most = self.operators.tree.most
+        size = max(1, TRANSITIONS_AT_A_TIME // most)
+        for block in self.blocks() if numbers is None else [self._ranks(numbers)]:
+            for at in range(0, len(block), size):
+                ranks = block[at : at + size]
+                counts, actions = np.empty(len(ranks), np.int32), np.empty(len(ranks) * most, np.int32)
+                targets = np.empty(len(actions), np.int64)
+                filled = expansion.fill_transitions(
+                    self.operators, self.coding.decoder, self.states, ranks, counts, actions, targets
+                )
+                yield counts, actions[:filled], targets[:filled]
 
 
 class RankedSpace:

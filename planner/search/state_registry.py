@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Fact, Task
 from ..states.packing import Ints, Packing, Words, holds
-from ..states.successors import Transitions
+from ..states.state_space import Part
 from ..system.limits import Budget, LimitError
 from .kernels import packed_successors, relaxation, state_hash
 from .kernels.packed_successors import PackedOperators
@@ -48,13 +48,15 @@ class RegistryIndex:
     states: Words
     slots: Words
 
+    @property
+    def sizes(self) -> Ints:
+        """Number of values that the bits of each variable can represent."""
+        return np.left_shift(1, self.packing.bits)
+
     def numbers(self, values: Ints) -> Ints:
         """Return the numbers of the states with the given values, shape (n, variables); -1 where there is none."""
-        sizes = np.left_shift(1, self.packing.bits)
-        legal = np.all((values >= 0) & (values < sizes), axis=1)
-        numbers = np.empty(len(values), dtype=np.int64)
-        state_hash.look_up(self.slots, self.states, self.packing.pack(np.where(legal[:, None], values, 0)), numbers)
-        return np.where(legal, numbers, -1)
+        legal = np.all((values >= 0) & (values < self.sizes), axis=1)
+        return np.where(legal, self.rows(self.packing.pack(np.where(legal[:, None], values, 0))), -1)
 
     def values(self, numbers: Ints) -> Ints:
         """Return the values, shape (n, variables), of states, shape (n,)."""
@@ -64,20 +66,16 @@ class RegistryIndex:
         """Return whether the facts hold in each state, shape (states,)."""
         return holds(self.states, *self.packing.condition(facts))
 
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
-        rows = Transitions(
-            np.zeros(states + 1, dtype=np.int64),
-            np.empty(transitions, dtype=np.int32),
-            np.empty(transitions, dtype=np.int32),
-        )
-        first = row = 0
-        for counts, actions, after in expanded(self.book, self.states):
-            rows.actions[row : row + len(actions)] = actions
-            state_hash.look_up(self.slots, self.states, after, rows.targets[row : row + len(actions)])
-            rows.offsets[first + 1 : first + 1 + len(counts)] = row + np.cumsum(counts)
-            first, row = first + len(counts), row + len(actions)
-        return rows
+    def rows(self, states: Words) -> Ints:
+        """Return the numbers of packed states, shape (n, words); -1 where there is none."""
+        numbers = np.empty(len(states), dtype=np.int64)
+        state_hash.look_up(self.slots, self.states, states, numbers)
+        return numbers
+
+    def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
+        """Yield the transitions of states, shape (n,), in parts; by default those of all states, in order."""
+        for counts, actions, after in expanded(self.book, self.states if numbers is None else self.states[numbers]):
+            yield counts, actions, self.rows(after)
 
 
 class _Growing:

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ..grounding.task import Effect, Fact, Task
 from ..states.packing import Ints, Packing, Words, can_hold
-from ..states.successors import Successors
 from ..system.limits import Check, unchecked
 from .kernels import packed_successors
 from .kernels.decision_tree import DecisionTree
@@ -255,7 +254,6 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
     rules = len(task.axioms) + sum(1 + len({effect.conditions for effect in o.effects}) for o in task.operators)
     in_use = (bytes_per_rule + 32 * packing.words) * rules
     check(in_use)
-    successors = Successors(task, packing)
 
     def still(_needed: float) -> None:
         check(in_use)
@@ -263,31 +261,34 @@ def packed_operators(task: Task, packing: Packing, check: Check = unchecked) -> 
     possible = [n for n, operator in enumerate(task.operators) if can_hold(operator.preconditions)]
     order = sorted(possible, key=lambda number: (task.operators[number].action, number))
     conditions = [frozenset(task.operators[number].preconditions) for number in order]
-    stages = list(_axioms(task, packing, successors))
+    stages = list(_axioms(task, packing))
     return PackedOperators(
         tree_of(conditions, packing, still),
         np.array([task.operators[number].action for number in order], dtype=np.int64),
-        _rules([_grouped(task.operators[n].effects, successors.effects[n]) for n in order], packing, still),
+        _rules([_grouped(task.operators[n].effects, packing) for n in order], packing, still),
         _rules([rules for rules, _ in stages], packing, still),
         np.array([again for _, again in stages], dtype=bool),
     )
 
 
-def _grouped(effects: Sequence[Effect], masks: Sequence[Masks]) -> list[Rule]:
-    """Return the distinct conditions of effects with the masks that `Successors` computed for them."""
-    conditions = dict.fromkeys(effect.conditions for effect in effects if can_hold(effect.conditions))
-    return list(zip(conditions, masks, strict=True))
+def _grouped(effects: Sequence[Effect], packing: Packing) -> list[Rule]:
+    """Return effects as rules, one for each distinct condition that can hold."""
+    groups: dict[tuple[Fact, ...], list[Fact]] = {}
+    for effect in effects:
+        if can_hold(effect.conditions):
+            groups.setdefault(effect.conditions, []).append((effect.variable, effect.value))
+    return [(facts, (*packing.condition(facts), *packing.condition(written))) for facts, written in groups.items()]
 
 
-def _axioms(task: Task, packing: Packing, successors: Successors) -> Iterator[tuple[list[Rule], bool]]:
+def _axioms(task: Task, packing: Packing) -> Iterator[tuple[list[Rule], bool]]:
     """Yield the stages of a task's axioms: the defaults of derived variables first, then layer by layer."""
-    if successors.layers:
+    derived = [v for v, variable in enumerate(task.variables) if variable.axiom_layer >= 0]
+    if derived:
         nothing = np.zeros(packing.words, dtype=np.uint64)
-        yield [((), (nothing, nothing, *successors.defaults))], False
-    layers = sorted({variable.axiom_layer for variable in task.variables} - {-1})
-    for layer, masks in zip(layers, successors.layers, strict=True):
+        yield [((), (nothing, nothing, *packing.condition([(v, task.initial[v]) for v in derived])))], False
+    for layer in sorted({task.variables[v].axiom_layer for v in derived}):
         own = [axiom for axiom in task.axioms if task.variables[axiom.variable].axiom_layer == layer]
-        yield from _stages(_grouped(own, masks))
+        yield from _stages(_grouped(own, packing))
 
 
 def _stages(layer: Sequence[Rule]) -> Iterator[tuple[list[Rule], bool]]:

@@ -7,18 +7,50 @@ order of their discovery. `RankedIndex` is more compact.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..grounding.task import Fact, Task
 from ..system.arrays import outline
-from .packing import Ints, Packing
-from .successors import Successors, Transitions
+from ..system.limits import Check, unchecked
+from .packing import Ints
+
+Part = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.signedinteger]]
+"""Number of transitions of each state of a block, their actions, and their targets."""
+
+
+class Transitions(NamedTuple):
+    """The transitions of n states as compressed rows.
+
+    Attributes
+    ----------
+    offsets : int64 array, shape (n + 1,)
+        The transitions of the i-th state are the rows `offsets[i]:offsets[i + 1]` of the other two arrays.
+    actions : int32 array, shape (m,)
+        Ground actions, strictly ascending within a state.
+    targets : int32 or int64 array, shape (m,)
+        Successor state of each transition.
+    """
+
+    offsets: Ints
+    actions: NDArray[np.int32]
+    targets: NDArray[np.signedinteger]
+
+    def __repr__(self) -> str:
+        return outline(self)
+
+
+def joined(parts: Iterable[Part]) -> Transitions:
+    """Return the transitions that are given in parts."""
+    none = np.empty(0, dtype=np.int32)
+    nothing: list[Part] = [(none, none, np.empty(0, dtype=np.int64))]
+    counts, actions, targets = (np.concatenate(column) for column in zip(*nothing, *parts, strict=True))
+    return Transitions(np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), actions, targets)
 
 
 def state_numbers(states: ArrayLike, count: int) -> Ints:
@@ -49,8 +81,8 @@ class StateIndex(Protocol):
     def where(self, facts: Sequence[Fact]) -> NDArray[np.bool_]:
         """Return whether the facts hold in each state, shape (states,)."""
 
-    def transitions(self, states: int, transitions: int) -> Transitions:
-        """Build the transitions of all states; the arguments are the numbers of states and of transitions."""
+    def transitions(self, numbers: Ints | None = None) -> Iterator[Part]:
+        """Yield the transitions of states, shape (n,), in parts; by default those of all states, in order."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +100,8 @@ class StateSpace:
         Number of transitions: applicable ground actions, summed over all states.
     numbering : StateIndex
         The numbering of the states.
+    check : callable
+        Called with the bytes of the transitions of all states before they are built. It may raise `LimitError`.
     """
 
     task: Task
@@ -75,6 +109,7 @@ class StateSpace:
     initial: int
     transition_count: int
     numbering: StateIndex
+    check: Check = unchecked
 
     __repr__ = outline
 
@@ -89,7 +124,19 @@ class StateSpace:
     @cached_property
     def transitions(self) -> Transitions:
         """The transitions of all states, built when first used."""
-        rows = self.numbering.transitions(self.size, self.transition_count)
+        small = self.size <= np.iinfo(np.int32).max
+        rows = Transitions(
+            np.zeros(self.size + 1, dtype=np.int64),
+            np.empty(self.transition_count, dtype=np.int32),
+            np.empty(self.transition_count, dtype=np.int32 if small else np.int64),
+        )
+        self.check(sum(array.nbytes for array in rows))
+        state = row = 0
+        for counts, actions, targets in self.numbering.transitions():
+            rows.offsets[state + 1 : state + 1 + len(counts)] = row + np.cumsum(counts)
+            rows.actions[row : row + len(actions)] = actions
+            rows.targets[row : row + len(actions)] = targets
+            state, row = state + len(counts), row + len(actions)
         for array in rows:
             array.flags.writeable = False
         return rows
@@ -103,10 +150,6 @@ class StateSpace:
     def sources(self) -> Ints:
         """State in which each transition starts, shape (m,)."""
         return np.repeat(np.arange(self.size), np.diff(self.transitions.offsets))
-
-    @cached_property
-    def _successors(self) -> Successors:
-        return Successors(self.task, Packing.of(self.task))
 
     def numbers(self, values: ArrayLike) -> Ints:
         """Return the numbers, shape (N,), of the states with the given values, shape (N, variables).
@@ -139,11 +182,7 @@ class StateSpace:
 
     def choices(self, states: ArrayLike) -> Transitions:
         """Return the transitions of some states, shape (N,), without building those of all states."""
-        packing = self._successors.packing
-        offsets, actions, after = self._successors.choices(packing.pack(self.values(states)))
-        block = 1 << 13  # states that are unpacked and numbered at a time, so that they fit the processor's cache
-        parts = [after[at : at + block] for at in range(0, len(after) or 1, block)]
-        return Transitions(offsets, actions, np.concatenate([self.numbers(packing.unpack(part)) for part in parts]))
+        return joined(self.numbering.transitions(state_numbers(states, self.size).reshape(-1)))
 
     def facts(self, state: int) -> list[str]:
         """Return the PDDL atoms that hold in a state, among those that can change."""

@@ -59,10 +59,10 @@ def expand_block(tests, decoder, closed, block, start, out):
 
 
 @njit(nogil=True, error_model="numpy")
-def fill_transitions(tests, decoder, states, block, number, offsets, actions, targets):
-    """Write the transitions of the states of a block, which are numbered from `number`."""
+def fill_transitions(tests, decoder, states, block, counts, actions, targets):
+    """Write the transitions of the states of a block, and how many each has; return the number of all."""
     cursor, moves = start_cursor(tests, decoder), np.empty(tests.tree.most, dtype=np.int64)
-    row = offsets[number]
+    row = 0
     for i in range(len(block)):
         index = block[i]
         begin = row
@@ -75,4 +75,5 @@ def fill_transitions(tests, decoder, states, block, number, offsets, actions, ta
             actions[at] = action
             targets[at] = number_of(states, after(tests, cursor.words, moves[place], index))
             row += 1
-        offsets[number + i + 1] = row
+        counts[i] = row - begin
+    return row
