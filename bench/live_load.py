@@ -241,7 +241,7 @@ def check(instance: Path, data: Path, seen: Seen) -> None:
     """Compare the acknowledged actions with the log, and the beliefs with an uninterrupted run."""
     tasks = {instance.stem: cost_to_go(load(instance))}
     options = {"setting": Setting(c_suggest=C_SUGGEST)}
-    kept = Session(tasks, data / "journal.jsonl", **options)
+    kept = Session(tasks, data / "journal.sqlite", **options)
     found: dict[str, list[str]] = {person: [] for person in kept.people}
     for row in kept.log():
         found[row["person"]].append(row["action"])
@@ -252,12 +252,11 @@ def check(instance: Path, data: Path, seen: Seen) -> None:
     assert found == seen.acknowledged, f"{seen.lost} acknowledged actions are lost, {seen.doubled} are there twice"
     assert not seen.refused, seen.refused[:3]
     with tempfile.TemporaryDirectory() as folder:
-        anew = Session(tasks, Path(folder) / "journal.jsonl", **options)
-        for _, record in kept._journal:
-            if "event" in record:
-                facts = {name: record.get(name) for name in ("person", "action", "followed", "task", "id")}
-                # A suggestion that was not seen then is marked by the view on which the person acted: none.
-                anew.report([Event(record["event"], **facts, seen=0 if record.get("unheard") else None)])
+        anew = Session(tasks, Path(folder) / "journal.sqlite", **options)
+        for record in kept._store:
+            facts = {name: record.get(name) for name in ("person", "action", "followed", "task", "id")}
+            # A suggestion that was not seen then is marked by the view on which the person acted: none.
+            anew.report([Event(record["event"], **facts, seen=0 if record.get("unheard") else None)])
         assert anew.beliefs() == kept.beliefs(), "the beliefs are those of an uninterrupted run"
         assert anew.recommend() == kept.recommend()
         anew.close()

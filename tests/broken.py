@@ -349,7 +349,7 @@ class Fuzzer:
 
     def _session(self, folder: Path) -> Input:
         broken_live.spoil(self, folder)
-        self.journal = (folder / broken_live.JOURNAL).read_bytes()
+        self.journal = broken_live.kept(folder)
         return Input("sessions", "serve", ("serve", *ARGUMENTS["serve"]))
 
     def _policy(self, folder: Path) -> Input:

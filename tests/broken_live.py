@@ -1,12 +1,20 @@
-"""A live session without a service, and broken ones: journals that are truncated, changed, or of another task."""
+"""A live session without a service, and broken ones: journals that are truncated, changed, or of another task.
+
+The journals are of the former format, which a session imports. Their databases are broken as files, too.
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from assist.live.store import stored
+from planner.system.errors import DamagedFileError
 
 if TYPE_CHECKING:
     from broken import Fuzzer
@@ -14,7 +22,7 @@ if TYPE_CHECKING:
 ARGUMENTS = [
     "problem.pddl", "--humans", "2", "--simulate", "1", "--port", "0", "--c-suggest", "0.05", "--data", "session",
 ]  # fmt: skip
-JOURNAL = Path("session") / "journal.jsonl"
+JOURNAL = Path("session") / "journal.sqlite"
 STEPS = 6
 
 
@@ -58,27 +66,57 @@ def spoil(fuzzer: Fuzzer, folder: Path) -> None:
         domain = Path(__file__).parent.parent / "domains" / "delivery"
         shutil.copy(domain / "domain.pddl", folder)
         shutil.copy(domain / "one-parcel.pddl", folder / "problem.pddl")
-    elif chance < 0.5:
+    elif chance < 0.4:
         fuzzer._spoil_file(file)
-    elif chance < 0.6:
+    elif chance < 0.5:
         content = file.read_bytes()
         file.write_bytes(content[: int(fuzzer.rng.integers(len(content)))])
+    elif chance < 0.75:
+        _spoil_record(fuzzer, file)
     else:
-        records = [json.loads(line) for line in file.read_text().splitlines()]
+        former = file.with_suffix(".jsonl")
+        _as_former(file, former)
+        records = [json.loads(line) for line in former.read_text().splitlines()]
         number = int(fuzzer.rng.integers(len(records))) if fuzzer.rng.random() < 0.7 else 0
         fuzzer._spoil_value(records[number])
-        file.write_text("".join(json.dumps(record) + "\n" for record in records), errors="surrogatepass")
+        former.write_text("".join(json.dumps(record) + "\n" for record in records), errors="surrogatepass")
 
 
-def wrong(before: bytes, folder: Path, code: Any) -> list[str]:
-    """Return what is wrong with a journal afterwards. A refused one must be unchanged, except for an incomplete last
-    line.
-    """
-    file = folder / JOURNAL
-    after = file.read_bytes() if file.is_file() else b""
-    whole = before[: before.rfind(b"\n") + 1]
-    if code != 0 and after not in (before, whole):
+def _spoil_record(fuzzer: Fuzzer, file: Path) -> None:
+    """Change a value of an event or of the header within a database."""
+    table, column = ("events", "record") if fuzzer.rng.random() < 0.7 else ("header", "document")
+    with closing(sqlite3.connect(file)) as db, db:
+        (count,) = db.execute(f"SELECT count(*) FROM {table}").fetchone()
+        row = 1 + int(fuzzer.rng.integers(count))
+        (text,) = db.execute(f"SELECT {column} FROM {table} WHERE rowid = ?", (row,)).fetchone()
+        fuzzer._spoil_value(record := json.loads(text))
+        db.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (json.dumps(record), row))
+
+
+def _as_former(file: Path, former: Path) -> None:
+    """Replace a database by a journal of the former format."""
+    with closing(sqlite3.connect(file)) as db:
+        rows = db.execute("SELECT document, NULL FROM header").fetchall()
+        rows += db.execute("SELECT record, answer FROM events ORDER BY n").fetchall()
+    lines = [json.loads(record) | ({} if answer is None else {"answer": json.loads(answer)}) for record, answer in rows]
+    former.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    file.unlink()
+
+
+def kept(folder: Path) -> list[Any] | None:
+    """Return the header and the records of a session; None if they cannot be read."""
+    try:
+        header, records = stored(folder / JOURNAL)
+    except (DamagedFileError, OSError):
+        return None
+    return [header, *(record for _, record in records)]
+
+
+def wrong(before: list[Any] | None, folder: Path, code: Any) -> list[str]:
+    """Return what is wrong with a journal afterwards: one that was refused must be unchanged."""
+    after = kept(folder)
+    if code != 0 and before is not None and after != before:
         return ["a journal that was refused has changed"]
-    if code == 0 and whole and not after.startswith(whole):
+    if code == 0 and before is not None and (after or [])[: len(before)] != before:
         return ["what had happened is no longer in the journal"]
     return []

@@ -48,8 +48,8 @@ ROOMS = {
     "assist.coupled": "agents kernels price_bound whittle index_policy rollout policies simulation joint_optimum",
     "assist.drawing": "subject states profile scene layout svg raster picture frames files",
     "assist.explain": "continuations contrast catalogue explanation",
-    "assist.live": """live_task roster advice decision_point assistant course journal idempotency session
-        simulated_person""",
+    "assist.live": """live_task roster advice decision_point assistant old_journal store course event_sourced header
+        session simulated_person""",
     "assist.certify.information_relaxation": "confidence belief_nodes options congestion sampled_bound",
     "assist.certify": "prices certificate team_bound",
     "assist.interop": "observed pomdp pomdpx policyx pomdp_py teams rendering gymnasium pettingzoo",

@@ -18,6 +18,7 @@ from conftest import KITTING, table_of
 
 from assist.cli import main
 from assist.drawing import Artist
+from assist.live.store import stored
 from planner import Instance, Table
 
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright, of the extra `test`, is not installed")
@@ -42,7 +43,7 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("session") / "journal.jsonl"
+    return tmp_path_factory.mktemp("session") / "journal.sqlite"
 
 
 @pytest.fixture(scope="module")
@@ -253,8 +254,7 @@ def follows_one_suggestion_and_ignores_another(clicked: Seat) -> None:
 
 def acted_since_the_first_of(person: str, journal: Path) -> list[str]:
     """Return who acted, action by action, from the person's first action on."""
-    records = [json.loads(line) for line in journal.read_text().splitlines(keepends=True)[1:] if line.endswith("\n")]
-    people = [record["person"] for record in records if record["event"] == "acted"]
+    people = [record["person"] for _, record in stored(journal)[1] if record["event"] == "acted"]
     return people[people.index(person) :]
 
 

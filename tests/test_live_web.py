@@ -16,8 +16,8 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 from assist.live.course import Event
-from assist.live.journal import JournalError
 from assist.live.session import Session
+from assist.live.store import JournalError
 from assist.people.human import Population
 from assist.team.settings import Setting
 from assist.web import server
@@ -40,7 +40,7 @@ class Web:
 
     def __init__(self, table: Table, folder: Path, **more: Any) -> None:
         setting = Setting(c_suggest=0.02, c_move=0.01, trust="paper")
-        session = Session({"tiny": table}, folder / "journal.jsonl", setting=setting, population=Population())
+        session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report([Event("joined", name) for name in ("ann", "bob")])
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
@@ -399,11 +399,11 @@ def test_connections_count_like_requests(tiny: Table, tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> Any:
-        raise JournalError(28, "No space left on device; nothing was recorded", "journal.jsonl")
+    def full(*_: Any, **__: Any) -> Any:
+        raise JournalError(28, "No space left on device; nothing was recorded", "journal.sqlite")
 
     with monkeypatch.context() as disk:
-        disk.setattr(web.service.session._journal, "append", full)
+        disk.setattr(web.service.session._store, "add", full)
         answer = web.act("(fetch box-a)")
         assert (answer.status_code, answer.json()["detail"]) == (507, "No space left on device; nothing was recorded")
         assert web.ask("GET", ANN, "ann").json()["steps"] == 0

@@ -56,7 +56,7 @@ class Proxy:
 
 
 def team(table: Table, folder: Path, base: str) -> Service:
-    session = Session({"tiny": table}, folder / "journal.jsonl", setting=Setting(c_suggest=0.02, c_move=0.01))
+    session = Session({"tiny": table}, folder / "journal.sqlite", setting=Setting(c_suggest=0.02, c_move=0.01))
     session.report([Event("joined", name) for name in ("ann", "bob")])
     return Service(session, AccessTokens.kept(folder / "secret", base), tick=60.0)
 

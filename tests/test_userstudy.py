@@ -19,9 +19,11 @@ from conftest import KITTING, ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
+from sessions import former
 from userstudies import PLAN, SCORES, Part, written
 
 from assist.live.live_task import InapplicableError
+from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
 from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
@@ -165,9 +167,14 @@ def test_conditions_stay_balanced_whoever_comes_and_goes(
         assert given_to == ORDER[: len(given_to)]
 
 
+def copied(journal: Path) -> dict[str, bytes]:
+    """Return the files of a database that a process has open."""
+    return {file.name: file.read_bytes() for file in journal.parent.glob(f"{journal.name}*") if "shm" not in file.name}
+
+
 def done_together(journal: Path) -> list[list[str]]:
     """Return the actions in the task of ann and the simulated people of her team."""
-    records = [json.loads(line) for line in journal.read_bytes().splitlines()[1:]]
+    records = [record for _, record in stored(journal)[1]]
     own = [
         one for one in records if one["person"] == "ann" and one.get("stage") == "task tiny" and "answers" not in one
     ]
@@ -176,13 +183,13 @@ def done_together(journal: Path) -> list[list[str]]:
 
 def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: Path) -> None:
     session = opened()
-    seen: list[tuple[bytes, dict[str, Any]]] = []
+    seen: list[tuple[dict[str, bytes], dict[str, Any]]] = []
     ann, bob = Part(session, "ann"), Part(session, "bob")
 
     def look() -> None:
         views = {name: session.person(name) for name in session.people}
         seen.append(
-            ((tmp_path / "data" / JOURNAL).read_bytes(), {**views, "log": session.log(), "beliefs": session.beliefs()})
+            (copied(tmp_path / "data" / JOURNAL), {**views, "log": session.log(), "beliefs": session.beliefs()})
         )
 
     stages = [stage.name for stage in session.study.stages]
@@ -206,7 +213,8 @@ def test_a_study_is_where_it_was_wherever_it_was_killed(opened: Open, tmp_path: 
     for number, (journal, views) in enumerate(seen):
         folder = tmp_path / f"after-{number}"
         folder.mkdir()
-        (folder / JOURNAL).write_bytes(journal + b'{"n":999,"time":1.0,"ev')  # an event that was never acknowledged
+        for name, content in journal.items():  # as after a kill, with a transaction that was never completed
+            (folder / name).write_bytes(content + b"half a transaction" * name.endswith("-wal"))
         again = opened(folder=folder)
         found = {name: again.person(name) for name in again.people}
         assert {**found, "log": again.log(), "beliefs": again.beliefs()} == views
@@ -280,7 +288,7 @@ def test_a_journal_that_cannot_have_been_is_refused_with_its_line(opened: Open, 
     ann.come()
     ann.to("questionnaire trust")
     session.close()
-    lines = (tmp_path / "data" / JOURNAL).read_text().splitlines()
+    lines = former(tmp_path / "data" / JOURNAL).read_text().splitlines()
     for number, (old, new) in enumerate([
         ('"event":"onward"', '"event":"onwards"'), ('"stage":"instructions"', '"stage":"thanks"'),
         ('"person":"ann"', '"person":"bob"'), ('"time":', '"time":"x","was":'), ('"action":"(', '"action":"(un'),
@@ -289,7 +297,7 @@ def test_a_journal_that_cannot_have_been_is_refused_with_its_line(opened: Open, 
         folder = tmp_path / f"broken-{number}"
         folder.mkdir()
         broken = [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
-        (folder / JOURNAL).write_text("\n".join(broken) + "\n")
+        (folder / JOURNAL).with_suffix(".jsonl").write_text("\n".join(broken) + "\n")
         with pytest.raises(DamagedFileError, match=rf"journal.jsonl:{line + 1}: cannot have happened"):
             opened(folder=folder)
 
@@ -331,7 +339,7 @@ def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Op
     for part in (ann, bob):
         part.come()
         part.to("thanks")
-    journal = next(tmp_path.rglob("journal.jsonl"))
+    journal = next(tmp_path.rglob(JOURNAL))
     before = tables(session.study, journal)
     assert {row["participant"] for row in before.actions} == {"ann", "bob"}
     assert all(row["consented"] >= row["arrived"] for row in before.participants)
@@ -393,7 +401,7 @@ def test_simulated_people_act_in_step_and_share_the_robot(opened: Open) -> None:
     ann.to("task tiny")
     for _ in range(4):
         ann.errs()
-    lines = [json.loads(line) for line in (session.folder / JOURNAL).read_text().splitlines()[1:]]
+    lines = [record for _, record in stored(session.folder / JOURNAL)[1]]
     acted = [line for line in lines if line["event"] == "acted" and line["stage"] == "task tiny"]
     assert [[sub["person"] for sub in line["team"]] for line in acted] == [["ann", "ann-1", "ann-2"]] * 4
     assert {row["person"] for row in session.log()} == {"ann"}

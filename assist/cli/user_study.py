@@ -98,7 +98,7 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
     if data is None and not rehearse:
         raise click.UsageError("--study: expected --data DIR as well, the folder in which the study's data are saved")
     folder = data or new_folder()
-    if rehearse and (folder / "journal.jsonl").exists():
+    if rehearse and any((folder / name).exists() for name in ("journal.sqlite", "journal.jsonl")):
         raise click.UsageError(f"--data {folder}: contains a study already; expected another folder for a rehearsal")
     tasks = _tasks(study)
 

@@ -4,8 +4,9 @@ from .advice import Reason as Reason
 from .assistant import Assistant as Assistant
 from .course import AbsentError as AbsentError
 from .course import Event as Event
-from .journal import JournalError as JournalError
+from .event_sourced import Outlook as Outlook
 from .live_task import InapplicableError as InapplicableError
 from .live_task import UnknownError as UnknownError
-from .session import Outlook as Outlook
 from .session import Session as Session
+from .store import JournalError as JournalError
+from .store import Tombstone as Tombstone

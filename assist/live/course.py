@@ -31,12 +31,22 @@ from ..team.state import TeamPolicy
 from .advice import Advice, PersonState, Reason
 from .assistant import Assistant
 from .live_task import InapplicableError, UnknownError
+from .store import Change
 
 FIELDS: Mapping[str, type | tuple[type, ...]] = {
     "n": int, "time": (int, float), "event": str, "step": int, "person": str, "task": str, "id": str, "action": str,
-    "followed": bool, "unheard": bool, "advice": dict, "answer": dict,
+    "followed": bool, "unheard": bool, "advice": dict,
 }  # fmt: skip
 """Fields of an event's record, and their types."""
+
+BY_PEOPLE = ("joined", "left", "began", "acted", "undone")
+"""Kinds of events of one person."""
+
+KINDS = (*BY_PEOPLE, "arrived", "elapsed", "paused", "resumed")
+"""Kinds of events that can be reported."""
+
+VACANT, ERASED = "vacant", "erased"
+"""Kinds of records in place of a person's first event and of the later ones, after their records were erased."""
 
 NAME = re.compile(r"(?=.*\w)[\w.\- ]{1,64}")
 """Valid names of people; they are part of addresses of pages."""
@@ -46,6 +56,10 @@ NOTHING = Advice(None, None, None, arrived=True)
 
 class AbsentError(UnknownError):
     """The person is not present."""
+
+
+class InvalidError(ValueError):
+    """The report of an event is malformed."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +115,10 @@ def require_record(record: Mapping[str, Any]) -> None:
             raise ValueError(f"'{name[:40]}' is {str(value)[:40]!r}")
     if missing := [name for name in ("n", "time", "event", "step") if name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
-    kind, by_people = record["event"], ("joined", "left", "began", "acted", "undone")
-    kinds = (*by_people, "arrived", "elapsed", "paused", "resumed")
-    if kind not in kinds or not math.isfinite(record["time"]):
-        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(kinds)}")
-    needed = {"person": kind in by_people, "action": kind == "acted", "answer": "id" in record}
+    kind = record["event"]
+    if kind not in (*KINDS, VACANT, ERASED) or not math.isfinite(record["time"]):
+        raise ValueError(f"event {kind[:40]!r} at time {record['time']}; expected one of {', '.join(KINDS)}")
+    needed = {"person": kind in (*BY_PEOPLE, VACANT), "action": kind == "acted", "task": kind == VACANT}
     if missing := [name for name, so in needed.items() if so and name not in record]:
         raise ValueError(f"there is no '{missing[0]}'")
 
@@ -182,9 +195,11 @@ class Course:
 
         Raises
         ------
-        UnknownError, InapplicableError, ValueError
+        UnknownError, InapplicableError, InvalidError
             The event is not possible. Nothing has changed.
         """
+        if event.kind not in KINDS:
+            raise InvalidError(f"event {event.kind[:40]!r}: expected one of {', '.join(KINDS)}")
         record = {"n": self.count + 1, "time": round(time, 3), "event": event.kind, **self._facts(event)}
         step = self.desk.step
         self._take(record)
@@ -242,7 +257,7 @@ class Course:
     def _joins(self, event: Event) -> str | None:
         name = event.person or ""
         if not NAME.fullmatch(name) or name.strip(" .") != name:
-            raise ValueError(
+            raise InvalidError(
                 f"person {name[:80]!r}: expected a name of up to 64 letters, digits, blanks and signs of . _ -"
             )
         if name in self.present:
@@ -306,6 +321,12 @@ class Course:
             case "paused" | "resumed":
                 self.paused = kind == "paused"
                 desk.elapse()
+            case "vacant":
+                desk.join(person or "", self.tasks[record["task"]])
+                desk.leave(person or "")
+                self._notes[person or ""] = _Note(record["task"])
+            case "erased":
+                desk.elapse()
 
     def _began(self, note: _Note, task: str) -> None:
         note.tasks.append(note.task)
@@ -325,7 +346,7 @@ class Course:
         entry = {"n": self.count, "time": record["time"], "event": record["event"], "person": person}
         for name in ("action", "followed"):
             entry[name] = record.get(name)
-        if record["event"] != "elapsed":
+        if record["event"] not in ("elapsed", VACANT, ERASED):
             self.recent.append({**entry, "suggestion": None})
         if advice.person is not None and advice.suggestion is not None:
             self._notes[advice.person].suggested, self._notes[advice.person].reason = self.count, advice.reason
@@ -333,6 +354,53 @@ class Course:
                 entry | {"event": "suggested", "person": advice.person, "action": None, "followed": None}
                 | {"suggestion": advice.suggestion}
             )  # fmt: skip
+
+    # Erasing.
+
+    def farewell(self, person: str) -> Event | None:
+        """Return the event by which a person leaves; None if they have left.
+
+        Raises
+        ------
+        AbsentError
+            Nothing is recorded of this person.
+        """
+        if person not in self._notes or not NAME.fullmatch(person):
+            raise AbsentError(f"nothing is recorded of {person[:80]!r}")
+        return Event("left", person) if person in self.present else None
+
+    def without(self, person: str, label: str) -> Change:
+        """Return a function that removes what is recorded of a person from a record and its answer.
+
+        The robot's course remains: where it went, and what it suggested to others. The person's place has the label.
+        """
+        time, here = 0.0, False
+
+        def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
+            nonlocal time, here
+            advice = record.get("advice")
+            if advice is not None and advice["person"] == person:
+                record = record | {"advice": advice | {"person": label, "suggestion": None, "reason": None}}
+            if record.get("person") != person:
+                time = record["time"]
+                if answer is not None and "location" in answer and person in (answer["person"], answer["location"]):
+                    there = label if answer["location"] == person else answer["location"]
+                    answer = answer | {"location": there}
+                    if answer["person"] == person:
+                        answer |= {"person": label, "suggestion": None, "reason": None}
+                return record, answer
+            # The time is that of the event before: the person's own times are theirs.
+            kept: dict[str, Any] = {"n": record["n"], "time": time, "event": record["event"], "step": record["step"]}
+            kept |= {"advice": record["advice"]} if advice is not None else {}
+            if not here:
+                here, kept = True, kept | {"event": VACANT, "person": label, "task": record["task"]}
+            elif record["event"] == "arrived":
+                kept["person"] = label
+            else:
+                kept["event"] = ERASED
+            return kept, None
+
+        return removed
 
     # Views.
 

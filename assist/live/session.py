@@ -1,12 +1,13 @@
-"""A live session that is saved: events are applied, written to a journal, and acknowledged.
+"""A live session that is saved: events are applied, stored, and acknowledged.
 
-A `Session` is a `Course` with a `Journal` and a lock, so that any thread may report events. An event is on the disk
-before it is acknowledged and before others see it. Events that arrive together share one write. An event that cannot be
-saved has no effect. A session that is opened again on its journal has the same states, beliefs (bit for bit),
-suggestions and answers.
+A `Session` is a `Course` with an `EventStore` and a lock, so that any thread may report events. An event is on the disk
+before it is acknowledged and before others see it. Events that arrive together are one transaction. An event that
+cannot be saved has no effect. A session that is opened again has the same states, beliefs (bit for bit), suggestions
+and answers.
 
-Any exception while events are applied undoes the whole batch: the session is restored from the journal, and the other
-events of the batch are applied again. So the state in memory is always that of the journal.
+Any exception while events are applied undoes the whole batch: the transaction ends without effect, and the state is
+restored from the store. Then the other events of the batch are applied again. So the state in memory is always the
+stored one.
 """
 
 from __future__ import annotations
@@ -15,126 +16,33 @@ import json
 import logging
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
-from hashlib import sha256
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner import CostToGo, LimitError
-from planner.system.errors import DamagedFileError, ResultsExistError
+from planner import CostToGo
 
-from ..large_tasks.person_problem import WHOLE, is_whole
-from ..people.belief import Grid
-from ..people.choice_model import chances
-from ..people.choices import Choices
-from ..people.decision import perceived_cost
 from ..people.human import Mixture, Population
 from ..team.settings import Setting
-from ..team.state import PolicyError, TeamPolicy
+from ..team.state import TeamPolicy
 from .advice import Advice
-from .course import Course, Event
-from .idempotency import AnsweredIds, Key, key_of
-from .journal import Journal, JournalError
-from .live_task import InapplicableError, digest
+from .course import Course, Event, InvalidError
+from .event_sourced import EventSourced, Outlook
+from .header import header_of, require_same
+from .live_task import InapplicableError, UnknownError
+from .store import EventStore, JournalError, Tombstone, utc
 
-FORMAT = "kitassist session 1"
-"""Format identifier of journals."""
-
-Refused = (ValueError, LimitError, PolicyError)
-"""Errors of an event that is not possible, which leave the session as it was; all others are faults of the program."""
+Refused = (UnknownError, InapplicableError, InvalidError)
+"""Errors of an event that is not possible, which leave the session as it was. After any other it is restored."""
 
 Outcome = dict[str, Any] | Exception
 """Outcome of an event: the view of the client who reported it, or the exception because of which it has no effect."""
 
-
-class EventSourced(Protocol):
-    """State that follows from a sequence of events, and its views; `Course` implements it for one team."""
-
-    count: int
-    paused: bool
-    fault: str | None
-    recent: deque[dict[str, Any]]
-
-    def happen(self, event: Event, time: float) -> dict[str, Any] | None:
-        """Apply an event, and return its record."""
-        ...
-
-    def again(self, record: Mapping[str, Any]) -> None:
-        """Apply a recorded event."""
-        ...
-
-    def touched(self, record: Mapping[str, Any]) -> set[str]:
-        """Return the people whose view an event has changed."""
-        ...
-
-    def require(self, person: str) -> None:
-        """Check that a person is present."""
-        ...
-
-    @property
-    def people(self) -> tuple[str, ...]:
-        """The people who are present."""
-        ...
-
-    @property
-    def advice(self) -> Advice:
-        """The decision after the last event."""
-        ...
-
-    def person(self, person: str) -> dict[str, Any]:
-        """Return a person's view."""
-        ...
-
-    def entry(self, person: str) -> dict[str, Any]:
-        """Return the operator's view of a person."""
-        ...
-
-    def place(self, person: str) -> tuple[CostToGo, int]:
-        """Return a person's task, and its state."""
-        ...
-
-    def robot(self) -> dict[str, Any]:
-        """Return where the robot is to be."""
-        ...
-
-    def beliefs(self) -> dict[str, bytes]:
-        """Return the belief in each person, as bytes."""
-        ...
-
-    def log(self, task: str | None = None) -> list[dict[str, Any]]:
-        """Return all actions as `fit` reads them."""
-        ...
-
-
-@dataclass(frozen=True)
-class Outlook:
-    """The view of a session without its people.
-
-    Attributes
-    ----------
-    events : int
-        Number of events.
-    paused : bool
-        Whether the robot makes no suggestions.
-    robot : dict
-        Where the robot is to be, and its suggestion there.
-    recent : list of dict
-        The latest events, the oldest first.
-    fault : str or None
-        Error of the policy after the last event, if there was one; the robot then does nothing.
-    """
-
-    events: int
-    paused: bool
-    robot: dict[str, Any]
-    recent: list[dict[str, Any]]
-    fault: str | None
+LONGEST_REASON = 200
+"""Number of characters of a reason of an erasure; more would invite personal data."""
 
 
 class Session:
@@ -145,7 +53,8 @@ class Session:
     tasks : CostToGo, or mapping of str to CostToGo
         Tasks by name; the first is the default.
     journal : Path
-        The file in which the session is saved. If it exists, the session continues from it.
+        The file in which the session is saved, an SQLite database. If it exists, the session continues from it. The
+        ending `.jsonl` stands for `.sqlite`; events of a former journal with that ending are imported.
     policy : str or callable
         A team policy, as in `Assistant`.
     setting, population, distance
@@ -186,74 +95,63 @@ class Session:
         self._clock = clock
         self.changed: Callable[[set[str]], None] | None = None
         self.lock = threading.RLock()
-        self._journal = Journal(Path(journal))
+        self._store = EventStore(Path(journal))
         try:
-            self._resume()
-            if not len(self._journal):
-                self._journal.append([_line(self._header())])
+            self._open()
         except BaseException:
-            self._journal.close()
+            self._store.close()
             raise
         self._began = clock() - self._last
 
-    def _header(self) -> dict[str, Any]:
-        desk, distance = Course(self._tasks, **self._options).desk, self._options["distance"]
-        return {
-            "format": FORMAT,
-            "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
-            "setting": desk.setting.as_dict(),
-            "population": desk.population.as_dict(),
-            "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
-            "tasks": {name: digest(task) for name, task in self._tasks.items()},
-            "files": self._files(),
-            "chances": None
-            if desk.population.chooses is None
-            else {name: _chances(task, desk.population) for name, task in self._tasks.items()},
-        }
+    def _open(self) -> None:
+        """Restore the state, after the events of an old journal were imported; or begin a new session."""
+        expected: dict[str, Any] = json.loads(json.dumps(self._header(), default=str))
+        with self._store.transaction():
+            if self._store.old is not None:
+                self._store.import_old()
+            found = self._store.header()
+            if found is None:
+                self._store.begin(expected)
+            else:
+                self._check(found, expected)
+            self._resume()
+        self._store.imported()
 
-    def _files(self) -> dict[str, str | None]:
-        """The problem file of each task; None for that of a policy."""
-        known = {name: getattr(task, "task", None) for name, task in self._tasks.items()}
-        return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
+    def _header(self) -> dict[str, Any]:
+        return header_of(Course(self._tasks, **self._options).desk, self._tasks, self._options["distance"])
+
+    def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+        require_same(self._store.old or self._store.file, found, expected)
 
     def _course_anew(self) -> EventSourced:
         """Return the state before the first event."""
         return Course(self._tasks, **self._options)
 
     def _resume(self) -> None:
-        """Restore the state by applying all events of the journal."""
-        course, answered, last = self._course_anew(), AnsweredIds(self._journal), 0.0
-        for number, (begin, record) in enumerate(self._journal, start=1):
-            if begin == 0:
-                self._check(record)
-                continue
+        """Restore the state by applying all events of the store."""
+        course, last = self._course_anew(), 0.0
+        for record in self._store:
+            number = course.count + 1
             try:
-                if record.get("n") != course.count + 1:
-                    raise ValueError(f"event {record.get('n')}; expected {course.count + 1}")
+                if record.get("n") != number:
+                    raise ValueError(f"event {record.get('n')}; expected {number}")
                 course.again(record)
                 last = record["time"]
             except (KeyError, TypeError, AttributeError, ValueError) as error:
-                raise DamagedFileError(self._journal.file, number, f"cannot have happened: {error}") from error
-            if "id" in record:
-                answered.add(key_of(record), begin)
-        self._course, self._answered, self._last, self._unsaved = course, answered, last, False
+                raise self._store.damaged(number, error) from error
+        self._restored, self._last, self._unsaved = course, last, False
 
-    def _check(self, header: dict[str, Any]) -> None:
-        expected = json.loads(_line(self._header()))
-        files = expected.pop("files", {})
-        for name, value in expected.items():
-            if header.get(name) != value:
-                if name == "tasks" and isinstance(header.get(name), dict):
-                    raise ResultsExistError(f"{self._journal.file}: {_others(header, value, files)}")
-                raise ResultsExistError(
-                    f"{self._journal.file}: the session there has {_shown(name, header.get(name), value)}; "
-                    "expected the same, or another folder"
-                )
+    @property
+    def _course(self) -> EventSourced:
+        """The state after all saved events. Callers must hold the lock."""
+        if self._unsaved:  # a batch was interrupted
+            self._resume()
+        return self._restored
 
     def close(self) -> None:
-        """Close the journal."""
+        """Close the store."""
         with self.lock:
-            self._journal.close()
+            self._store.close()
 
     # Events.
 
@@ -275,84 +173,115 @@ class Session:
                     return outcomes
 
     def _attempt(self, events: Sequence[Event], failed: dict[int, Exception]) -> list[Outcome] | None:
-        """Apply and save all events but those that failed before; return None if another one fails.
-
-        An unexpected exception may leave an event applied in part. Then the state is restored from the journal.
-        """
-        if self._unsaved:  # an earlier batch was interrupted
-            self._resume()
+        """Apply and save all events but those that failed before; return None if another one fails."""
+        course, outcomes, touched, number = self._course, list[Outcome](), set[str](), -1
         try:
-            self._journal.check()
-        except JournalError as error:
-            return [self._known(event) or error for event in events]
-        outcomes: list[Outcome] = []
-        lines: list[bytes] = []
-        records: dict[Key, dict[str, Any]] = {}
-        answered: list[tuple[Key, int]] = []
-        touched: set[str] = set()
-        self._unsaved = True
-        for number, event in enumerate(events):
-            key = (event.person or "", event.id or "")
-            if number in failed:
-                outcomes.append(failed[number])
-                continue
-            if event.id and key in records:
-                outcomes.append(_same(event, records[key]))
-                continue
-            try:
-                outcome = self._known(event) or self._happen(event, records, lines, touched)
-            except Refused as error:
-                outcome = error
-            except Exception as error:
-                logging.getLogger(__name__).exception("an event of kind %s failed and has no effect", event.kind)
+            self._store.check()
+            self._unsaved = True
+            with self._store.transaction():
+                for number, event in enumerate(events):
+                    outcomes.append(failed.get(number) or self._outcome(course, event, touched))
+                number = -1
+        except Exception as error:
+            known = isinstance(error, JournalError)
+            if not known:
+                logging.getLogger(__name__).exception("a batch of events failed and has no effect")
+            if number >= 0 and not known:
                 failed[number] = error
-                self._resume()
                 return None
-            outcomes.append(outcome)
-            if event.id and key in records:
-                answered.append((key, len(lines) - 1))
-        return self._commit(outcomes, lines, answered, touched)
+            # The batch cannot be saved. What is answered already is answered again.
+            done = outcomes + [error] * (len(events) - len(outcomes))
+            return [
+                outcome if isinstance(outcome, Exception) and outcome is not error else self._known(event) or error
+                for event, outcome in zip(events, done, strict=True)
+            ]
+        self._unsaved = False
+        if touched and self.changed is not None:
+            self.changed(touched)
+        return outcomes
 
-    def _happen(
-        self,
-        event: Event,
-        records: dict[Key, dict[str, Any]],
-        lines: list[bytes],
-        touched: set[str],
-    ) -> Outcome:
-        record = self._course.happen(event, self.now())
+    def _outcome(self, course: EventSourced, event: Event, touched: set[str]) -> Outcome:
+        """Apply an event within the transaction, and return its outcome."""
+        try:
+            known = self._known(event)
+            record = None if known is not None else course.happen(event, self.now())
+        except Refused as error:
+            return error
+        if known is not None:
+            return known
         if record is None:
-            return self._course.robot()
-        answer = self._course.robot() if event.person is None else self._course.person(event.person)
-        if event.kind == "arrived":
-            answer = self._course.robot()
-        if event.id:
-            record["answer"] = answer
-            records[event.person or "", event.id] = record
-        lines.append(_line(record))
-        touched |= self._course.touched(record)
+            return course.robot()
+        arrival = event.person is None or event.kind == "arrived"
+        answer = course.robot() if arrival else course.person(event.person or "")
+        self._store.add(record, answer, at=utc())
+        touched |= course.touched(record)
         return answer
 
     def _known(self, event: Event) -> Outcome | None:
         """Return the stored answer if an event with this person and id was applied before, else None."""
-        record = self._answered.find((event.person or "", event.id)) if event.id else None
-        return None if record is None else _same(event, record)
+        try:
+            found = self._store.answer(event.person, event.id) if event.id else None
+        except UnicodeEncodeError:
+            return InvalidError(f"the id {event.id!r} is no text; expected letters, digits and signs")
+        if found is None:
+            return None
+        kind, answer = found
+        if kind != event.kind:
+            return InapplicableError(f"the id {event.id!r} belongs to another event; expected a new id")
+        return answer
 
-    def _commit(
-        self, outcomes: list[Any], lines: list[bytes], answered: list[tuple[Key, int]], touched: set[str]
-    ) -> list[Outcome]:
-        if lines:
-            try:
-                begins = self._journal.append(lines)
-            except JournalError as error:
-                self._resume()  # events that are not on the disk have no effect
-                return [outcome if isinstance(outcome, Exception) else error for outcome in outcomes]
-            for key, number in answered:
-                self._answered.add(key, begins[number])
+    def erase(self, person: str, reason: str) -> Tombstone:
+        """Erase all that is recorded of a person, for good, and return what remains: when and why.
+
+        The person leaves first. The others' states and beliefs stay the same, and so does the robot's course: the place
+        of the person remains, without a name. The person may join again, as somebody new.
+
+        Parameters
+        ----------
+        person : str
+            Present or not.
+        reason : str
+            Without the person's name.
+
+        Raises
+        ------
+        AbsentError
+            Nothing is recorded of this person.
+        ValueError
+            There is no reason, or it is too long or names the person.
+        JournalError
+            It cannot be written. If the message says that traces may remain, they go when the session is opened again.
+        """
+        reason = " ".join(reason.split())
+        if not 0 < len(reason) <= LONGEST_REASON or person.casefold() in reason.casefold():
+            raise InvalidError(
+                f"reason: expected 1 to {LONGEST_REASON} characters, without the person's name; found {len(reason)}"
+            )
+        with self.lock:
+            leaves = self._course.farewell(person)
+            if leaves is not None:
+                self._one(leaves)
+            before = self._course
+            label = f"(erased {len(self._store.tombstones()) + 1})"
+            believed = before.beliefs()
+            self._unsaved = True
+            with self._store.transaction():
+                stone = self._store.rewrite(person, label, reason, before.without(person, label))
+                self._resume()
+                self._unsaved = True
+                kept = self._restored.beliefs()
+                if any(not _same(believed.get(name, belief), belief) for name, belief in kept.items()):
+                    raise RuntimeError("the others' beliefs would change; nothing was erased")
+            self._unsaved = False
             if self.changed is not None:
-                self.changed(touched)
-        self._unsaved = False
-        return outcomes
+                self.changed({person})
+            self._store.purge()
+        return stone
+
+    def tombstones(self) -> list[Tombstone]:
+        """Return what remains of the people whose records were erased."""
+        with self.lock:
+            return self._store.tombstones()
 
     def _one(self, event: Event) -> dict[str, Any]:
         outcome = self.report([event])[0]
@@ -475,49 +404,6 @@ class Session:
             return self._course.beliefs()
 
 
-def _chances(task: CostToGo, population: Population | Mixture) -> str:
-    """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
-    if not is_whole(task):
-        raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
-    choices = Choices.of(task)
-    q = perceived_cost(choices, choices.h)
-    p = chances(population.typical, choices, q, Grid.regular(population).beta)
-    return sha256(p.tobytes()).hexdigest()[:32]
-
-
-def _line(record: Mapping[str, Any]) -> bytes:
-    return json.dumps(record, separators=(",", ":"), default=str).encode() + b"\n"
-
-
-def _same(event: Event, record: Mapping[str, Any]) -> Outcome:
-    """Return the answer to an event that is reported again under the same id."""
-    if record["event"] != event.kind:
-        return InapplicableError(f"the id {event.id!r} belongs to another event; expected a new id")
-    answer: dict[str, Any] = record["answer"]
-    return answer
-
-
-def _others(header: dict[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:
-    """Return a message that names the session's tasks and the expected ones."""
-    before, kept = header["tasks"], header.get("files") or {}
-    wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
-    same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
-    if same:
-        return f"the task {same[0]} is another than when the session began; expected the same files, or another folder"
-
-    def named(names: Iterable[str], where: Mapping[str, str | None]) -> str:
-        return ", ".join(f"{name} ({where[name]})" if where.get(name) else name for name in names)
-
-    return (
-        f"the session there is of the task {named(before, kept)}, not {named(tasks, files)}; "
-        "expected the same, or another folder"
-    )
-
-
-def _shown(name: str, found: Any, expected: Any) -> str:
-    """Return a short description of the difference."""
-    with suppress(AttributeError):
-        for part, value in expected.items():
-            if found.get(part) != value:
-                return f"{name} {part} {str(found.get(part))[:60]}, not {str(value)[:60]}"
-    return f"{name} {str(found)[:60]}, not {str(expected)[:60]}"
+def _same(before: bytes, after: bytes) -> bool:
+    """Return whether two beliefs are the same; on another processor, some last bits may differ."""
+    return before == after or np.allclose(np.frombuffer(before), np.frombuffer(after), rtol=0, atol=1e-9)

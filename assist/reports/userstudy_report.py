@@ -52,7 +52,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
         The folder is neither.
     """
     study = read(folder / PLAN, carried_out=True)
-    if (folder / JOURNAL).exists():
+    if any((folder / name).exists() for name in (JOURNAL, Path(JOURNAL).with_suffix(".jsonl"))):
         return study, tables(study, folder / JOURNAL)
     return study, Tables(**{name: list(_rows(folder / f"{name}.csv", columns)) for name, columns in COLUMNS.items()})
 
@@ -60,11 +60,12 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
 def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
     with file.open(newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream)
-        if reader.fieldnames != list(columns):
+        before = [name for name in columns if name != "utc"]  # exports of earlier versions
+        if list(reader.fieldnames or ()) not in (list(columns), before):
             raise DamagedFileError(file, 1, f"expected the columns {', '.join(columns)}")
         for row in reader:
             try:
-                yield {name: _cell(name, cell) for name, cell in row.items()}
+                yield dict.fromkeys(columns) | {name: _cell(name, cell) for name, cell in row.items()}
             except (TypeError, ValueError):
                 raise DamagedFileError(file, reader.line_num, "expected a number") from None
 

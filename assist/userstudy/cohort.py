@@ -22,9 +22,10 @@ from planner import CostToGo
 
 from ..explain.explanation import Explanation
 from ..live.advice import Advice
-from ..live.course import NOTHING, AbsentError, Course, Event
+from ..live.course import ERASED, NOTHING, VACANT, AbsentError, Course, Event, InvalidError
 from ..live.live_task import InapplicableError, UnknownError
 from ..live.simulated_person import SimulatedPerson
+from ..live.store import Change
 from .assignment import assign
 from .participant_team import ParticipantTeam
 from .plan import Stage, UserStudy
@@ -85,6 +86,8 @@ class Participant:
         The assigned condition; in a within-participants design, the name of the order (`UserStudy.orders`).
     completion : str or None
         Completion code.
+    erased : bool
+        Whether the records were erased; `code` is then a label.
     groups : dict of ParticipantTeam
         Teams, keyed by kind of stage and period: one for practice, and one for the tasks of each condition.
     """
@@ -99,6 +102,7 @@ class Participant:
     expired: bool = False
     condition: str | None = None
     completion: str | None = None
+    erased: bool = False
     groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 
     def at_tasks(self) -> list[ParticipantTeam]:
@@ -138,7 +142,7 @@ class Cohort:
 
         Raises
         ------
-        AbsentError, FullError, InapplicableError, ValueError
+        AbsentError, FullError, InapplicableError, InvalidError
             The event is impossible. Nothing has changed.
         """
         n, time = self.count + 1, round(time, 3)
@@ -168,9 +172,9 @@ class Cohort:
         ValueError
             The record is impossible in the present state.
         """
-        if record["event"] not in KINDS or not isinstance(record["time"], int | float):
+        if record["event"] not in (*KINDS, VACANT, ERASED) or not isinstance(record["time"], int | float):
             raise ValueError("not an event of a study")
-        if record["event"] != "visited":
+        if record["event"] not in ("visited", VACANT, ERASED):
             person = self.known(record["person"])
             at = person.at + (record["event"] == "onward")
             here = self.stages[person.at].name
@@ -234,9 +238,12 @@ class Cohort:
             raise InapplicableError("the task is not finished")
         facts: dict[str, Any] = {"stage": stage.name}
         if stage.kind == "questionnaire":
-            facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {})
+            try:
+                facts["answers"] = self.study.questionnaire(stage.what).check(event.answers or {})
+            except ValueError as error:
+                raise InvalidError(str(error)) from None
         elif event.answers:
-            raise ValueError(f"answers: expected none at {stage.name}")
+            raise InvalidError(f"answers: expected none at {stage.name}")
         if stage.kind == "consent":
             facts["at"] = _now()
         to = self.stages[person.at + 1]
@@ -258,8 +265,12 @@ class Cohort:
     def _note(self, record: Mapping[str, Any]) -> None:
         """Update the participants by a record."""
         self.count, time = record["n"], record["time"]
-        if record["event"] == "visited":
-            self.participants[record["person"]] = Participant(record["person"], bool(record.get("simulated")))
+        if record["event"] == ERASED and "person" not in record:
+            return
+        if record["event"] in ("visited", VACANT):
+            self.participants[record["person"]] = Participant(
+                record["person"], bool(record.get("simulated")), erased=record["event"] == VACANT
+            )
         person = self.participants[record["person"]]
         person.seq = self.count
         if record["event"] in ("visited", "onward"):
@@ -293,6 +304,41 @@ class Cohort:
             )
         return person.groups[key]
 
+    # Erasing.
+
+    def farewell(self, person: str) -> Event | None:
+        """Return the event by which a participant withdraws; None if they have.
+
+        Raises
+        ------
+        AbsentError
+            Nothing is recorded of this participant.
+        """
+        taking_part = self.known(person).status in (HERE, GONE, FULL, DONE)
+        return StudyEvent("withdrew", person) if taking_part else None
+
+    def without(self, person: str, label: str) -> Change:
+        """Return a function that removes what is recorded of a participant from a record and its answer.
+
+        The order of arrival and the assigned condition remain, on which the conditions of others depend.
+        """
+        who, time, here = self.known(person), 0.0, False
+
+        def removed(record: dict[str, Any], answer: Any) -> tuple[dict[str, Any], Any]:
+            nonlocal time, here
+            if record.get("person") != person:
+                time = record["time"]
+                return record, answer
+            kept: dict[str, Any] = {"n": record["n"], "time": time, "event": ERASED}
+            if not here:
+                here, kept = True, kept | {"event": VACANT, "person": label, "status": who.status}
+                kept |= {"simulated": True} if who.simulated else {}
+            elif "condition" in record:
+                kept |= {"person": label, "condition": record["condition"]}
+            return kept, None
+
+        return removed
+
     # State.
 
     def known(self, person: str | None) -> Participant:
@@ -302,7 +348,7 @@ class Cohort:
         ------
         AbsentError
         """
-        if person not in self.participants:
+        if person not in self.participants or self.participants[person].erased:
             raise AbsentError(f"{(person or '')[:80]!r} is not in the study")
         return self.participants[person]
 
@@ -353,8 +399,8 @@ class Cohort:
 
     @property
     def people(self) -> tuple[str, ...]:
-        """Codes of all participants, in order of arrival."""
-        return tuple(self.participants)
+        """Codes of all participants, in order of arrival, without those whose records were erased."""
+        return tuple(code for code, person in self.participants.items() if not person.erased)
 
     def place(self, person: str) -> tuple[CostToGo, int]:
         """Return a participant's task and its present state."""

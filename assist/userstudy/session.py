@@ -15,6 +15,7 @@ from planner.system.errors import ResultsExistError
 from planner.system.files import atomic
 
 from ..live.course import Course
+from ..live.header import files_of
 from ..live.live_task import LiveTask, digest
 from ..live.session import Session
 from ..people.user_code import parse
@@ -27,7 +28,7 @@ from .plan import UserStudy
 FORMAT = "kitassist user study 1"
 """Format of journals."""
 
-JOURNAL, PLAN = "journal.jsonl", "study.toml"
+JOURNAL, PLAN = "journal.sqlite", "study.toml"
 
 
 class StudySession(Session):
@@ -68,15 +69,15 @@ class StudySession(Session):
         return {
             "format": FORMAT, "study": self.study.digest,
             "tasks": {name: digest(task) for name, task in self._tasks.items()},
-            "files": self._files(),
+            "files": files_of(self._tasks),
         }  # fmt: skip
 
-    def _check(self, header: dict[str, Any]) -> None:
-        if header.get("format") == FORMAT and header.get("study") != self.study.digest:
+    def _check(self, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+        if found.get("format") == FORMAT and found.get("study") != self.study.digest:
             raise ResultsExistError(
                 f"{self._plan}: the folder belongs to another study than {self.study.file}; expected another folder"
             )
-        super()._check(header)
+        super()._check(found, expected)
 
     def _course_anew(self) -> Cohort:
         return Cohort(self.study, self._tasks, self._course_of)

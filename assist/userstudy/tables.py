@@ -15,6 +15,8 @@ from typing import Any
 
 from planner.system.errors import DamagedFileError
 
+from ..live.course import ERASED, VACANT
+from ..live.store import stored
 from .plan import Stage, UserStudy
 from .session import FORMAT
 
@@ -22,7 +24,7 @@ Row = dict[str, Any]
 
 COLUMNS: dict[str, dict[str, str]] = {
     "participants": {
-        "participant": "code of a participant",
+        "participant": "code of a participant; a number if the records were erased",
         "simulated": "whether the participant is simulated (in a rehearsal)",
         "arrived": "time of arrival, UTC",
         "consented": "time of consent, UTC; empty before",
@@ -53,6 +55,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "task": "the task, or practice",
         "step": "0 for the first action of the task",
         "time": "seconds since the study began, without interruptions of the service",
+        "utc": "time of the action, UTC",
         "action": "the action in PDDL",
         "suggestion": "the suggestion shown at that moment, if any",
         "followed": "whether the action is the suggestion; empty without a suggestion",
@@ -72,6 +75,7 @@ COLUMNS: dict[str, dict[str, str]] = {
     "events": {
         "participant": "code of a participant",
         "time": "seconds since the study began, without interruptions of the service",
+        "utc": "time of the event, UTC",
         "event": "visited; onward: proceeded to the next stage; withdrew; left: disconnected; returned; expired: the "
         "task's time limit was reached",
         "stage": "the stage at the event",
@@ -139,28 +143,6 @@ def _plain(cell: Any) -> Any:
     return cell
 
 
-def records(journal: Path) -> Iterator[dict[str, Any]]:
-    """Yield the records of a journal, which may grow at the same time. An incomplete last line is skipped.
-
-    Raises
-    ------
-    DamagedFileError
-        The file is not the journal of a user study.
-    """
-    with journal.open("rb") as stream:
-        for number, line in enumerate(stream, start=1):
-            if not line.endswith(b"\n"):
-                return
-            try:
-                record = json.loads(line)
-            except ValueError:
-                record = None
-            if not isinstance(record, dict) or (number == 1 and record.get("format") != FORMAT):
-                raise DamagedFileError(journal, number, "not the journal of a user study")
-            if number > 1:
-                yield record
-
-
 def tables(study: UserStudy, journal: Path) -> Tables:
     """Return the tables of a journal. Of participants who withdrew, only the row in `participants` remains.
 
@@ -168,26 +150,41 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     ----------
     study : UserStudy
     journal : Path
+        The study may be running.
+
+    Raises
+    ------
+    DamagedFileError
+        The file is not the journal of a user study.
     """
+    header, records = stored(journal)
+    if header.get("format") != FORMAT:
+        raise DamagedFileError(journal, None, "not the journal of a user study")
     found, stages = Tables(), study.stages
     at: dict[str, int] = {}
     people: dict[str, Row] = {}
     current: dict[str, Row] = {}
     began: dict[str, float] = {}
     steps: dict[str, int] = {}
-    for record in records(journal):
-        code, event = record["person"], record["event"]
-        if event == "visited":
+    for utc, record in records:
+        code, event = record.get("person"), record["event"]
+        if code is None:  # the records were erased
+            continue
+        if event in ("visited", VACANT):
             people[code] = {
-                "participant": code, "simulated": bool(record.get("simulated")), "arrived": record["at"],
-                "consented": None, "status": "here", "stage": stages[0].name, "condition": None,
-                "completion_code": None,
+                "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
+                "consented": None, "status": "here", "stage": None if event == VACANT else stages[0].name,
+                "condition": None, "completion_code": None,
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
         if event in EVENTS:
-            found.events.append({"participant": code, "time": record["time"], "event": event, "stage": person["stage"]})
+            found.events.append({
+                "participant": code, "time": record["time"], "utc": utc, "event": event, "stage": person["stage"],
+            })  # fmt: skip
         person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
+        if event == ERASED:
+            person["condition"] = record["condition"]
         if event == "onward":
             for item, answer in record.get("answers", {}).items():
                 found.answers.append(_where(study, person, stage) | _answer(study, stage, item, answer))
@@ -208,7 +205,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             if stage.kind == "thanks":
                 person["status"], person["completion_code"] = "done", record["completion"]
         elif event == "acted":
-            row = _where(study, person, stage) | _action(stage, record, steps[code])
+            row = _where(study, person, stage) | _action(stage, record, steps[code]) | {"utc": utc}
             steps[code] += 1
             found.actions.append(row)
             if code in current:

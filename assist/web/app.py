@@ -18,8 +18,8 @@ from starlette.exceptions import HTTPException as StarletteHTTPException
 from planner import LimitError
 
 from ..live.course import AbsentError
-from ..live.journal import JournalError
 from ..live.live_task import InapplicableError
+from ..live.store import JournalError
 from . import page_routes, routes, websocket
 from .request_limits import Allowance, Guard
 from .service import BusyError, Service

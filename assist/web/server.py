@@ -22,10 +22,10 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from planner import CostToGo
 
 from ..live.course import AbsentError, Event
-from ..live.journal import JournalError
 from ..live.live_task import InapplicableError
 from ..live.session import Session
 from ..live.simulated_person import SimulatedPerson
+from ..live.store import JournalError
 from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
@@ -33,6 +33,9 @@ from .app import make_app
 from .request_limits import LARGEST
 from .service import BusyError, Service
 from .tokens import AccessTokens
+
+JOURNAL = "journal.sqlite"
+"""Name of a session's file in its folder."""
 
 
 def listen(host: str, port: int, *, otherwise: int | None = None) -> socket.socket:
@@ -212,7 +215,7 @@ class ServedTeam:
             An invalid combination, such as a choice model and a task that is too large for it.
         """
         session = Session(
-            self.tasks, self.folder / "journal.jsonl", policy=self.policy, setting=self.setting,
+            self.tasks, self.folder / JOURNAL, policy=self.policy, setting=self.setting,
             population=self.population, distance=self.distance,
         )  # fmt: skip
         if not session.outlook().events:

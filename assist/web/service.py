@@ -21,9 +21,10 @@ from typing import Any, cast
 
 from ..explain.explanation import Explanation
 from ..live.course import AbsentError, Event, Explains
-from ..live.journal import JournalError
+from ..live.event_sourced import Outlook
 from ..live.live_task import InapplicableError
-from ..live.session import Outcome, Outlook, Session
+from ..live.session import Outcome, Session
+from ..live.store import JournalError
 from .tokens import AccessTokens
 
 

@@ -1,0 +1,118 @@
+"""State that follows from a sequence of events, and its views: what a `Session` saves."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from planner import CostToGo
+
+from .advice import Advice
+from .course import Event
+from .store import Change
+
+
+class EventSourced(Protocol):
+    """State that follows from a sequence of events, and its views; `Course` implements it for one team."""
+
+    count: int
+    paused: bool
+    fault: str | None
+    recent: deque[dict[str, Any]]
+
+    def happen(self, event: Event, time: float) -> dict[str, Any] | None:
+        """Apply an event, and return its record.
+
+        After an UnknownError, InapplicableError or InvalidError nothing has changed.
+        """
+        ...
+
+    def again(self, record: Mapping[str, Any]) -> None:
+        """Apply a recorded event."""
+        ...
+
+    def farewell(self, person: str) -> Event | None:
+        """Return the event by which a person leaves for good; None if they have left.
+
+        Raises
+        ------
+        AbsentError
+            Nothing is recorded of this person.
+        """
+        ...
+
+    def without(self, person: str, label: str) -> Change:
+        """Return a function that removes what is recorded of a person; called for all records in order.
+
+        The records without it lead to the same states of the others. The label stands for the person.
+        """
+        ...
+
+    def touched(self, record: Mapping[str, Any]) -> set[str]:
+        """Return the people whose view an event has changed."""
+        ...
+
+    def require(self, person: str) -> None:
+        """Check that a person is present."""
+        ...
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """The people who are present."""
+        ...
+
+    @property
+    def advice(self) -> Advice:
+        """The decision after the last event."""
+        ...
+
+    def person(self, person: str) -> dict[str, Any]:
+        """Return a person's view."""
+        ...
+
+    def entry(self, person: str) -> dict[str, Any]:
+        """Return the operator's view of a person."""
+        ...
+
+    def place(self, person: str) -> tuple[CostToGo, int]:
+        """Return a person's task, and its state."""
+        ...
+
+    def robot(self) -> dict[str, Any]:
+        """Return where the robot is to be."""
+        ...
+
+    def beliefs(self) -> dict[str, bytes]:
+        """Return the belief in each person, as bytes."""
+        ...
+
+    def log(self, task: str | None = None) -> list[dict[str, Any]]:
+        """Return all actions as `fit` reads them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """The view of a session without its people.
+
+    Attributes
+    ----------
+    events : int
+        Number of events.
+    paused : bool
+        Whether the robot makes no suggestions.
+    robot : dict
+        Where the robot is to be, and its suggestion there.
+    recent : list of dict
+        The latest events, the oldest first.
+    fault : str or None
+        Error of the policy after the last event, if there was one; the robot then does nothing.
+    """
+
+    events: int
+    paused: bool
+    robot: dict[str, Any]
+    recent: list[dict[str, Any]]
+    fault: str | None

@@ -1,0 +1,104 @@
+"""The header of a saved session: its tasks and settings, with which alone its events can be applied again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner import CostToGo
+from planner.system.errors import ResultsExistError
+
+from ..large_tasks.person_problem import WHOLE, is_whole
+from ..people.belief import Grid
+from ..people.choice_model import chances
+from ..people.choices import Choices
+from ..people.decision import perceived_cost
+from ..people.human import Mixture, Population
+from .assistant import Assistant
+from .live_task import digest
+
+FORMAT = "kitassist session 1"
+"""Format identifier of sessions."""
+
+
+def header_of(desk: Assistant, tasks: Mapping[str, CostToGo], distance: ArrayLike | None) -> dict[str, Any]:
+    """Return the header of a session."""
+    return {
+        "format": FORMAT,
+        "policy": desk.policy if isinstance(desk.policy, str) else getattr(desk.policy, "name", None),
+        "setting": desk.setting.as_dict(),
+        "population": desk.population.as_dict(),
+        "distance": None if distance is None else np.asarray(distance, dtype=float).tolist(),
+        "tasks": {name: digest(task) for name, task in tasks.items()},
+        "files": files_of(tasks),
+        "chances": None
+        if desk.population.chooses is None
+        else {name: _chances(task, desk.population) for name, task in tasks.items()},
+    }
+
+
+def files_of(tasks: Mapping[str, CostToGo]) -> dict[str, str | None]:
+    """Return the problem file of each task; None for that of a policy."""
+    known = {name: getattr(task, "task", None) for name, task in tasks.items()}
+    return {name: None if task is None else str(task.instance.problem) for name, task in known.items()}
+
+
+def _chances(task: CostToGo, population: Population | Mixture) -> str:
+    """Return a hash of the choice probabilities of a function, which identifies it better than its name."""
+    if not is_whole(task):
+        raise ValueError(f"people who choose by a function: expected a task of at most {WHOLE:,} states, all known")
+    choices = Choices.of(task)
+    q = perceived_cost(choices, choices.h)
+    p = chances(population.typical, choices, q, Grid.regular(population).beta)
+    return sha256(p.tobytes()).hexdigest()[:32]
+
+
+def require_same(file: Path, found: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Check the header of a file.
+
+    Raises
+    ------
+    ResultsExistError
+        It is that of another session; the message states the difference.
+    """
+    files = expected.get("files", {})
+    for name, value in expected.items():
+        if name != "files" and found.get(name) != value:
+            if name == "tasks" and isinstance(found.get(name), dict):
+                raise ResultsExistError(f"{file}: {_others(found, value, files)}")
+            raise ResultsExistError(
+                f"{file}: the session there has {_shown(name, found.get(name), value)}; "
+                "expected the same, or another folder"
+            )
+
+
+def _others(header: Mapping[str, Any], tasks: dict[str, str], files: dict[str, str | None]) -> str:
+    """Return a message that names the session's tasks and the expected ones."""
+    before, kept = header["tasks"], header.get("files") or {}
+    wrong = [name for name in tasks if before.get(name) != tasks[name]] or list(tasks)
+    same = [name for name in wrong if name in before and kept.get(name, files.get(name)) == files.get(name)]
+    if same:
+        return f"the task {same[0]} is another than when the session began; expected the same files, or another folder"
+
+    def named(names: Iterable[str], where: Mapping[str, str | None]) -> str:
+        return ", ".join(f"{name} ({where[name]})" if where.get(name) else name for name in names)
+
+    return (
+        f"the session there is of the task {named(before, kept)}, not {named(tasks, files)}; "
+        "expected the same, or another folder"
+    )
+
+
+def _shown(name: str, found: Any, expected: Any) -> str:
+    """Return a short description of the difference."""
+    with suppress(AttributeError):
+        for part, value in expected.items():
+            if found.get(part) != value:
+                return f"{name} {part} {str(found.get(part))[:60]}, not {str(value)[:60]}"
+    return f"{name} {str(found)[:60]}, not {str(expected)[:60]}"

@@ -1,0 +1,418 @@
+"""The events of a session in an SQLite database, each with its answer, the client's id and the time in UTC.
+
+A transaction contains a batch of events. It is on the disk as a whole before its events are acknowledged
+(`synchronous=FULL`), or has no effect. `rewrite` and `purge` remove a person's records for good.
+
+One connection per database writes, and a lock file keeps other sessions out. SQLite before 3.51.3, and so Debian's, can
+damage a database in WAL mode if two connections write or move the log into the database at the same moment. This cannot
+happen here. The connections of `stored` only read, which the fault does not concern.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import logging
+import os
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from planner.system.errors import DamagedFileError, ResultsExistError
+
+from . import old_journal
+
+PROBE = 1 << 16
+"""Number of bytes that must fit on the disk, after it was full, before events are accepted again."""
+
+PATIENCE = 10.0
+"""Seconds for which a connection waits for another one; a reader needs much less."""
+
+OWNER_ONLY = 0o600
+
+TABLES = """
+CREATE TABLE IF NOT EXISTS header (document TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS events (
+    n INTEGER PRIMARY KEY, at TEXT, person TEXT NOT NULL, id TEXT, record TEXT NOT NULL, answer TEXT,
+    CHECK ((id IS NULL) = (answer IS NULL))
+);
+CREATE UNIQUE INDEX IF NOT EXISTS answered ON events (person, id) WHERE id IS NOT NULL;
+CREATE TABLE IF NOT EXISTS erased (
+    label TEXT PRIMARY KEY, at TEXT NOT NULL, reason TEXT NOT NULL, events INTEGER NOT NULL, purged INTEGER NOT NULL
+);
+"""
+"""The tables; `person` is empty for events without a person, `at` is empty for imported and for erased events."""
+
+
+class JournalError(OSError):
+    """The event cannot be written to the disk, and has no effect."""
+
+
+class Tombstone(NamedTuple):
+    """What remains of a person whose records were erased.
+
+    Attributes
+    ----------
+    label : str
+        Stands for the person in what remains.
+    at : str
+        Time of the erasure, UTC.
+    reason : str
+    events : int
+        Number of erased events.
+    """
+
+    label: str
+    at: str
+    reason: str
+    events: int
+
+
+Change = Callable[[dict[str, Any], Any], tuple[dict[str, Any], Any]]
+"""Returns a record and its answer as they are to be stored, without what is to be erased."""
+
+
+class EventStore:
+    """The database of a session.
+
+    Parameters
+    ----------
+    file : Path
+        Created, with its folder, if it does not exist. The ending `.jsonl` stands for `.sqlite`.
+
+    Attributes
+    ----------
+    old : Path or None
+        A journal of the former format, from which a new database takes its events (`import_old`).
+
+    Raises
+    ------
+    ResultsExistError
+        Another process uses it.
+    DamagedFileError
+        The file is no database of a session, or is damaged.
+    OSError
+        It cannot be written.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = database(file)
+        self.file.parent.mkdir(parents=True, exist_ok=True)
+        self._lock = os.open(self.file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY)
+        self._db: sqlite3.Connection = None  # type: ignore[assignment]  # until it is connected
+        self._full = False
+        try:
+            self._take()
+            os.close(os.open(self.file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER_ONLY))
+            with suppress(PermissionError):  # the file is another user's, who shares it
+                self.file.chmod(OWNER_ONLY)  # SQLite gives its log the same permissions
+            self._db = self._connected()
+            former = self.file.with_suffix(".jsonl")
+            self.old = former if former.exists() and self.header() is None else None
+            try:
+                self.purge()
+            except JournalError as error:
+                logging.getLogger(__name__).warning("%s", error)
+        except BaseException:
+            self.close()
+            raise
+
+    def _take(self) -> None:
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ResultsExistError(
+                f"{self.file}: the folder is in use by a running session; expected another folder"
+            ) from None
+
+    def _connected(self) -> sqlite3.Connection:
+        with self._told():
+            db = sqlite3.connect(self.file, timeout=PATIENCE, isolation_level=None, check_same_thread=False)
+            try:
+                # A sort or a VACUUM must not leave personal data in a temporary file.
+                db.executescript(
+                    "PRAGMA temp_store=MEMORY; PRAGMA secure_delete=ON; PRAGMA journal_mode=WAL;PRAGMA synchronous=FULL"
+                )
+                fault = db.execute("PRAGMA quick_check(1)").fetchone()[0]
+                if fault != "ok":
+                    raise DamagedFileError(self.file, None, f"is damaged ({fault}); expected the journal of a session")
+                db.executescript(TABLES)
+            except BaseException:
+                db.close()
+                raise
+        return db
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn errors of SQLite into the errors of this class."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise _as_error(error, self.file) from error
+
+    # Reading.
+
+    def header(self) -> dict[str, Any] | None:
+        """Return the header of the session; None in a new database."""
+        return _header(self._db, self.file)
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """Yield the record of each event in order, without answers."""
+        with self._told():
+            for n, record in self._db.execute("SELECT n, record FROM events ORDER BY n"):
+                yield _document(record, self.file, n)
+
+    def answer(self, person: str | None, id: str) -> tuple[str, dict[str, Any]] | None:
+        """Return the kind of the event of this person and id, and its answer; None if there is none."""
+        with self._told():
+            row = self._db.execute(
+                "SELECT n, record, answer FROM events WHERE person = ? AND id = ?", (person or "", id)
+            ).fetchone()
+        if row is None:
+            return None
+        n, record, answer = row
+        return _document(record, self.file, n)["event"], _document(answer, self.file, n)
+
+    def tombstones(self) -> list[Tombstone]:
+        """Return what remains of the people whose records were erased."""
+        with self._told():
+            return [Tombstone(*row) for row in self._db.execute("SELECT label, at, reason, events FROM erased")]
+
+    # Writing.
+
+    @contextmanager
+    def transaction(self) -> Iterator[None]:
+        """Write everything in the block, or nothing if there is an exception.
+
+        Raises
+        ------
+        JournalError
+            It cannot be written.
+        """
+        try:
+            with self._told():
+                self._db.execute("BEGIN IMMEDIATE")
+            yield
+            with self._told():
+                self._db.execute("COMMIT")
+        except BaseException as error:
+            self._full = self._full or isinstance(error, JournalError)
+            self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        """End a transaction without effect."""
+        try:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
+        except BaseException:  # noqa: BLE001  a new connection does not have the transaction
+            self._db.close()
+            self._db = self._connected()
+
+    def begin(self, header: Mapping[str, Any]) -> None:
+        """Write the header of a new session."""
+        with self._told():
+            self._db.execute("INSERT INTO header VALUES (?)", (_text(header),))
+
+    def add(self, record: Mapping[str, Any], answer: Any = None, *, at: str | None = None) -> None:
+        """Add an event within a transaction; `answer` is stored if the record has an id."""
+        person, id = record.get("person") or "", record.get("id")
+        row = record["n"], at, person, id, _text(record), None if id is None else _text(answer)
+        with self._told():
+            self._db.execute("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?)", row)
+
+    def check(self) -> None:
+        """Check, after the disk was full, whether there is room again.
+
+        Raises
+        ------
+        JournalError
+            The disk is still full.
+        """
+        if self._full:
+            with self.transaction():
+                self.begin({"room": " " * PROBE})
+            with self.transaction(), self._told():
+                self._db.execute("DELETE FROM header WHERE rowid > 1")
+            self._full = False
+
+    def import_old(self) -> None:
+        """Add the header and all events of the old journal, within a transaction.
+
+        Raises
+        ------
+        DamagedFileError
+            A line is no event. Its number is in the message.
+        """
+        assert self.old is not None
+        for number, record in enumerate(old_journal.lines(self.old), start=1):
+            if number == 1:
+                self.begin(record)
+                continue
+            try:
+                if record.get("n") != number - 1:
+                    raise ValueError(f"event {record.get('n')}; expected {number - 1}")
+                if wrong := [name for name in ("person", "id") if not isinstance(record.get(name), str | None)]:
+                    raise ValueError(f"{wrong[0]!r} is {str(record[wrong[0]])[:40]!r}")
+                if ("id" in record) != ("answer" in record):
+                    raise ValueError("expected an answer if there is an id, and none otherwise")
+                if "id" in record and self.answer(record.get("person"), record["id"]) is not None:
+                    raise ValueError("the id belongs to another event")
+                answer = record.pop("answer", None)
+                self.add(record, answer)
+            except (KeyError, ValueError) as error:
+                raise self.damaged(number - 1, error) from error
+
+    def imported(self) -> None:
+        """Put the old journal aside: all its events are in the database."""
+        if self.old is not None:
+            self.old.rename(self._aside)
+            self.old = None
+
+    @property
+    def _aside(self) -> Path:
+        return self.file.with_name(f"{self.file.stem}-imported.jsonl")
+
+    def damaged(self, n: int, error: object) -> DamagedFileError:
+        """Return the error for an event that cannot have happened."""
+        if self.old is not None:
+            return DamagedFileError(self.old, n + 1, f"cannot have happened: {error}")
+        return DamagedFileError(self.file, None, f"event {n} cannot have happened: {error}")
+
+    # Erasing.
+
+    def rewrite(self, person: str, label: str, reason: str, change: Change) -> Tombstone:
+        """Apply a change to all events within a transaction, and add the tombstone of a person."""
+        count = 0
+        with self._told():
+            for n, owner, record, answer in self._db.execute(
+                "SELECT n, person, record, answer FROM events ORDER BY n"
+            ).fetchall():
+                own = owner == person
+                before = _document(record, self.file, n), None if answer is None else json.loads(answer)
+                after, answered = change(*before)
+                count += own
+                if own:
+                    self._db.execute(
+                        "UPDATE events SET at = NULL, person = '', id = NULL, answer = NULL, record = ? WHERE n = ?",
+                        (_text(after), n),
+                    )
+                elif (after, answered) != before:
+                    kept = None if answer is None else _text(answered)
+                    self._db.execute("UPDATE events SET record = ?, answer = ? WHERE n = ?", (_text(after), kept, n))
+            stone = Tombstone(label, utc(), reason, count)
+            self._db.execute("INSERT INTO erased VALUES (?, ?, ?, ?, 0)", stone)
+        return stone
+
+    def purge(self) -> None:
+        """Remove what erased records have left in the files. Does nothing if it has been done.
+
+        Raises
+        ------
+        JournalError
+            There is no room, or another program reads the database. It is done when the session is opened again.
+        """
+        try:
+            if not self._db.execute("SELECT count(*) FROM erased WHERE purged = 0").fetchone()[0]:
+                return
+            self._db.execute("VACUUM")
+            if self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()[0]:
+                raise sqlite3.OperationalError("another program reads it")
+            with suppress(FileNotFoundError):
+                self._aside.unlink()
+            self._db.execute("UPDATE erased SET purged = 1")
+        except (sqlite3.Error, OSError) as error:
+            left = f"the records are erased, but traces may remain until the session is opened again ({error})"
+            raise JournalError(errno.EIO, left, str(self.file)) from error
+
+    def close(self) -> None:
+        """Close the database; repeated calls have no effect."""
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            if self._db is not None:
+                with suppress(sqlite3.Error):  # the log is moved into the database when it is opened again
+                    self._db.close()
+            os.close(lock)
+
+
+def database(file: Path) -> Path:
+    """Return the database's file for the file that a user named; journals of the former format end in `.jsonl`."""
+    return file.with_suffix(".sqlite") if file.suffix == ".jsonl" else file
+
+
+def stored(file: Path) -> tuple[dict[str, Any], list[tuple[str | None, dict[str, Any]]]]:
+    """Return the header of a session, and the time in UTC and the record of each event. The session may be running.
+
+    Raises
+    ------
+    DamagedFileError
+        The file is not of a session.
+    OSError
+        There is no such file.
+    """
+    file = database(file)
+    former = file.with_suffix(".jsonl")
+    if not (former.exists() and not file.exists()):
+        header, records = _stored(file)
+        if header is not None:
+            return header, records
+        if not former.exists():
+            raise DamagedFileError(file, None, "is no journal of a session")
+    found, *old = list(old_journal.lines(former)) or [{}]
+    return found, [(None, record) for record in old]
+
+
+def _stored(file: Path) -> tuple[dict[str, Any] | None, list[tuple[str | None, dict[str, Any]]]]:
+    """Return what is in a database; the header is None if its session has not begun."""
+    file.stat()  # the operating system's own error, if there is none
+    # On a medium that cannot be written there is no log beside the database, so nothing can change.
+    fixed = not os.access(file.parent, os.W_OK) and not file.with_name(f"{file.name}-wal").exists()
+    address = f"{file.absolute().as_uri()}?mode=ro{'&immutable=1' * fixed}"
+    try:
+        with closing(sqlite3.connect(address, uri=True, timeout=PATIENCE)) as db:
+            header = _header(db, file)
+            rows = db.execute("SELECT n, at, record FROM events ORDER BY n").fetchall()
+    except sqlite3.Error as error:
+        raise _as_error(error, file) from error
+    return header, [(at, _document(record, file, n)) for n, at, record in rows]
+
+
+def utc() -> str:
+    """Return the present time in UTC, to the millisecond."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _header(db: sqlite3.Connection, file: Path) -> dict[str, Any] | None:
+    try:
+        row = db.execute("SELECT document FROM header ORDER BY rowid").fetchone()
+    except sqlite3.Error as error:
+        raise _as_error(error, file) from error
+    return None if row is None else _document(row[0], file, 0)
+
+
+def _text(document: Any) -> str:
+    return json.dumps(document, separators=(",", ":"), default=str)
+
+
+def _document(text: Any, file: Path, n: int) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+    except (ValueError, TypeError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise DamagedFileError(file, None, f"event {n} is no event of a session; expected a JSON object")
+    return found
+
+
+def _as_error(error: sqlite3.Error, file: Path) -> Exception:
+    """Return the error for an error of SQLite."""
+    code = getattr(error, "sqlite_errorcode", None) or 0
+    if code & 0xFF in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR):
+        return DamagedFileError(file, None, f"is damaged ({error}); expected the journal of a session")
+    if code & 0xFF == sqlite3.SQLITE_FULL:
+        return JournalError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}; nothing was recorded", str(file))
+    return JournalError(errno.EIO, f"{error}; nothing was recorded", str(file))

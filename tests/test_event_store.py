@@ -1,0 +1,397 @@
+"""Nothing acknowledged is lost or doubled, whatever fails; what is erased is nowhere, and others do not change."""
+
+from __future__ import annotations
+
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import KITTING
+from hypothesis import given, settings
+from sessions import EASY, HAPPENS, SETTING, WRONG, all_of, former, happen
+from userstudies import PLAN, Part, written
+
+from assist.live.course import AbsentError, Event
+from assist.live.live_task import LiveTask
+from assist.live.session import Session
+from assist.live.store import EventStore, JournalError, stored
+from assist.person.pomdp import Policy
+from assist.team.settings import Setting
+from assist.userstudy.plan import read
+from assist.userstudy.session import StudySession
+from assist.userstudy.tables import tables
+from planner import Table
+from planner.system.errors import ResultsExistError
+
+
+def content(folder: Path) -> bytes:
+    """Return the bytes of all files in a folder."""
+    return b"".join(file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file())
+
+
+# Erasing.
+
+
+@settings(max_examples=20, deadline=None)
+@given(HAPPENS, HAPPENS)
+def test_an_erased_person_changes_nothing_for_the_others(
+    tiny: Table, tmp_path_factory: pytest.TempPathFactory, events: Any, more: Any
+) -> None:
+    """States, beliefs and later decisions are those of a session in which the person has left."""
+    folder = tmp_path_factory.mktemp("sessions")
+    setting = Setting(c_suggest=0.02, c_move=0.01, travel_time=float(len(events) % 2))
+    distance = [[abs(i - j) * 0.5 for j in range(4)] for i in range(4)]
+
+    def opened(file: Path) -> Session:
+        return Session(tiny, file, setting=setting, distance=distance, clock=lambda: 0.0)
+
+    session = opened(folder / "left.sqlite")
+    for name in "abc":
+        session.join(name)
+    happen(session, events)
+    if "b" in session.people:
+        session.leave("b")
+    session.close()
+    shutil.copy(folder / "left.sqlite", folder / "erased.sqlite")
+    left, erased = (opened(folder / f"{name}.sqlite") for name in ("left", "erased"))
+    erased.erase("b", "as asked")
+    later = [event for event in more if event[1] != 1]
+    for step in ([], later):
+        found = []
+        for session in (left, erased):
+            happen(session, step, "later ")
+            views = [session.entry(name) for name in session.people]
+            rows = [row for row in session.log() if row["person"] != "b"]
+            found.append((views, rows, session.recommend(), session.beliefs()))
+        assert found[0] == found[1]
+        erased.close()
+        erased = opened(folder / "erased.sqlite")
+        assert [erased.entry(name) for name in erased.people] == found[1][0]
+        assert erased.beliefs() == found[1][3]
+    assert all(row["person"] != "b" for row in erased.log())
+    left.close()
+    erased.close()
+
+
+def test_nothing_of_an_erased_person_is_in_the_folder(tiny: Table, fixed: Table, tmp_path: Path) -> None:
+    session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.jsonl", setting=SETTING, population=EASY)
+    session.join("ann")
+    session.join("Bartholomew", "fixed", id="come-2718")
+    for number in range(3):
+        session.observe("Bartholomew", "(fetch box-c)", id=f"barts-{number}")
+        session.observe("Bartholomew", "(return box-c)")
+        session.arrived("Bartholomew", id=f"robot-{number}")
+    session.arrived(id="robots")  # the answer says where the robot is
+    session.observe("ann", "(fetch box-a)", id="anns")
+    traces = (b"Bartholomew", b"barts-", b"come-2718", b"box-c")
+    assert all(trace in content(tmp_path) for trace in traces[:3])
+    before, mine = session.beliefs()["ann"], session.person("ann")
+    with pytest.raises(AbsentError, match="nothing is recorded of 'bob'"):
+        session.erase("bob", "as asked")
+    for reason in ("", "x" * 201, "bartholomew asked"):
+        with pytest.raises(ValueError, match="reason: expected 1 to 200 characters, without the person's name"):
+            session.erase("Bartholomew", reason)
+    stone = session.erase("Bartholomew", "withdrew by e-mail")
+    assert (stone.reason, stone.events) == ("withdrew by e-mail", 11)
+    assert datetime.now(UTC).isoformat()[:10] in stone.at
+    for _ in range(2):
+        assert [trace for trace in traces if trace in content(tmp_path)] == []
+        assert (session.beliefs()["ann"], session.person("ann")) == (before, mine)
+        assert session.people == ("ann",)
+        assert session.observe("ann", "(fetch box-a)", id="anns")["steps"] == 1
+        assert session.tombstones() == [stone]
+        session.close()
+        session = Session({"tiny": tiny, "fixed": fixed}, tmp_path / "journal.jsonl", setting=SETTING, population=EASY)
+    assert session.join("Bartholomew")["steps"] == 0  # somebody new
+    session.erase("Bartholomew", "again")
+    assert [stone.label for stone in session.tombstones()] == ["(erased 1)", "(erased 2)"]
+    session.close()
+
+
+def test_an_erased_participant_is_nowhere_and_the_others_stay(tiny: Table, tmp_path: Path) -> None:
+    """Codes, answers in words and actions are gone; others have the same views, beliefs, rows and conditions."""
+    study = read(written(tmp_path / "study.toml", PLAN))
+
+    def opened() -> StudySession:
+        return StudySession(study, {"tiny": tiny, "practice": tiny}, tmp_path / "data")
+
+    def seen(session: StudySession) -> Any:
+        names = [name for name in session.people if name != "P-BART"]
+        beliefs = {name: one for name, one in session.beliefs().items() if not name.startswith("P-BART")}
+        found = tables(study, tmp_path / "data" / "journal.sqlite")
+        rows = [
+            row
+            for table in (found.participants, found.tasks, found.actions, found.answers, found.events)
+            for row in table
+            if row["participant"] in names
+        ]
+        return [session.entry(name) for name in names], beliefs, rows, session.cohort.begun, session.log()
+
+    session = opened()
+    ann, bart, cid = (Part(session, name) for name in ("ann", "P-BART", "cid"))
+    for part in (ann, bart, cid):
+        part.come()
+        part.to("questionnaire remarks")
+        part.onward({"remarks": f"words of {part.name}"})
+    before = seen(session)
+    folder = tmp_path / "data"
+    assert b"words of P-BART" in content(folder)
+    session.erase("P-BART", "asked by post")
+    after = seen(session)
+    assert after[:4] == before[:4]
+    assert [row for row in before[4] if row["person"] != "P-BART"] == after[4]
+    assert b"BART" not in content(folder)
+    (row,) = [row for row in tables(study, folder / "journal.sqlite").participants if "erased" in row["participant"]]
+    assert (row["status"], row["completion_code"], row["arrived"]) == ("withdrew", None, None)
+    assert row["condition"] in ("none", "attention")
+    with pytest.raises(AbsentError):
+        session.person(row["participant"])
+    session.close()
+    session = opened()
+    assert seen(session) == after
+    dora = Part(session, "dora")
+    dora.come()
+    dora.to("thanks")  # the study goes on
+    session.close()
+
+
+def test_an_erasure_that_was_interrupted_is_completed(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session(tiny, tmp_path / "journal.sqlite")
+    session.join("Bartholomew")
+    with monkeypatch.context() as patch:
+        patch.setattr(session._store, "_db", Failing(session._store._db, lambda sql: sql == "VACUUM"))
+        with pytest.raises(JournalError, match="the records are erased, but traces may remain"):
+            session.erase("Bartholomew", "as asked")
+    session.close()
+    Session(tiny, tmp_path / "journal.sqlite").close()
+    assert b"Bartholomew" not in content(tmp_path)
+
+
+# Faults.
+
+
+class Failing:
+    """A connection of which a statement fails, before or after it is carried out."""
+
+    def __init__(self, db: sqlite3.Connection, fails: Any, error: BaseException | None = None, *, late: bool = False):
+        self._db, self._fails, self._late = db, fails, late
+        self._error = error or sqlite3.OperationalError("disk I/O error")
+
+    def execute(self, sql: str, *given: Any) -> Any:
+        fails = self._fails(sql)
+        if fails and not self._late:
+            raise self._error
+        found = self._db.execute(sql, *given)
+        if fails:
+            raise self._error
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._db, name)
+
+
+ERRORS = [MemoryError(), RuntimeError("a fault"), sqlite3.OperationalError("disk I/O error"), KeyboardInterrupt()]
+
+
+def failing(session: Session, rng: random.Random, statements: int) -> Failing:
+    """Let one or two of the next statements of a session's store fail."""
+    left, last = [rng.randint(0, statements)], rng.choice([-1, -2])
+
+    def fails(_: str) -> bool:
+        left[0] -= 1
+        return last <= left[0] <= -1
+
+    return Failing(session._store._db, fails, rng.choice(ERRORS), late=rng.random() < 0.5)
+
+
+def schedule(task: Policy, folder: Path, seed: int) -> None:
+    """Report batches of events and erase people while statements of the store fail, and check the session each time."""
+    rng = random.Random(seed)
+    file = folder / f"{seed}.sqlite"
+
+    def opened() -> Session:
+        return Session(task, file, setting=SETTING, population=EASY)  # type: ignore[arg-type]
+
+    session, acknowledged, number = opened(), dict[str, tuple[Event, Any]](), 0
+    session.report([Event("joined", name, id=f"join {name}") for name in "abc"])
+    for _ in range(rng.randint(2, 5)):
+        batch: list[Event] = []
+        for _ in range(rng.randint(1, 5)):
+            name, number = rng.choice("abc"), number + 1
+            options = session.person(name)["applicable"] if name in session.people else []
+            batch.append(Event("acted", name, rng.choice(options or ["(fetch box-a)"]), id=str(number)))
+        erases = rng.random() < 0.2 and "c" in session.people
+        whole, outcomes, stones = session._store._db, list[Any](), len(session.tombstones())
+        beliefs = session.beliefs()
+        fault = failing(session, rng, 30 if erases else 2 * len(batch) + 2)
+        session._store._db = fault  # type: ignore[assignment]
+        try:
+            if erases:
+                session.erase("c", "as asked")
+            else:
+                outcomes = session.report(batch)
+        except (KeyboardInterrupt, MemoryError, RuntimeError, JournalError) as error:
+            if not isinstance(error, JournalError) and error not in ERRORS:
+                raise
+        if session._store._db is fault:
+            session._store._db = whole
+        acknowledged |= {
+            event.id or "": (event, outcome)
+            for event, outcome in zip(batch, outcomes, strict=False)
+            if isinstance(outcome, dict)
+        }
+        if len(session.tombstones()) > stones:
+            acknowledged = {id: one for id, one in acknowledged.items() if one[0].person != "c"}
+            assert session.beliefs() == {name: beliefs[name] for name in "ab"}
+        ids = [record["id"] for _, record in stored(file)[1] if "id" in record]
+        assert len(ids) == len(set(ids))
+        assert set(acknowledged) <= set(ids)
+        before = all_of(session)
+        session.close()
+        session = opened()
+        assert all_of(session) == before, "what is in memory is what is stored"
+        for event, outcome in acknowledged.values():
+            assert session.report([event]) == [outcome]
+    session.close()
+
+
+@pytest.mark.parametrize("first", [0, pytest.param(20, marks=pytest.mark.slow)])
+def test_faults_of_the_store_lose_and_double_nothing(tiny: Table, tmp_path: Path, first: int) -> None:
+    solved = LiveTask(tiny, SETTING.for_real_people(), EASY).policy  # once for all sessions
+    for seed in range(first, 20 if first == 0 else 500):
+        schedule(solved, tmp_path, seed)
+
+
+@pytest.mark.parametrize("error", [MemoryError("no memory"), ValueError("shapes do not match")])
+def test_a_fault_after_an_event_was_applied_leaves_nothing_unsaved(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """Errors of the planner that look like refusals count, too: the event is applied when its view is made."""
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
+    session.report([Event("joined", name) for name in ("ann", "bob")])
+    calls, view = [0], type(session._course).person
+
+    def breaks(self: Any, person: str) -> Any:
+        calls[0] += 1
+        if calls[0] == 2:
+            raise error
+        return view(self, person)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(session._course), "person", breaks)
+        outcomes = session.report([Event("acted", name, "(fetch box-a)", id=name) for name in ("ann", "bob")])
+    assert isinstance(outcomes[0], dict)
+    assert outcomes[1] is error
+    assert [session.person(name)["steps"] for name in ("ann", "bob")] == [1, 0]
+    assert session.observe("bob", "(fetch box-b)")["steps"] == 1
+    before = all_of(session)
+    session.close()
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY)
+    assert all_of(session) == before
+    session.close()
+
+
+CHILD = """
+import sys
+from pathlib import Path
+from assist.live.live_task import LiveTask
+from assist.live.session import Session
+from planner import cost_to_go, load
+
+session = Session(cost_to_go(load(sys.argv[1])), Path(sys.argv[2]))
+for name in ("ann", "bob"):
+    if name not in session.people:
+        session.join(name)
+print("ready", flush=True)
+number = len(session.log())
+while True:
+    name = ("ann", "bob")[number % 2]
+    steps = session.person(name)["steps"]
+    session.observe(name, "(fetch box-a)" if steps % 2 == 0 else "(return box-a)", id=str(number))
+    print(number, flush=True)
+    number += 1
+"""
+
+
+@pytest.mark.parametrize("kills", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_a_killed_process_loses_nothing_that_was_acknowledged(tiny: Table, tmp_path: Path, kills: int) -> None:
+    file, rng, acknowledged = tmp_path / "journal.sqlite", random.Random(kills), 0
+    for _ in range(kills):
+        process = subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(KITTING / "tiny.pddl"), str(file)], stdout=subprocess.PIPE, text=True
+        )
+        with process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+            for _ in range(rng.randint(1, 60)):
+                acknowledged = int(process.stdout.readline()) + 1
+            os.kill(process.pid, signal.SIGKILL)
+        records = [record for _, record in stored(file)[1] if record["event"] == "acted"]
+        assert [record["id"] for record in records] == [str(number) for number in range(len(records))]
+        assert len(records) >= acknowledged
+    session = Session(tiny, file)
+    assert len(session.log()) == len(records)
+    session.close()
+
+
+# Files.
+
+
+def test_a_journal_of_the_former_format_is_imported_once(tiny: Table, tmp_path: Path) -> None:
+    session = Session(tiny, tmp_path / "journal.sqlite", setting=SETTING, population=EASY, clock=lambda: 0.0)
+    session.report([Event("joined", "Bartholomew"), Event("joined", "ann")])
+    answer = session.observe("ann", "(fetch box-a)", id="1")
+    session.observe("ann", WRONG)
+    before = all_of(session)
+    session.close()
+    old = former(tmp_path / "journal.sqlite")
+    with old.open("a") as stream:
+        stream.write('{"n":5,"time":1.0,"ev')  # never acknowledged
+    for _ in range(2):
+        session = Session(tiny, old, setting=SETTING, population=EASY, clock=lambda: 0.0)
+        assert all_of(session) == before
+        assert session.observe("ann", "(fetch box-a)", id="1") == answer
+        assert not old.exists()
+        session.close()
+    assert b"Bartholomew" in (tmp_path / "journal-imported.jsonl").read_bytes()
+    session = Session(tiny, old, setting=SETTING, population=EASY)
+    session.erase("Bartholomew", "as asked")
+    session.close()
+    assert b"Bartholomew" not in content(tmp_path)
+
+
+def test_events_have_the_time_and_files_are_the_owners(tiny: Table, tmp_path: Path) -> None:
+    session = Session(tiny, tmp_path / "session" / "journal.sqlite")
+    begin = datetime.now(UTC)
+    session.join("ann")
+    session.observe("ann", "(fetch box-a)")
+    times = [datetime.fromisoformat(at or "") for at, _ in stored(tmp_path / "session" / "journal.sqlite")[1]]
+    assert all(abs((time - begin).total_seconds()) < 60 for time in times)
+    assert all(time.utcoffset() is not None for time in times)
+    files = list((tmp_path / "session").iterdir())
+    assert {file.suffix for file in files} >= {".sqlite", ".sqlite-wal", ".lock"}
+    assert [file.name for file in files if file.stat().st_mode & 0o077] == []
+    with pytest.raises(ResultsExistError, match="the folder is in use by a running session; expected another folder"):
+        EventStore(tmp_path / "session" / "journal.sqlite")
+    session.close()
+
+
+def test_a_session_on_a_medium_that_cannot_be_written_can_be_read(
+    tiny: Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session(tiny, tmp_path / "journal.sqlite")
+    session.join("ann")
+    session.close()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    assert [record["person"] for _, record in stored(tmp_path / "journal.sqlite")[1]] == ["ann"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["journal.lock", "journal.sqlite"]
