@@ -43,6 +43,7 @@ class Web:
         session = Session({"tiny": table}, folder / "journal.sqlite", setting=setting, population=Population())
         if not session.people:
             session.report([Event("joined", name) for name in ("ann", "bob")])
+        self.folder = folder
         self.access = AccessTokens.kept(folder / "secret", "http://testserver")
         self.service = Service(session, self.access, tick=60.0)
         self.app = make_app(self.service, **more)
@@ -408,6 +409,33 @@ def test_a_full_disk_is_said_to_whoever_reports(web: Web, monkeypatch: pytest.Mo
         assert (answer.status_code, answer.json()["detail"]) == (507, "No space left on device; nothing was recorded")
         assert web.ask("GET", ANN, "ann").json()["steps"] == 0
     assert web.act("(fetch box-a)").json()["steps"] == 1
+
+
+def test_the_operator_erases_what_is_recorded_of_a_person(web: Web) -> None:
+    ann = web.act("(fetch box-a)").json()
+    web.act("(fetch box-b)", "bob", id="bobs")
+    assert web.ask("DELETE", "/api/team/people/bob").status_code == 200  # whoever has left can be erased, too
+    for status, name, person, query in (
+        (403, "ann", "ann", {"reason": "mine"}), (404, "eve", None, {"reason": "asked"}), (422, "bob", None, {}),
+        (422, "bob", None, {"reason": "x" * 201}), (422, "bob", None, {"reason": "Bob asked"}),
+    ):  # fmt: skip
+        refused = web.ask("DELETE", f"/api/people/{name}/records", person, params=query)
+        assert (refused.status_code, set(refused.json())) == (status, {"detail"})
+    with web.watch() as watched:
+        assert watched.receive_json() == ann
+        found = web.ask("DELETE", "/api/people/bob/records", params={"reason": "asked by e-mail"}).json()
+        assert (found["label"], found["reason"], found["events"]) == ("(erased 1)", "asked by e-mail", 3)
+        assert b"bob" not in b"".join(file.read_bytes() for file in web.folder.iterdir())
+        assert web.ask("GET", ANN, "ann").json() == ann
+        assert "bob" not in web.ask("GET", "/api/team").text
+        assert web.ask("DELETE", "/api/people/ann/records", params={"reason": "asked, too"}).status_code == 200
+        with pytest.raises(WebSocketDisconnect) as closed:
+            watched.receive_json()
+    assert closed.value.code == 4404
+    assert web.ask("GET", ANN, "ann").status_code == 404
+    assert web.ask("GET", "/api/log").text == ""
+    assert web.ask("POST", "/api/team/people", json={"person": "bob"}).status_code == 200
+    assert web.ask("GET", "/api/people/bob", "bob").json()["steps"] == 0
 
 
 def test_links_are_those_of_before(tiny: Table, tmp_path: Path) -> None:

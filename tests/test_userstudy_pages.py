@@ -252,6 +252,10 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         with second.expect_download() as download:
             second.click("#export")
         packed = zipfile.ZipFile(download.value.path())
+        second.on("dialog", lambda dialog: dialog.accept("asked by post"))
+        second.click('#people button:text("Erase") >> nth=-1')
+        second.wait_for_selector('#people td:text("(erased 1)")')
+        page.wait_for_selector("text=This link is not valid")
     people = [line.split(",") for line in packed.read("participants.csv").decode().splitlines()[1:]]
     assert [(row[4], row[5], row[7]) for row in people] == [("done", "thanks", code), ("withdrew", "practice", "")]
     answers = [line.split(",") for line in packed.read("answers.csv").decode().splitlines()[1:]]

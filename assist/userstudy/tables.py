@@ -173,7 +173,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         if event in ("visited", VACANT):
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
-                "consented": None, "status": "here", "stage": None if event == VACANT else stages[0].name,
+                "consented": None, "status": "here", "stage": stages[0].name,
                 "condition": None, "completion_code": None,
             }  # fmt: skip
             at[code] = 0
@@ -185,6 +185,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
         person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
         if event == ERASED:
             person["condition"] = record["condition"]
+            person["stage"] = next(one.name for one in stages if one.kind == "task")
         if event == "onward":
             for item, answer in record.get("answers", {}).items():
                 found.answers.append(_where(study, person, stage) | _answer(study, stage, item, answer))

@@ -10,12 +10,14 @@ from fastapi import APIRouter, Depends, HTTPException, Query, Request, Response
 
 from ..explain.catalogue import languages
 from ..live.course import Event
+from ..live.session import LONGEST_REASON
 from .authorization import READ, WRITE, Desk, Operator, Own, bearer, refusals
 from .schemas import (
     Acted,
     Arrived,
     Begun,
     Drawn,
+    Erased,
     Explained,
     Health,
     Joined,
@@ -27,6 +29,7 @@ from .schemas import (
     Robot,
     Team,
 )
+from .service import Erasure
 from .task_drawings import Pictures
 
 router = APIRouter()
@@ -146,6 +149,16 @@ async def join(_: Operator, joined: Joined, service: Desk) -> Any:
 async def leave(_: Operator, name: Own, service: Desk) -> Response:
     """Remove a person, who may rejoin later."""
     return plain(await service.report(Event("left", name)))
+
+
+@router.delete(
+    "/api/people/{name}/records", tags=["operator"], response_model=Erased, responses=refusals(403, 404, 422, 503, 507)
+)
+async def erase(
+    _: Operator, name: str, service: Desk, reason: Annotated[str, Query(min_length=1, max_length=LONGEST_REASON)]
+) -> Response:
+    """Erase all that is recorded of a person, for good; present or not, they leave first."""
+    return plain(await service.report(Erasure(name, reason)))
 
 
 @router.post("/api/team/pause", tags=["operator"], response_model=Robot, responses=WRITE)

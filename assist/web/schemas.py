@@ -56,6 +56,15 @@ class Arrived(Once):
     person: str | None = Field(None, max_length=64)
 
 
+class Erased(BaseModel):
+    """What remains of a person whose records were erased: a label in their place, the time (UTC), and the reason."""
+
+    label: str
+    at: str
+    reason: str
+    events: int
+
+
 class Paused(_Body):
     """Whether suggestions are paused."""
 

@@ -16,7 +16,10 @@ import json
 import logging
 import queue
 import threading
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 from ..explain.explanation import Explanation
@@ -30,6 +33,14 @@ from .tokens import AccessTokens
 
 class BusyError(RuntimeError):
     """Too many reports are queued. The client should try again."""
+
+
+@dataclass(frozen=True)
+class Erasure:
+    """A request to erase what is recorded of a person; arguments as in `Session.erase`."""
+
+    person: str
+    reason: str
 
 
 class Watcher:
@@ -82,7 +93,7 @@ class Service:
         self._entries: dict[str, bytes] = {}
         self._watchers: dict[str, set[Watcher]] = {}
         self._operators: set[asyncio.Event] = set()
-        self._reports: queue.Queue[tuple[Event, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
+        self._reports: queue.Queue[tuple[Event | Erasure, asyncio.Future[Outcome]] | None] = queue.Queue(waiting)
         self._changes: dict[str, bytes | None] = {}
         self._writer: threading.Thread | None = None
         self._last = 0.0
@@ -115,16 +126,31 @@ class Service:
                 while len(taken) < self._batch:
                     taken.append(self._reports.get_nowait())
             ended = None in taken
-            reports = [report for report in taken if report is not None]
-            if reports:
-                self._changes = {}
-                try:
-                    outcomes = self.session.report([event for event, _ in reports])
-                except Exception as error:  # noqa: BLE001  every error is passed to the clients that wait
-                    outcomes = [error] * len(reports)
-                futures = [future for _, future in reports]
-                seen = dict(self._changes), self.session.outlook()
-                self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, *seen)
+            events, futures = list[Event](), list[asyncio.Future[Outcome]]()
+            erasures: list[tuple[Erasure, asyncio.Future[Outcome]]] = []
+            for what, future in (report for report in taken if report is not None):
+                if isinstance(what, Erasure):
+                    erasures.append((what, future))
+                else:
+                    events.append(what)
+                    futures.append(future)
+            if events:
+                self._carry_out(partial(self.session.report, events), futures)
+            for erasure, future in erasures:
+                self._carry_out(partial(self._erased, erasure), [future])
+
+    def _erased(self, erasure: Erasure) -> list[Outcome]:
+        return [self.session.erase(erasure.person, erasure.reason)._asdict()]
+
+    def _carry_out(self, work: Callable[[], list[Outcome]], futures: list[asyncio.Future[Outcome]]) -> None:
+        """Change the session, and deliver the outcomes and the new views."""
+        self._changes = {}
+        try:
+            outcomes = work()
+        except Exception as error:  # noqa: BLE001  every error is passed to the clients that wait
+            outcomes = [error] * len(futures)
+        seen = dict(self._changes), self.session.outlook()
+        self._loop.call_soon_threadsafe(self._deliver, futures, outcomes, *seen)
 
     def _seen(self, touched: set[str]) -> None:
         """Update the views of people for whom something changed. The writer calls it after saving the events."""
@@ -165,15 +191,15 @@ class Service:
             else:
                 future.set_result(outcome)
 
-    async def report(self, event: Event) -> dict[str, Any]:
-        """Record an event; return the new view of the person concerned.
+    async def report(self, event: Event | Erasure) -> dict[str, Any]:
+        """Record an event; return the new view of the person concerned, or what remains of an erased one.
 
         Raises
         ------
         BusyError
             Too many reports are queued.
         Exception
-            Any error of `Session.report`.
+            Any error of `Session.report` or `Session.erase`.
         """
         future: asyncio.Future[Any] = self._loop.create_future()
         try:

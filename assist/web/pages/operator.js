@@ -119,7 +119,8 @@ function card(person) {
     join ? element("p", { class: "link" }, element("input", { readonly: true, value: join, "aria-label": `Link for ${person.person}`, "data-key": `link ${person.person}` })) : null,
     element("p", { class: "buttons" },
       element("button", { type: "button", "data-key": `undo ${person.person}`, disabled: person.steps === 0, "aria-label": `Undo the last step of ${person.person}`, click: () => tell(pathOf(person.person, "/undo"), { method: "POST", body: { id: newId() } }, `The last step of ${person.person} is undone.`) }, "Undo last step"),
-      element("button", { type: "button", "data-key": `remove ${person.person}`, "aria-label": `Remove ${person.person}`, click: () => remove(person.person) }, "Remove")));
+      element("button", { type: "button", "data-key": `remove ${person.person}`, "aria-label": `Remove ${person.person}`, click: () => remove(person.person) }, "Remove"),
+      element("button", { type: "button", "data-key": `erase ${person.person}`, "aria-label": `Erase the records of ${person.person}`, click: () => erase(person.person) }, "Erase")));
 }
 
 function show() {
@@ -178,6 +179,11 @@ async function tell(path, options, said) {
     complain(error instanceof Refused ? error.message : "The server cannot be reached. Try again.");
     return null;
   }
+}
+
+function erase(name) {
+  const reason = prompt(`Erase everything that is recorded of ${name}, for good? Enter a reason without the name.`);
+  if (reason) tell(`/api/people/${encodeURIComponent(name)}/records?reason=${encodeURIComponent(reason)}`, { method: "DELETE" }, `The records of ${name} are erased.`);
 }
 
 function remove(name) {

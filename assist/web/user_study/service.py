@@ -141,6 +141,7 @@ class StudyService(Service):
                 "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),
                 "seconds": round(now - person.entered) if person.status == HERE else None,
                 "steps": tasks[-1].seen()["steps"] if tasks else None, "simulated": person.simulated,
+                "erased": person.erased,
             })  # fmt: skip
         counts, policies = cohort.counts(), {one.name: one.policy for one in study.conditions}
         return {

@@ -16,6 +16,12 @@ function cell(content, kind = null) {
   return made;
 }
 
+function cells(...parts) {
+  const made = document.createElement("td");
+  made.append(...parts.flat());
+  return made;
+}
+
 function row(cells, kind = "") {
   const made = document.createElement("tr");
   made.className = kind;
@@ -28,23 +34,38 @@ function complain(text) {
   at("problem").hidden = !text;
 }
 
-function remover(code) {
+/** A button that sends a request about a participant; `path` returns the request's path, or null if there is none. */
+function button(code, word, path, said) {
   const made = document.createElement("button");
   made.type = "button";
-  made.textContent = "Remove";
-  made.setAttribute("aria-label", `Remove ${code}`);
-  made.dataset.key = code;
+  made.textContent = word;
+  made.setAttribute("aria-label", `${word} ${code}`);
+  made.dataset.key = `${word} ${code}`;
   made.addEventListener("click", async () => {
-    if (!confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`)) return;
+    const to = path();
+    if (to === null) return;
     try {
-      await ask(`/api/team/people/${encodeURIComponent(code)}`, { method: "DELETE" });
-      at("said").textContent = `${code} is marked as dropped out.`;
+      await ask(to, { method: "DELETE" });
+      at("said").textContent = said;
       look();
     } catch (error) {
       complain(error instanceof Refused ? error.message : "The study server cannot be reached. Try again.");
     }
   });
   return made;
+}
+
+function remover(code) {
+  const sure = () => confirm(`Mark ${code} as dropped out? They can rejoin if there is a free place.`);
+  return button(code, "Remove", () => (sure() ? `/api/team/people/${encodeURIComponent(code)}` : null), `${code} is marked as dropped out.`);
+}
+
+function eraser(code) {
+  const path = () => {
+    const reason = prompt(`Erase everything that is recorded of ${code}, for good? Enter a reason without the code.`);
+    return reason ? `/api/people/${encodeURIComponent(code)}/records?reason=${encodeURIComponent(reason)}` : null;
+  };
+  return button(code, "Erase", path, `The records of ${code} are erased.`);
 }
 
 function show(study) {
@@ -76,7 +97,7 @@ function show(study) {
     return row([
       cell(one.code + (one.simulated ? " (simulated)" : "")), cell(state), cell(one.stage),
       cell(one.seconds === null ? "" : clock(one.seconds), "count"), cell(one.condition), cell(one.steps, "count"),
-      cell(one.status === "here" ? remover(one.code) : ""),
+      cells(one.status === "here" ? [remover(one.code)] : [], one.erased ? [] : [eraser(one.code)]),
     ], one.status === "here" ? "" : "over");
   }));
   if (key) [...document.querySelectorAll("[data-key]")].find((other) => other.dataset.key === key)?.focus({ preventScroll: true });

@@ -291,7 +291,7 @@ const channel = new Channel(pathOf(person, "/events"), {
     at("connection").textContent = { connected: "Connected", lost: "Reconnecting…", over: "Not connected" }[state];
     at("connection").classList.toggle("lost", state !== "connected");
     if (state === "connected") outbox.resume();
-    if (state === "lost") refresh();
+    if (state !== "connected") refresh();
   },
 });
 
