@@ -71,6 +71,7 @@ CASES = {
     ),
     "confidence": ("--seeds 100", "--seeds 20 --settings 1"),
     "random_pddl": ("100 --jobs 2", "10"),
+    "signals": ("--walks 200", "kitting/tiny --walks 10"),
     "start": ("--repeat 3", "--repeat 1"),
     "study": ("--humans 2 --people 4", "--check"),
     "team latency": ("--repeat 11", "--repeat 1 --instance tiny"),

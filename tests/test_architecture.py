@@ -34,7 +34,7 @@ ROOMS = {
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.people": """arguments choices misconception decision terms memory choice_model human belief
-        influence_kernels trust_rules user_code action_names""",
+        influence_kernels trust_rules user_code action_names signals""",
     "assist.person": """pomdp archive problem_arrays belief_filter qmdp alpha_vectors hsvi upper_hull solver
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing

@@ -23,6 +23,10 @@ from .human import Population as Population
 from .human import advice_takers as advice_takers
 from .memory import remembered as remembered
 from .misconception import Misconception as Misconception
+from .signals import ActionRecovery as ActionRecovery
+from .signals import FactChange as FactChange
+from .signals import Recovery as Recovery
+from .signals import UnknownFactError as UnknownFactError
 from .terms import NOTHING_YET as NOTHING_YET
 from .terms import TERMS as TERMS
 from .terms import Situation as Situation
