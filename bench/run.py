@@ -52,6 +52,7 @@ CASES = {
         "assist/team/attention.py --sample 1 --only reactive",
     ),
     "trust": ("", "--fixed"),
+    "ignored": ("", "--people 2"),
     "trust_recovery coverage": (
         "--populations 4",
         "--instance kitting/tiny --people 5 --populations 1 --suggestions 8 --setting constant",

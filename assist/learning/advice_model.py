@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from threadpoolctl import threadpool_limits
 
 from planner.system.jit import njit
 
@@ -62,6 +63,8 @@ class Rule:
         Values of the parameters at which a fit begins.
     coefficients : callable
         Maps the parameters to the eight numbers that compiled code reads; see `_moved`.
+    shared : bool
+        Whether theta_0 is the same for all people (`sigma` is 0).
     """
 
     name: str
@@ -70,6 +73,7 @@ class Rule:
     parameters: tuple[str, ...]
     start: tuple[float, ...]
     coefficients: Callable[..., Sequence[float]]
+    shared: bool = False
 
 
 def _steps(
@@ -82,6 +86,7 @@ def _rules() -> dict[str, Rule]:
     """Return the rules by name; coefficients of steps are explained in `_moved`."""
     every = [
         _steps("none", "", (), lambda: (0,) * 8),
+        Rule("shared", STEPS, False, (), (), lambda: (0,) * 8, shared=True),
         _steps("eq7 eta=.2, confidence units", "", (), lambda: (0, 0.2, 0, -0.2, 0, 0, 0, 0)),
         _steps("eq7 eta=.2, unit steps", "", (), lambda: (0.2, 0, -0.2, 0, 0, 0, 0, 0)),
     ]
@@ -90,6 +95,10 @@ def _rules() -> dict[str, Rule]:
             _steps(f"{prefix}drift", "e", (small / 5,), lambda e: (e, 0, e, 0, 0, 0, 0, 0)),
             _steps(f"{prefix}eq7 fitted", "e", (small,), lambda e: (0, e, 0, -e, 0, 0, 0, 0)),
             _steps(f"{prefix}eq7 gain/loss", "g l", (small, small), lambda g, down: (0, g, 0, -down, 0, 0, 0, 0)),
+            _steps(
+                f"{prefix}eq7 gain/loss, unit steps", "g l", (small / 2, small / 2),
+                lambda g, down: (g, 0, -down, 0, 0, 0, 0, 0),
+            ),
             _steps(f"{prefix}outcome", "e", (small,), lambda e: (0, 0, 0, 0, e, -e, e, -e)),
             _steps(
                 f"{prefix}outcome gain/loss", "g l", (small, 2 * small),
@@ -110,6 +119,23 @@ def _rules() -> dict[str, Rule]:
             ),
         ]  # fmt: skip
     every += [
+        _steps(
+            "drift + outcome at disagreement", "d e", (0.002, 0.01), lambda d, e: (d, 0, d, 0, 0, 0, e, -e)
+        ),
+        _steps(
+            "L agreement + outcome at disagreement (symmetric)", "o e", (0.04, 0.12),
+            lambda o, e: (o, 0, 0, 0, 0, 0, e, -e),
+        ),
+        _steps(
+            "L four cells", "ar aw dr dw", (0.04, 0.0, 0.12, -0.15), lambda ar, aw, dr, dw: (0, 0, 0, 0, ar, aw, dr, dw)
+        ),
+        *(
+            _steps(
+                f"L agreement + outcome at disagreement, fixed {name}", "", (),
+                lambda o=o, g=g, down=down: (o, 0, 0, 0, 0, 0, g, -down),
+            )
+            for name, o, g, down in ((".03/.10/.20", 0.03, 0.10, 0.20), (".05/.15/.25", 0.05, 0.15, 0.25))
+        ),
         Rule("delta rule", DELTA, False, ("e",), (0.05,), lambda e: (e, 0, 0, 0, 0, 0, 0, 0)),
         Rule("beta counts", COUNTS, False, ("n0", "w"), (20.0, 1.0), lambda n, w: (n, w, w, 1, 0, 0, 0, 0)),
         Rule(
@@ -119,6 +145,10 @@ def _rules() -> dict[str, Rule]:
         Rule(
             "beta counts at disagreement", COUNTS, False, ("n0", "w"), (20.0, 1.0),
             lambda n, w: (n, w, w, 1, 1, 0, 0, 0),
+        ),
+        Rule(
+            "beta counts at disagreement, good/bad weights, forgetting", COUNTS, False, ("n0", "ws", "wf", "gam"),
+            (20.0, 1.0, 2.0, 0.9), lambda n, s, f, gam: (n, s, f, gam, 1, 0, 0, 0),
         ),
         Rule(
             "beta counts of own agreement", COUNTS, False, ("n0", "ws", "wf"), (20.0, 1.0, 0.5),
@@ -178,7 +208,9 @@ class AdviceModel:
     def of(cls, base: str, rule: str, values: Sequence[float] | None = None) -> AdviceModel:
         """Return the model of these names; with the values at which fits begin, unless values are given."""
         known = RULES[rule]
-        return cls(base, known, tuple(values if values is not None else (*BASES[base].values(), *known.start)))
+        if values is None:
+            values = (*(BASES[base] | {"sigma": 0.0} if known.shared else BASES[base]).values(), *known.start)
+        return cls(base, known, tuple(values))
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -225,12 +257,20 @@ class AdviceModel:
     def fit(self, log: AdviceLog) -> AdviceModel:
         """Return the model of largest marginal likelihood, found from this one's values and from none of its steps."""
         names = (*BASES[self.base], *self.rule.parameters)
+        free = [name != "sigma" or not self.rule.shared for name in names]
 
         def inner(values: Sequence[float]) -> Floats:
-            return np.array([_to(name, value) for name, value in zip(names, values, strict=True)])
+            return np.array([_to(name, value) for name, value in zip(names, values, strict=True)])[free]
 
         def model(point: Floats) -> AdviceModel:
-            return replace(self, values=tuple(_from(n, v) for n, v in zip(names, point.tolist(), strict=True)))
+            fitted = iter(point.tolist())
+            return replace(
+                self,
+                values=tuple(
+                    _from(name, next(fitted)) if one else value
+                    for name, one, value in zip(names, free, self.values, strict=True)
+                ),
+            )
 
         def loss(point: Floats) -> float:
             with np.errstate(over="ignore"):
@@ -240,7 +280,8 @@ class AdviceModel:
         starts = [inner(self.values)]
         if self.rule.kind == STEPS and self.rule.parameters:
             starts.append(inner((*self.values[: len(BASES[self.base])], *(0.3 * v for v in self.rule.start))))
-        found = [minimize(loss, start, method="L-BFGS-B", options={"maxiter": 200}) for start in starts]
+        with threadpool_limits(1, user_api="blas"):  # threads wait longer than these small matrices take
+            found = [minimize(loss, start, method="L-BFGS-B", options={"maxiter": 200}) for start in starts]
         if self.rule.parameters and self.rule.kind == STEPS and not self.rule.logit:  # clips give kinks
             found = [minimize(loss, one.x, method="Nelder-Mead", options={"maxiter": 400, "xatol": 1e-4, "fatol": 1e-7})
                      for one in found]  # fmt: skip

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq, minimize
 from scipy.special import chdtri, expit, logit
+from threadpoolctl import threadpool_limits
 
 from planner.system.jit import njit
 
@@ -149,7 +150,8 @@ class InfluencePopulation:
             return -float(np.log(found[:, 0]).sum()), -np.asarray((found[:, 1:] / found[:, :1]).sum(axis=0))
 
         start = [x[-1] - 2.0, 1.0, 1.0, 1.5] if near is None else list(vars(near).values())
-        best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=ranges)
+        with threadpool_limits(1, user_api="blas"):  # threads wait longer than these small matrices take
+            best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=ranges)
         return cls(*best.x.tolist()), float(top.sum()) - float(best.fun)
 
 
