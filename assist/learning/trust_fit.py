@@ -5,8 +5,8 @@ grid. theta_0 is the influence at a person's first suggestion. It moves by the t
 is carried from one episode to the next in the order of their names. The parameters of the rule are the same for all
 people. So theta is a function of theta_0, and the likelihood of a person is a table over beta and theta_0 (`TrustLog`).
 
-Population and parameters have the largest marginal likelihood; a person's estimates are those of the posterior under
-that population (empirical Bayes).
+Population and parameters have the largest marginal likelihood. A person's estimates are those of the posterior under
+that population (empirical Bayes), averaged over the parameters of the rule.
 """
 
 from __future__ import annotations
@@ -303,26 +303,29 @@ def fit_influence(
     log = TrustLog.of(observations, method)
     search = _Search(log, family, carry)
     values, intervals = search.best(), {}
+    nodes: list[tuple[tuple[float, ...], float]] = [((), 1.0)]
     if family.ranges:
-        intervals = dict(zip(family.ranges, search.intervals(values, method.level), strict=True))
-    value, population, logs = search.at(values)
-    chosen = family.rule(values)
-    _, last = log.thetas(chosen, carry=carry)
-    weights = np.multiply.outer(*population.weights(log))
-    accepted, people, recorded = log.accepted, [], np.zeros_like(weights)
-    for k, person in enumerate(log.people):
-        joint = weights * np.exp(logs[k] - logs[k].max())
-        joint /= joint.sum()
-        recorded += joint / len(log.people)
-        beta, theta = joint.sum(axis=1), joint.sum(axis=0)
-        people.append(
-            Influence(
-                person, int(log.heard[k]), int(accepted[k]),
-                float(log.beta @ beta), _interval(np.log(log.beta), beta, method.level, np.exp),
-                float(log.theta @ theta), _interval(logit(log.theta), theta, method.level, _theta),
-                float(last[k] @ theta), _interval(last[k], theta, method.level, float),
-            )
-        )  # fmt: skip
+        covariance = search.covariance(values)
+        intervals = dict(zip(family.ranges, search.intervals(values, covariance, method.level), strict=True))
+        nodes = search.nodes(values, covariance)
+    value, population, _ = search.at(values)
+    # A person's belief is averaged over what the parameters of the rule may be: with the best ones alone, intervals of
+    # theta after many suggestions are too short.
+    joint, last = _beliefs(log, search, nodes)
+    both = joint.sum(axis=0)
+    beta, theta = both.sum(axis=2), both.sum(axis=1)
+    after, mass = last.transpose(1, 0, 2).reshape(len(last[0]), -1), joint.sum(axis=2).transpose(1, 0, 2)
+    mass = mass.reshape(len(mass), -1)
+    people = [
+        Influence(
+            person, int(log.heard[k]), int(log.accepted[k]),
+            float(log.beta @ beta[k]), _interval(np.log(log.beta), beta[k], method.level, np.exp),
+            float(log.theta @ theta[k]), _interval(logit(log.theta), theta[k], method.level, _theta),
+            float(after[k] @ mass[k]), _interval(after[k], mass[k], method.level, float),
+        )
+        for k, person in enumerate(log.people)
+    ]  # fmt: skip
+    weights, recorded = np.multiply.outer(*population.weights(log)), both.mean(axis=0)
     name = rule if isinstance(rule, str) else type(rule).__name__
     margins = (
         Margin.of(
@@ -334,9 +337,25 @@ def fit_influence(
             np.asarray(expit(_edges(logit(log.theta)))), weights.sum(axis=0), recorded.sum(axis=0),
         ),
     )  # fmt: skip
+    chosen = family.rule(values)
     return InfluenceFit(
         name, parameters_of(chosen), intervals, population, value, carry, tuple(people), chosen, margins
     )
+
+
+def _beliefs(log: TrustLog, search: _Search, nodes: Sequence[tuple[tuple[float, ...], float]]) -> tuple[Floats, Floats]:
+    """Return the probabilities of beta and theta_0 with each node of the rule's parameters, and theta at last.
+
+    Shapes (nodes, K, B, T) and (nodes, K, T); the probabilities of a person sum to 1. `nodes` has parameters and the
+    probability of each.
+    """
+    joint, last = [], []
+    for values, mass in nodes:
+        _, population, logs = search.at(values)
+        found = np.multiply.outer(*population.weights(log)) * np.exp(logs - logs.max(axis=(1, 2), keepdims=True))
+        joint.append(mass * found / found.sum(axis=(1, 2), keepdims=True))
+        last.append(log.thetas(search.family.rule(values), carry=search.carry)[1])
+    return np.array(joint), np.array(last)
 
 
 def _edges(nodes: Floats) -> Floats:
@@ -396,14 +415,31 @@ class _Search:
         )  # fmt: skip
         return tuple(found.x.tolist())
 
-    def intervals(self, best: tuple[float, ...], level: float) -> list[Interval]:
+    def nodes(self, best: tuple[float, ...], covariance: Floats) -> list[tuple[tuple[float, ...], float]]:
+        """Return parameters and the probability of each: a quadrature of the posterior with a flat prior.
+
+        The nodes are those of a normal distribution with this covariance, in the ranges of the parameters; their
+        probabilities are corrected by the likelihood.
+        """
+        count = len(best)
+        points, weights = np.polynomial.hermite_e.hermegauss(7 if count == 1 else 3)
+        z = np.array(list(product(points, repeat=count)))
+        ends = np.array(list(self.family.ranges.values()))
+        factor = np.linalg.cholesky(covariance)
+        values = np.clip(np.array(best) + z @ factor.T, ends[:, 0], ends[:, 1])
+        inside = np.linalg.solve(factor, (values - np.array(best)).T)  # as z, at the ends of the ranges where beyond
+        logs = np.array([self.value(one) for one in values]) + (inside**2).sum(axis=0) / 2
+        mass = np.exp(logs - logs.max()) * np.prod(np.array(list(product(weights, repeat=count))), axis=1)
+        return [(tuple(one), share) for one, share in zip(values.tolist(), (mass / mass.sum()).tolist(), strict=True)]
+
+    def intervals(self, best: tuple[float, ...], covariance: Floats, level: float) -> list[Interval]:
         """Return the likelihood-ratio interval of each parameter.
 
         As one parameter moves, the others move with it along the ridge of the likelihood, which is taken to be
         straight. With one parameter the interval is exact.
         """
         at, top = np.array(best), self.value(np.array(best))
-        wanted, ridges = float(chdtri(1, 1 - level)) / 2, self._ridges(at, top)
+        wanted, ridges = float(chdtri(1, 1 - level)) / 2, covariance / np.diag(covariance)[:, None]
         found = []
         for j, (low, high) in enumerate(self.family.ranges.values()):
 
@@ -422,11 +458,17 @@ class _Search:
             found.append((ends[0], ends[1]))
         return found
 
-    def _ridges(self, at: Floats, top: float) -> Floats:
-        """Return how all parameters move if each moves by one, (P, P), from differences at about two deviations."""
-        count, ranges = len(at), list(self.family.ranges.values())
-        if count == 1:
-            return np.ones((1, 1))
+    def covariance(self, best: tuple[float, ...]) -> Floats:
+        """Return the covariance of the parameters, (P, P), from differences of the likelihood at about two deviations.
+
+        Where the likelihood is not concave, parameters are taken to be independent.
+        """
+        at, top, count, ranges = (
+            np.array(best),
+            self.value(np.array(best)),
+            len(best),
+            list(self.family.ranges.values()),
+        )
         steps, unit = np.full(count, 0.05), np.eye(count)
         for j, (low, high) in enumerate(ranges):
             side = 1 if high - at[j] > at[j] - low else -1
@@ -447,9 +489,8 @@ class _Search:
                 mixed = (both - single[i].sum() - single[j].sum() + 2 * center) / (2 * steps[i] * steps[j])
                 curvature[i, j] = curvature[j, i] = mixed
         if (np.linalg.eigvalsh(curvature) >= 0).any():
-            return unit
-        spread = np.linalg.inv(-curvature)
-        return np.asarray(spread / np.diag(spread)[:, None])
+            return np.diag((steps / 2) ** 2)
+        return np.asarray(np.linalg.inv(-curvature))
 
 
 def compare_trust(
