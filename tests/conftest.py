@@ -33,7 +33,9 @@ from assist.study.study import Study
 from assist.team.settings import Setting
 from planner import Instance, Limits, Table, find_instances, load, sweep
 from planner.grounding import fast_downward
+from planner.pddl.instances import PDDLError
 from planner.pddl.source import Source
+from planner.pddl.validation import InstanceRefusedError, parsed
 from planner.system import progress
 from planner.system.limits import NO_LIMITS
 
@@ -244,6 +246,16 @@ def kitassist(*arguments: object, cwd: Path = ROOT, check: bool = False) -> subp
 def invoke(*arguments: object) -> Result:
     """Run the command in this process, which takes a tenth of the time."""
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def understood(instance: Instance) -> Any:
+    """Return an instance as a problem of unified-planning."""
+    source = Source.of(instance)
+    try:
+        return parsed(source.typed_domain.text, source.problem_text)
+    except InstanceRefusedError as error:
+        refusal = error.refusal.placed(source)
+        raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
 
 
 def write_instance(folder: Path, domain: str, problem: str) -> Instance:

@@ -214,7 +214,7 @@ def test_import_direction(module: str) -> None:
         ("planner.pddl.instances", "import assist.people.human"),
         ("assist.people.human", "from ..simulation.episodes import Episode"),
         ("assist.person.pomdp", "from planner import load"),
-        ("assist.person.qmdp", "from planner.pddl.validation import read"),
+        ("assist.person.qmdp", "from planner.pddl.validation import validate"),
         ("assist.study.runner", "from planner import sweep"),
         ("assist.simulation.simulate", "from ..study.study import Study"),
         ("assist.learning.person_estimate", "from ..cli import main"),

@@ -6,10 +6,9 @@ import itertools
 import warnings
 
 import pytest
-from conftest import KITTING
+from conftest import KITTING, understood
 
 from planner import Instance, PDDLError, astar, load, sweep
-from planner.pddl.validation import read
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -52,7 +51,7 @@ def test_names_are_the_problems_own() -> None:
 
 def test_a_problem_and_its_files_are_the_same_task() -> None:
     instance = Instance(KITTING / "costs" / "ways.pddl", KITTING / "costs" / "domain.pddl")
-    files, built = sweep(load(instance)), sweep(load(read(instance)))
+    files, built = sweep(load(instance)), sweep(load(understood(instance)))
     assert built.task.actions == files.task.actions
     assert built[built.initial] == files[files.initial]
     assert sorted(built.distance) == sorted(files.distance)

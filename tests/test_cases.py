@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from conftest import invoke
+from conftest import invoke, understood
 
 from assist.live import Assistant
 from planner import PDDLError, cost_to_go, find_instances, instance, load
 from planner.engine import Engine
-from planner.pddl.validation import read
 
 DOMAIN = """(define (domain packing)
   (:requirements :strips :typing :action-costs)
@@ -103,7 +102,7 @@ def test_from_python(tmp_path: Path, name: str) -> None:
     case = CASES[name]
     problem = case.write(tmp_path)
     if case.cost is None:
-        for ask in (lambda: load(problem), lambda: read(instance(problem))):
+        for ask in (lambda: load(problem), lambda: understood(instance(problem))):
             with pytest.raises(PDDLError) as error:
                 ask()
             assert case.said in str(error.value)
@@ -125,7 +124,7 @@ def test_from_the_engine(tmp_path: Path, name: str) -> None:
         warnings.simplefilter("ignore")  # unified-planning calls it unsupported where some values are not given
         with Engine() as engine:
             engine.error_on_failed_checks = False
-            result = engine.solve(read(instance(problem)))
+            result = engine.solve(understood(instance(problem)))
     assert result.status.name == "SOLVED_OPTIMALLY"
     plan = [f"({' '.join([step.action.name, *map(str, step.actual_parameters)])})" for step in result.plan.actions]
     assert load(problem).plan_cost(plan) == CASES[name].cost

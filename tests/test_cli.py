@@ -9,14 +9,14 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, write_instance
+from conftest import DOMAINS, KITTING, ROOT, invoke, kitassist, understood, write_instance
 
 from assist.cli import main
 from assist.cli.command_group import COMMANDS
 from assist.cli.options.help import GROUPS
 from planner import Packing, Table, load
 from planner.batch.solve_instance import SolveOptions, solve_instance
-from planner.pddl.validation import read, validate
+from planner.pddl.validation import validate
 
 FIELDS = [
     "instance", "domain", "status", "cost", "plan", "states", "transitions", "dead_ends", "max_cost_to_go", "method",
@@ -40,7 +40,7 @@ def test_solve_the_papers_instance() -> None:
     assert record["verified"] == 20 or record["seconds"]["verify"] > SolveOptions.comparison_seconds
     assert record["consistent"] == 20
     assert len(record["plan"]) == 10
-    validate(read(load(KITTING / "paper.pddl").instance), record["plan"])
+    validate(understood(load(KITTING / "paper.pddl").instance), record["plan"])
     assert set(record["seconds"]) == {"read", "translate", "search", "verify", "plan", "validate", "total"}
     assert record["versions"]["fast_downward"].startswith("26.")
 
@@ -94,7 +94,7 @@ def test_tables_and_plans_are_saved(tmp_path: Path, tiny: Table, monkeypatch: py
     (record,) = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
     lines = (out / "in" / "problem.plan").read_text().splitlines()
     assert lines == [*record["plan"], "; cost = 6 (unit cost)"]
-    validate(read(instance), lines[:-1])
+    validate(understood(instance), lines[:-1])
     with np.load(out / "in" / "problem.npz") as saved:
         np.testing.assert_array_equal(saved["cost_to_go"], tiny.distance)
         packing = Packing(saved["word"], saved["shift"], saved["bits"], saved["states"].shape[1])

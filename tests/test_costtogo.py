@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -187,11 +186,6 @@ def test_states_are_compared_with_fast_downward(table: Table) -> None:
     assert verify(table, 7, np.random.default_rng(0), seconds=0.0, known=known) == 1
     assert verify(table, 7, np.random.default_rng(0), seconds=600, limits=Limits(seconds=60)) == 7
     assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1)) == 0
-    with pytest.raises(fast_downward.FastDownwardError, match="of_no_kind"):
-        verify(table, 1, np.random.default_rng(0), searches=("astar(of_no_kind())",))
-    both = (None, "astar(blind())")
-    assert verify(table, 7, np.random.default_rng(0), limits=Limits(memory_mb=1), searches=both) == 0
-    assert verify(table, 7, np.random.default_rng(0), searches=(None, "astar(blind())")) == 7
 
 
 def test_a_state_that_takes_too_long_is_left_out(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,26 +200,6 @@ def test_a_state_that_takes_too_long_is_left_out(table: Table, monkeypatch: pyte
     monkeypatch.setattr(verification, "astar", search)
     assert verify(table, 7, np.random.default_rng(0), progress=told.append) == 6
     assert (len(asked), told) == (7, [1, 2, 3, 4, 5, 6])
-
-
-def test_the_first_answer_ends_the_other_searches(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every search has the limits of the caller."""
-    stopped = list[bool]()
-
-    def search(_: Task, state: list[int], *, search: str, limits: Limits) -> tuple[float, None]:
-        assert limits.seconds == 60
-        assert limits.stop is not None
-        if search == "quick":
-            return H[state[0]], None
-        end = time.monotonic() + 10
-        while not limits.stop.is_set() and time.monotonic() < end:
-            time.sleep(0.01)
-        stopped.append(limits.stop.is_set())
-        raise LimitError("stopped")
-
-    monkeypatch.setattr(verification, "astar", search)
-    assert verify(table, 2, np.random.default_rng(0), limits=Limits(seconds=60), searches=("slow", "quick")) == 2
-    assert stopped == [True, True]
 
 
 def test_states_are_compared_one_at_a_time_without_a_thread(table: Table, monkeypatch: pytest.MonkeyPatch) -> None:

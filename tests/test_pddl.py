@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from conftest import KITTING, kitassist, write_instance
+from conftest import KITTING, kitassist, understood, write_instance
 
 from assist.cli import main
 from planner import InstanceError, PDDLError, find_instances, load
-from planner.pddl.validation import InvalidPlanError, read, validate
+from planner.pddl.validation import InvalidPlanError, validate
 
 DOMAIN = (KITTING / "domain.pddl").read_text()
 PROBLEM = (KITTING / "tiny.pddl").read_text()
@@ -450,6 +450,6 @@ def test_find_instances(tmp_path: Path) -> None:
 
 
 def test_an_invalid_plan_is_rejected(tmp_path: Path) -> None:
-    problem = read(write_instance(tmp_path, DOMAIN, PROBLEM))
+    problem = understood(write_instance(tmp_path, DOMAIN, PROBLEM))
     with pytest.raises(InvalidPlanError):
         validate(problem, ["(fetch box-a)", "(return box-a)"])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DOMAINS, KITTING, SMALL, kit, named, solvable, table_of, thinned, write_instance
+from conftest import DOMAINS, KITTING, SMALL, kit, named, solvable, table_of, thinned, understood, write_instance
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
@@ -18,7 +18,6 @@ from planner import Instance, LimitError, Limits, MismatchError, Packing, Table,
 from planner.batch.solve_instance import SolveOptions, solve_instance
 from planner.grounding.fast_downward import with_initial_state
 from planner.grounding.task import Task, Variable
-from planner.pddl.validation import read
 
 WITH_STATES = solvable(SMALL)
 
@@ -123,7 +122,7 @@ def test_transitions_equal_unified_plannings(tiny: Table) -> None:
         warnings.simplefilter("ignore")
         from unified_planning.engines.sequential_simulator import UPSequentialSimulator
 
-        problem = read(tiny.space.task.instance)
+        problem = understood(tiny.space.task.instance)
         simulator = UPSequentialSimulator(problem)
         start = simulator.get_initial_state()
         space = tiny.space

@@ -35,6 +35,7 @@ def check(task: Task) -> float:
     return cost
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([range(1, 2), range(3), range(0, 30, 3)]))
 def test_what_is_written_is_read_back(seed: int, axioms: bool, costs: range) -> None:
     task = random_task(random.Random(seed), axioms=axioms, costs=costs)

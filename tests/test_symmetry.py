@@ -39,7 +39,7 @@ from planner.costtogo import on_demand
 from planner.costtogo.orbits import OrbitTable, orbits
 from planner.costtogo.verification import check_successors
 from planner.grounding.semantics import replay
-from planner.search.symmetry.automorphisms import symmetries
+from planner.search.symmetry.automorphisms import Symmetries, symmetries
 from planner.search.symmetry.canonical_states import Forms, canonical
 
 
@@ -100,6 +100,15 @@ def copies(rng: random.Random, count: int, costs: range) -> Task:
     )
 
 
+def moved(group: Symmetries, symmetry: np.ndarray, state: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the image of a state under a symmetry."""
+    facts = symmetry[group.first[:-1] + np.array(state)]
+    variables = np.searchsorted(group.first, facts, side="right") - 1
+    image = np.empty(len(state), dtype=np.int64)
+    image[variables] = facts - group.first[variables]
+    return tuple(image.tolist())
+
+
 def check(task: Task) -> tuple[Table, OrbitTable]:
     """Compare the cost-to-go of orbits with that of all states, and states of one orbit with each other."""
     table, found = sweep(task), orbits(task, max_orbits=10**6)
@@ -125,7 +134,7 @@ def check(task: Task) -> tuple[Table, OrbitTable]:
     waiting = list(root)
     for state in waiting:  # which grows meanwhile
         for generator in group.generators:
-            (image,) = map(tuple, group.apply(generator, np.array([state])).tolist())
+            image = moved(group, generator, state)
             if image not in root:
                 root[image] = image
                 waiting.append(image)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..grounding.task import Task
 from ..states.packing import Ints
 from ..states.state_space import Transitions
+from ..system.errors import MismatchError
 
 
 class CostToGo(Protocol):
@@ -81,3 +82,44 @@ def optimal_choices(known: CostToGo, states: ArrayLike, rows: Transitions) -> ND
     before, after = np.split(known.plan_lengths(both), 2)
     cheapest[cheapest] = after < before
     return cheapest
+
+
+def optimal_plan(known: CostToGo, start: int) -> list[str] | None:
+    """Return an optimal plan from a state, by looking up successors; None from a dead end.
+
+    If actions of cost zero exist, the plan has the fewest actions among the optimal plans.
+
+    Raises
+    ------
+    MismatchError
+        No successor of a state has the cost-to-go that its own implies.
+    """
+    if not np.isfinite(known.lookup([start])[0]):
+        return None
+    # Actions of cost zero can form cycles. Greedy descent could then loop, so this is a breadth-first search.
+    costs = np.asarray(known.task.costs)
+    descent = 0 not in costs
+    seen = np.zeros(len(known), dtype=bool)
+    layer = np.array([start])
+    came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, their predecessors and the actions
+    while not (ends := known.is_goal(layer)).any():
+        seen[layer] = True
+        rows = known.choices(layer)
+        seen = np.append(seen, np.zeros(len(known) - len(seen), dtype=bool))  # some may have been met only now
+        sources = np.repeat(layer, np.diff(rows.offsets))
+        cheapest = costs[rows.actions] + known.lookup(rows.targets) == known.lookup(sources)
+        cheapest &= ~seen[rows.targets]
+        targets, first = np.unique(rows.targets[cheapest], return_index=True)
+        if descent:  # h* decreases with every action, so one successor suffices
+            targets, first = targets[:1], first[:1]
+        came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
+        if not len(targets):
+            h = known.lookup(layer[:1])[0]
+            raise MismatchError(f"no cheapest way leads on from state {layer[0]}, {h:g} from the goal")
+        layer = targets
+    at, plan = layer[ends.argmax()], []
+    for targets, sources, actions in reversed(came):
+        place = np.searchsorted(targets, at)
+        plan.append(known.task.actions[actions[place]])
+        at = sources[place]
+    return plan[::-1]

@@ -36,7 +36,7 @@ from ..system.machine import processors
 from ..system.threads import on_threads
 from .astar import OVERFLOW, UNIT, astar, counted, fastest_search, priced
 from .cache import Cache
-from .cost_to_go import optimal_choices
+from .cost_to_go import optimal_plan
 from .orbits import OrbitTable
 
 
@@ -116,7 +116,7 @@ class OnDemand:
         The states must be reachable, which is not checked.
         """
         array = np.asarray(values)
-        sizes = np.array([len(variable.facts) for variable in self.task.variables])
+        sizes = np.array(self.task.sizes)
         whole = not array.size or array.dtype.kind in "iu"
         if not whole or array.ndim != 2 or array.shape[1] != len(sizes) or not ((array >= 0) & (array < sizes)).all():
             raise ValueError(f"expected values of shape (N, {len(sizes)}), each one of its variable's values")
@@ -215,21 +215,9 @@ class OnDemand:
         """Return an optimal plan from a state (default: the initial state); None from a dead end."""
         at = self.initial if state is None else state
         if self.orbits is not None:
-            return self._descent(at)
+            return optimal_plan(self, at)
         values = self.values([at])[0]
         return astar(self._priced, tuple(values.tolist()), limits=self._limits)[1]
-
-    def _descent(self, state: int) -> list[str] | None:
-        """Return the plan of optimal choices from a state to the goal; None from a dead end."""
-        if not np.isfinite(self.lookup([state])[0]):
-            return None
-        plan = []
-        while not self.is_goal([state])[0]:
-            rows = self.choices([state])
-            best = int(optimal_choices(self, [state], rows).argmax())
-            plan.append(self.task.actions[rows.actions[best]])
-            state = int(rows.targets[best])
-        return plan
 
     def _ask(self, missing: Sequence[bytes], progress: Callable[[int], None] | None) -> None:
         if self._search is None:

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,17 +116,10 @@ def cost_to_go(
     def swept(stop: threading.Event | None = None, progress: Progress = progress) -> Table | _Unswept:
         """Sweep the task; return the reason if it is not swept."""
         states = 0
+        both: dict[str, Any] = {"memory_limit_mb": memory_limit_mb, "threads": jobs, "stop": stop, "lent": lent}
+        both["progress"] = progress
         try:
-            return sweep(
-                task,
-                max_states=max_states,
-                memory_limit_mb=memory_limit_mb,
-                deadline=deadline,
-                threads=jobs,
-                stop=stop,
-                progress=progress,
-                lent=lent,
-            )
+            return sweep(task, max_states=max_states, deadline=deadline, **both)
         except (MemoryLimitError, MemoryError):
             reason = "a table of all states does not fit the memory"  # the missing amount differs between runs
         except LimitError as error:
@@ -136,20 +129,11 @@ def cost_to_go(
                 return _Unswept(str(error), None)
             reason, states = str(error), max_states + 1
         try:
-            found = orbits(
-                task,
-                max_orbits=max_states // 4,  # an orbit takes more time and memory than a state
-                states=states,
-                memory_limit_mb=memory_limit_mb,
-                deadline=None if deadline is None else (time.monotonic() + deadline) / 2,
-                threads=jobs,
-                stop=stop,
-                progress=progress,
-                lent=lent,
-            )
+            most = max_states // 4  # an orbit takes more time and memory than a state
+            half = None if deadline is None else (time.monotonic() + deadline) / 2
+            return _Unswept(reason, orbits(task, max_orbits=most, states=states, deadline=half, **both))
         except (LimitError, MemoryError):
             return _Unswept(reason, None)
-        return _Unswept(reason, found)
 
     if states is not None:
         return _race(task, np.atleast_2d(np.asarray(states, dtype=np.int64)), swept, cache, jobs, limits, progress)

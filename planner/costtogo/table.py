@@ -19,8 +19,7 @@ from ..grounding.task import Task
 from ..search.distances import UNREACHED, backward
 from ..states.packing import Ints
 from ..states.state_space import StateSpace, Transitions, state_numbers
-from ..system.errors import MismatchError
-from .cost_to_go import optimal_choices
+from .cost_to_go import optimal_choices, optimal_plan
 
 
 @dataclass(frozen=True)
@@ -148,33 +147,4 @@ class Table:
 
         If actions of cost zero exist, the plan has the fewest actions among the optimal plans.
         """
-        start = self.initial if state is None else state
-        if not np.isfinite(self[start]):
-            return None
-        # Actions of cost zero can form cycles. Greedy descent could then loop, so this is a breadth-first search.
-        costs = np.asarray(self.task.costs)
-        descent = 0 not in costs
-        seen = np.zeros(len(self), dtype=bool)
-        layer = np.array([start])
-        came: list[tuple[Ints, Ints, Ints]] = []  # of each layer: its states, their predecessors and the actions
-        while not (ends := self.is_goal(layer)).any():
-            seen[layer] = True
-            rows = self.choices(layer)
-            sources = np.repeat(layer, np.diff(rows.offsets))
-            cheapest = costs[rows.actions] + self.lookup(rows.targets) == self.lookup(sources)
-            cheapest &= ~seen[rows.targets]
-            targets, first = np.unique(rows.targets[cheapest], return_index=True)
-            if descent:  # h* decreases with every action, so one successor suffices
-                targets, first = targets[:1], first[:1]
-            came.append((targets, sources[cheapest][first], rows.actions[cheapest][first]))
-            if not len(targets):
-                raise MismatchError(
-                    f"no cheapest way leads on from state {layer[0]}, {self[int(layer[0])]:g} from the goal"
-                )
-            layer = targets
-        at, plan = layer[ends.argmax()], []
-        for targets, sources, actions in reversed(came):
-            place = np.searchsorted(targets, at)
-            plan.append(self.task.actions[actions[place]])
-            at = sources[place]
-        return plan[::-1]
+        return optimal_plan(self, self.initial if state is None else state)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from ..grounding import semantics
-from ..grounding.task import Task
 from ..system.errors import MismatchError
 from ..system.limits import NO_LIMITS, LimitError, Limits
 from .astar import astar
@@ -27,7 +25,6 @@ def verify(
     seconds: float | None = None,
     limits: Limits = NO_LIMITS,
     jobs: int = 1,
-    searches: Sequence[str | None] = (None,),
     known: Mapping[int, float] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> int:
@@ -47,8 +44,6 @@ def verify(
         Limits of each search.
     jobs : int
         Number of states that are compared in parallel.
-    searches : sequence of str or None
-        Search configurations for `astar`. They run concurrently for each state, and the first result counts.
     known : mapping of int to float, optional
         Results of A* that are known already, by state.
     progress : callable, optional
@@ -80,7 +75,7 @@ def verify(
         if over.is_set():
             return None
         try:
-            return _first(space.task, space.values([state])[0].tolist(), searches, own)
+            return astar(space.task, space.values([state])[0].tolist(), limits=own)[0]
         except LimitError:
             return None
 
@@ -99,22 +94,6 @@ def verify(
         finally:
             over.set()
     return compared
-
-
-def _first(task: Task, state: Sequence[int], searches: Sequence[str | None], limits: Limits) -> float:
-    """Return h* of a state from the first of several searches that finishes."""
-    if len(searches) == 1:
-        return astar(task, state, search=searches[0], limits=limits)[0]
-    done = threading.Event()
-    with ThreadPoolExecutor(len(searches)) as pool:
-        try:
-            own = limits.ended_by(done)
-            for each in as_completed([pool.submit(astar, task, state, search=one, limits=own) for one in searches]):
-                with suppress(LimitError):
-                    return each.result()[0]
-        finally:
-            done.set()
-    raise LimitError("no search was done in time")
 
 
 def check_successors(table: Table, count: int, rng: np.random.Generator, *, seconds: float | None = None) -> int:

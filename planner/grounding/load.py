@@ -14,10 +14,10 @@ from ..pddl.validation_process import PATIENCE, ValidationProcess
 from ..system.files import atomic
 from ..system.limits import NO_LIMITS, Limits
 from . import cross_check, fast_downward
+from .task import Effect, Fact, Operator, Task, Variable
 
 if TYPE_CHECKING:
     from unified_planning.model import Problem
-from .task import Effect, Fact, Operator, Task, Variable
 
 
 def load(

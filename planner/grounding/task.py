@@ -16,13 +16,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..pddl import instances
 from ..system.arrays import outline
-
-if TYPE_CHECKING:
-    pass
 
 Fact = tuple[int, int]
 """A variable and one of its values."""
@@ -143,6 +139,11 @@ class Task:
     def name(self) -> str:
         """The problem file's name without its ending."""
         return Path(self.instance.problem).stem
+
+    @property
+    def sizes(self) -> list[int]:
+        """Number of values of each variable."""
+        return [len(variable.facts) for variable in self.variables]
 
     @property
     def decided_by_translator(self) -> bool:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import bundled
-from . import bundled as shipped
 from .bundled import DOMAIN_FILE
 from .instances import Instance, PDDLError
 
@@ -225,7 +224,7 @@ def find_instances(names: Iterable[str | Path], domain: str | Path | None = None
             if not files and any(mark in str(path) for mark in "*?["):
                 raise InstanceError(f"{name}: no problem file matches")
             if not files and not (files := bundled.files(path)):
-                raise InstanceError(f"{name}: no such file or folder{shipped.near(path)}")
+                raise InstanceError(f"{name}: no such file or folder{bundled.near(path)}")
         found.update((_instance(file, domain, heads), None) for file in files)
     domains = {one.domain.resolve() for one in found if not heads[one.problem].is_domain}
     return [one for one in found if one.problem.resolve() not in domains]

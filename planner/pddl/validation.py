@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NoReturn
 
-from .instances import Instance, PDDLError
 from .s_expressions import tokens
 from .source import Source
 
@@ -56,23 +55,6 @@ class InstanceRefusedError(ValueError):
     def __init__(self, refusal: Refusal) -> None:
         self.refusal = refusal
         super().__init__(refusal.message)
-
-
-def read(instance: Instance) -> Problem:
-    """Read and validate the files of an instance with unified-planning, in this process.
-
-    Raises
-    ------
-    PDDLError
-        The files are not valid PDDL, do not match, or use features beyond classical planning with action costs, or
-        unified-planning cannot read them.
-    """
-    source = Source.of(instance)
-    try:
-        return parsed(source.typed_domain.text, source.problem_text)
-    except InstanceRefusedError as error:
-        refusal = error.refusal.placed(source)
-        raise PDDLError(getattr(instance, refusal.file), refusal.line, f"unified-planning: {refusal.message}") from None
 
 
 def validate(problem: Problem, plan: Sequence[str]) -> None:

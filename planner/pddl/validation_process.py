@@ -42,8 +42,6 @@ class ValidationProcess:
         self._process = _Process.idle(limits)
         self._source = source
         self._process.ask({"domain": source.typed_domain.text, "problem": source.problem_text})
-        self._refusal: Refusal | None = None
-        self._read = False
 
     def __enter__(self) -> ValidationProcess:
         return self
@@ -52,15 +50,13 @@ class ValidationProcess:
         self._process.release()
 
     def refusal(self, seconds: float = PATIENCE) -> Refusal | None:
-        """Wait for the result for the files: None if unified-planning accepts them."""
-        if not self._read:
-            self._read = True
-            answer = self._process.answer(seconds)
-            if answer is not None and "failed" in answer:
-                self._refusal = Refusal("problem", None, answer["failed"])
-            elif answer is not None:
-                self._refusal = Refusal(**answer).placed(self._source)
-        return self._refusal
+        """Wait, once, for the result for the files: None if unified-planning accepts them."""
+        answer = self._process.answer(seconds)
+        if answer is None:
+            return None
+        if "failed" in answer:
+            return Refusal("problem", None, answer["failed"])
+        return Refusal(**answer).placed(self._source)
 
     def check(self, plan: Sequence[str], seconds: float = PATIENCE) -> str | None:
         """Validate a plan of an instance that unified-planning has accepted.

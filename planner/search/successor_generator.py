@@ -10,6 +10,7 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,26 +31,26 @@ class _DecisionTreeBuilder:
 
     def __init__(self, packing: Packing, check: Check) -> None:
         self.packing, self.check = packing, check
-        self.word: list[int] = []
-        self.mask: list[int] = []
-        self.value: list[int] = []
-        self.skip: list[int] = []
-        self.shift: list[int] = []
-        self.field: list[int] = []
-        self.first: list[int] = []
+        self.tests: list[list[int]] = []  # columns: word, mask, value, skip, shift, field, and operators before
         self.jump: list[int] = []
         self.order: list[int] = []
 
     def test(self, word: int, mask: int, value: int, shift: int = 0, field: int = 0) -> int:
         """Append a test, and return its position. The target of a failed test is set later."""
-        self.first.append(len(self.order))
-        for column, entry in zip(
-            (self.word, self.mask, self.value, self.skip, self.shift, self.field),
-            (word, mask, value, 0, shift, field),
-            strict=True,
-        ):
-            column.append(entry)
-        return len(self.word) - 1
+        self.tests.append([word, mask, value, 0, shift, field, len(self.order)])
+        return len(self.tests) - 1
+
+    def skip_from(self, tests: Sequence[int]) -> None:
+        """Let the given tests, if they fail, continue after the last test so far."""
+        for test in tests:
+            self.tests[test][3] = len(self.tests)
+
+    def root(self, group: Sequence[tuple[frozenset[Fact], int]]) -> int:
+        """Append the tests of a whole group. Return a bound on the operators that apply at once."""
+        always = self.test(0, 0, 0)
+        most = self.build(group)
+        self.skip_from([always])
+        return most
 
     def build(self, group: Sequence[tuple[frozenset[Fact], int]]) -> int:
         """Append tests for the remaining facts of each operator. Return a bound on the operators that apply at once."""
@@ -85,19 +86,18 @@ class _DecisionTreeBuilder:
             field = (1 << int(packing.bits[v])) - 1
             switch = self.test(int(packing.word[v]), 0, 1, int(packing.shift[v]), field)
             begin = len(self.jump)
-            self.skip[switch] = -1 - begin
+            self.tests[switch][3] = -1 - begin
             self.jump.extend([-1] * (field + 1))
             ends = []
             for value in present:
-                self.jump[begin + value] = len(self.word)
+                self.jump[begin + value] = len(self.tests)
                 inside = [(facts - {(v, value)}, number) for facts, number in taken((v, value))]
                 most[v] = max(most[v], self.below(inside))
                 ends.append(self.test(0, 0, 1))  # the tests of one value end by leaving the switch
-            for end in ends:
-                self.skip[end] = len(self.word)
+            self.skip_from(ends)
             for value in range(field + 1):
                 if self.jump[begin + value] < 0:
-                    self.jump[begin + value] = len(self.word)
+                    self.jump[begin + value] = len(self.tests)
         return sum(not facts for facts, _ in group) + most.total()
 
     def below(self, inside: Sequence[tuple[frozenset[Fact], int]]) -> int:
@@ -107,24 +107,17 @@ class _DecisionTreeBuilder:
         words = np.flatnonzero(masks) if shared else [0]
         tests = [self.test(int(w), int(masks[w]), int(values[w])) for w in words]
         most = self.build([(facts - shared, number) for facts, number in inside])
-        for test in tests:
-            self.skip[test] = len(self.word)
+        self.skip_from(tests)
         return most
 
     def tree(self, operators: Ints, most: int) -> DecisionTree:
         """Return the tree of all tests, whose rows are the given operators."""
-        return DecisionTree(
-            np.array(self.word, np.int64),
-            np.array(self.mask, np.uint64),
-            np.array(self.value, np.uint64),
-            np.array(self.skip, np.int64),
-            np.array(self.shift, np.uint64),
-            np.array(self.field, np.uint64),
-            np.array(self.jump, np.int64),
-            np.array([*self.first, len(self.order)], np.int64),
-            operators,
-            most,
-        )
+        types: Any = (np.int64, np.uint64, np.uint64, np.int64, np.uint64, np.uint64, np.int64)
+        rows: Any = zip(*self.tests, [0] * 6 + [len(self.order)], strict=True)
+        *tests, first = (np.array(column, kind) for column, kind in zip(rows, types, strict=True))
+        word, mask, value, skip, shift, field = (column[:-1] for column in tests)
+        jump = np.array(self.jump, np.int64)
+        return DecisionTree(word, mask, value, skip, shift, field, jump, first, operators, most)
 
 
 class _ChangeTables:
@@ -179,9 +172,7 @@ def build_tests(
     chosen = candidates([moves[number] for number in possible], coding, builder.check)
     if chosen is None:
         chosen = NO_CANDIDATES
-        builder.test(0, 0, 0)  # it always holds
-        most = builder.build([(frozenset(moves[number].facts.items()), number) for number in possible])
-        builder.skip[0] = len(builder.word)
+        most = builder.root([(frozenset(moves[number].facts.items()), number) for number in possible])
     else:
         builder.order = possible
         most = int(np.bitwise_count(chosen.sets).sum(axis=1).max(initial=1))
@@ -222,10 +213,8 @@ def trees_of(
     """Return the decision trees of several groups, concatenated and numbered consecutively, and where each begins."""
     builder, most, begin, number = _DecisionTreeBuilder(packing, check), 0, [0], 0
     for conditions in groups:
-        root = builder.test(0, 0, 0)  # it always holds
-        most = max(most, builder.build([(facts, number + place) for place, facts in enumerate(conditions)]))
-        builder.skip[root] = len(builder.word)
-        begin.append(len(builder.word))
+        most = max(most, builder.root([(facts, number + place) for place, facts in enumerate(conditions)]))
+        begin.append(len(builder.tests))
         number += len(conditions)
     return builder.tree(np.array(builder.order, np.int64), max(1, most)), np.array(begin, np.int64)
 
@@ -335,13 +324,7 @@ def expanded(book: PackedOperators, states: Words) -> Iterator[Expanded]:
         yield counts[: stop - start], actions[:filled], after[:filled]
 
 
-NO_CANDIDATES = ApplicableSets(
-    np.empty((0, 0), np.uint64),
-    np.zeros(1, np.int64),
-    np.empty(0, np.int64),
-    np.empty(0, np.uint64),
-    np.empty(0, np.uint64),
-)
+NO_CANDIDATES = ApplicableSets(np.empty((0, 0), np.uint64), np.zeros(1, np.int64), *_columns([]))
 
 
 def candidates(
@@ -374,14 +357,7 @@ def candidates(
         masks, values = coding.packing.condition(facts)
         tests += [(int(word), int(masks[word]), int(values[word])) for word in np.flatnonzero(masks)]
         begin.append(len(tests))
-    word, mask, value = zip(*tests, strict=True) if tests else ((), (), ())
-    return ApplicableSets(
-        packed.view("<u8").astype(np.uint64),
-        np.array(begin, np.int64),
-        np.array(word, np.int64),
-        np.array(mask, np.uint64),
-        np.array(value, np.uint64),
-    )
+    return ApplicableSets(packed.view("<u8").astype(np.uint64), np.array(begin, np.int64), *_columns(tests))
 
 
 def _families(coding: StateRanking) -> list[list[int]]:

@@ -39,7 +39,7 @@ class Packing:
     @classmethod
     def of(cls, task: Task) -> Packing:
         """Lay out the variables of a task, in order."""
-        return cls.of_sizes([len(variable.facts) for variable in task.variables])
+        return cls.of_sizes(task.sizes)
 
     @classmethod
     def of_sizes(cls, sizes: Sequence[int]) -> Packing:

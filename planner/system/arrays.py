@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
@@ -27,6 +27,14 @@ def frozen(array: NDArray[T]) -> NDArray[T]:
     copy = array.copy()
     copy.flags.writeable = False
     return copy
+
+
+def padded(lists: Sequence[Sequence[int]], filler: int) -> NDArray[np.int64]:
+    """Return lists as the rows of an array, shape (n, most), padded with `filler`."""
+    rows = np.full((len(lists), max(map(len, lists), default=0)), filler, dtype=np.int64)
+    for row, entries in zip(rows, lists, strict=True):
+        row[: len(entries)] = entries
+    return rows
 
 
 def outline(record: Any) -> str:

@@ -67,21 +67,7 @@ def outcomes(
     """
     if scheduler is not None:
         return _on_cluster(work, items, arguments if hear is None else (*arguments, Reporter(None, 0)), scheduler)
-    listener = None if hear is None else Listener(lambda number, *report: hear(items[number], *report))
-    return _in_processes(work, items, arguments, jobs, timeout, listener)
-
-
-def _in_processes(
-    work: Callable[..., Result],
-    items: Sequence[Item],
-    arguments: Sequence[Any],
-    jobs: int,
-    timeout: float | None,
-    listener: Listener | None,
-) -> Generator[tuple[Item, Result | Exception]]:
-    with nullcontext() if listener is None else closing(listener), processes.safe_path():
-        if items:
-            yield from _in_a_pool(work, items, arguments, jobs, timeout, listener)
+    return _in_a_pool(work, items, arguments, jobs, timeout, hear)
 
 
 def _in_a_pool(
@@ -90,49 +76,53 @@ def _in_a_pool(
     arguments: Sequence[Any],
     jobs: int,
     timeout: float | None,
-    listener: Listener | None,
+    hear: Callable[..., None] | None,
 ) -> Generator[tuple[Item, Result | Exception]]:
     from multiprocessing.connection import Connection
 
     from pebble import ProcessExpired, ProcessPool
 
-    # Otherwise the first worker starts it, in the thread that starts all of them, and unblocks Ctrl-C there.
-    resource_tracker.ensure_running()
-    others = set(active_children())
-    pipe = None if listener is None else Connection(os.dup(listener.pipe), readable=False)
-    pool = ProcessPool(
-        max_workers=min(jobs, len(items)),
-        context=get_context("spawn"),
-        initializer=_begin,
-        initargs=(processes.guarded_group(), pipe),
-    )
-    try:
-        with _interrupts_left_to_this_process():
-            futures: dict[Future[Result], Item] = {
-                pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
-                for number, item in enumerate(items)
-            }
-            if listener is not None:
-                listener.start()
-        for future in as_completed(futures):
-            outcome: Any
-            try:
-                outcome = future.result()
-            except ProcessExpired as error:
-                outcome = _died(error.exitcode)
-            except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
-                outcome = error
-            yield futures[future], outcome
-        pool.close()  # type: ignore[no-untyped-call]
-    except BaseException:
-        for worker in set(active_children()) - others:
-            worker.kill()  # at once: `stop` waits three seconds for each, and their results are not needed
-        pool.stop()  # type: ignore[no-untyped-call]
-        raise
-    finally:
-        pool.join()
-        if pipe is not None:
-            pipe.close()
+    if not items:
+        return
+    listener = None if hear is None else Listener(lambda number, *report: hear(items[number], *report))
+    with nullcontext() if listener is None else closing(listener), processes.safe_path():
+        # Otherwise the first worker starts it, in the thread that starts all of them, and unblocks Ctrl-C there.
+        resource_tracker.ensure_running()
+        others = set(active_children())
+        pipe = None if listener is None else Connection(os.dup(listener.pipe), readable=False)
+        pool = ProcessPool(
+            max_workers=min(jobs, len(items)),
+            context=get_context("spawn"),
+            initializer=_begin,
+            initargs=(processes.guarded_group(), pipe),
+        )
+        try:
+            with _interrupts_left_to_this_process():
+                futures: dict[Future[Result], Item] = {
+                    pool.schedule(_carry_out, args=(work, number, item, *arguments), timeout=timeout): item
+                    for number, item in enumerate(items)
+                }
+                if listener is not None:
+                    listener.start()
+            for future in as_completed(futures):
+                outcome: Any
+                try:
+                    outcome = future.result()
+                except ProcessExpired as error:
+                    outcome = _died(error.exitcode)
+                except Exception as error:  # noqa: BLE001  a failure of one item does not stop the others
+                    outcome = error
+                yield futures[future], outcome
+            pool.close()  # type: ignore[no-untyped-call]
+        except BaseException:
+            for worker in set(active_children()) - others:
+                worker.kill()  # at once: `stop` waits three seconds for each, and their results are not needed
+            pool.stop()  # type: ignore[no-untyped-call]
+            raise
+        finally:
+            pool.join()
+            if pipe is not None:
+                pipe.close()
 
 
 _pipe: Connection | None = None  # in a worker: the pipe for its reports

@@ -51,7 +51,7 @@ def determined(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
     Variables with many values that use up few invariants are preferred. Each one depends only on variables that are not
     in the result, or that precede it. `check` is called with the bytes of the invariants.
     """
-    sizes = np.array([len(variable.facts) for variable in task.variables])
+    sizes = np.array(task.sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
     space = invariants(task, moves, check)
     in_use = 4 * space.nbytes  # the next space, and both in floating point
@@ -88,7 +88,7 @@ def invariants(task: Task, moves: Sequence[TNFOperator], check: Check = unchecke
     """
     # Limit on the steps of elimination (facts^2 times distinct changes), above which invariants are not computed.
     most_work = 1 << 32
-    sizes = np.array([len(variable.facts) for variable in task.variables])
+    sizes = np.array(task.sizes)
     first = np.concatenate([[0], np.cumsum(sizes)])
     varying = np.zeros(len(sizes), dtype=bool)
     varying[[v for move in moves for v in move.after]] = True

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...grounding.task import Task
 from ...states.packing import Ints
+from ...system.arrays import padded
 from ...system.jit import njit
 from ...system.limits import Check, unchecked
 from .transition_normal_form import TNFOperator
@@ -54,14 +55,14 @@ class Mutexes:
         `check` is called with the number of bytes that the computation needs, before they are allocated.
         """
         most_work = 1 << 26  # limit on moves times facts, above which mutexes are not computed
-        first = np.concatenate([[0], np.cumsum([len(variable.facts) for variable in task.variables])])
+        first = np.concatenate([[0], np.cumsum(task.sizes)])
         facts = int(first[-1])
         if len(moves) * facts > most_work:
             return None
         in_use = facts**2 + 2 * len(moves) * facts
         check(in_use)
         needs, gains, keeps = (
-            _rows([[int(first[v]) + value for v, value in facts.items()] for facts in side])
+            padded([[int(first[v]) + value for v, value in facts.items()] for facts in side], -1)
             for side in (
                 [move.facts for move in moves],
                 [move.after for move in moves],
@@ -87,14 +88,6 @@ class Mutexes:
             _bar(needs[begin : begin + step], variable, together, barred[begin : begin + step])
         left = [move for move, can in zip(moves, possible, strict=True) if can]
         return cls(first, together, left, barred[possible])
-
-
-def _rows(lists: Sequence[Sequence[int]]) -> Ints:
-    """Return lists as the rows of an array, shape (n, most), padded with -1."""
-    rows = np.full((len(lists), max(map(len, lists), default=0)), -1, dtype=np.int64)
-    for row, entries in zip(rows, lists, strict=True):
-        row[: len(entries)] = entries
-    return rows
 
 
 @njit(nogil=True)

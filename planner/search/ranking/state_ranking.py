@@ -99,7 +99,7 @@ class StateRanking:
         cls, task: Task, groups: Sequence[frozenset[Fact]], moves: Sequence[TNFOperator], check: Check = unchecked
     ) -> StateRanking | None:
         """Return the ranking by single variables, without those that the groups imply; None if 62 bits are too few."""
-        sizes = [len(variable.facts) for variable in task.variables]
+        sizes = task.sizes
         sums = _implied(sizes, groups, check)
         # Blocks of states are sorted by rank. Variables that are tested often should change rarely, so they come last.
         uses = Counter(v for move in moves for v in move.facts)
@@ -120,7 +120,7 @@ class StateRanking:
         It is a ranking for the moves in `mutexes`. There is none if 62 bits do not suffice for the ranks, or if the
         sums do not fit their fields.
         """
-        sizes = [len(variable.facts) for variable in task.variables]
+        sizes = task.sizes
         left_out = determined(task, mutexes.moves, check)
         implied = {d.variable for d in left_out}
         merged = clusters(mutexes, task.initial, [v for v in range(len(sizes)) if v not in implied], check=check)

@@ -44,7 +44,7 @@ def split_operators(task: Task, check: Check = unchecked) -> list[TNFOperator] |
 
     The moves of an action are mutually exclusive: if several of its operators are applicable, the first one counts.
     """
-    sizes = [len(variable.facts) for variable in task.variables]
+    sizes = task.sizes
     most = max(1 << 12, 4 * len(task.operators))  # a task with more moves is not ranked
     earlier: dict[int, list[Sequence[Fact]]] = {}
     moves: list[TNFOperator] = []

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ...states.packing import Ints, Words
 from ...system.jit import njit
 from ...system.limits import Check, unchecked
+from ..kernels.state_hash import entry_of, fill_slots, find, hash_of
 from .mutexes import Mutexes
 
 MOST_VALUES = 1 << 16
@@ -110,21 +111,22 @@ class Projections:
     def _explored(self, after: Ints, allowed: Words, columns: list[int], factors: Ints, most: int) -> Ints:
         """Return the reachable keys (values times factors) of a projection; empty if there are more than `most`."""
         sizes = self.sizes[columns]
-        keys, queue = np.full(1 << 10, -1, dtype=np.int64), np.empty(1 << 9, dtype=np.int64)
+        slots, queue = np.zeros(1 << 10, dtype=np.uint64), np.empty((1 << 9, 1), dtype=np.uint64)
         queue[0] = self.initial[columns] @ factors
-        _insert(keys, queue[:1])
+        fill_slots(slots, queue, 0, 1)
         done, seen = 0, 1
         step = STEPS_PER_CHECK // (after.size + 1) + 1
         while done < seen:
             if seen == len(queue):
-                keys = np.full(2 * len(keys), -1, dtype=np.int64)
-                _insert(keys, queue)
+                slots = np.zeros(2 * len(slots), dtype=np.uint64)
+                fill_slots(slots, queue, 0, seen)
                 queue = np.concatenate([queue, np.empty_like(queue)])
-            self.check(self.in_use + 2 * (after.nbytes + allowed.nbytes) + 2 * (keys.nbytes + queue.nbytes))
-            done, seen = _explore(after, allowed, factors, sizes, keys, queue, done, min(seen, done + step), seen, most)
+            self.check(self.in_use + 2 * (after.nbytes + allowed.nbytes) + 2 * (slots.nbytes + queue.nbytes))
+            stop = min(seen, done + step)
+            done, seen = _explore(after, allowed, factors, sizes, slots, queue, done, stop, seen, most)
             if seen > most:
                 return np.empty(0, dtype=np.int64)
-        return queue[:seen]
+        return queue[:seen, 0].astype(np.int64)
 
 
 def clusters(
@@ -198,24 +200,7 @@ def _merged(projections: Projections, a: Cluster, b: Cluster) -> Cluster | None:
 
 
 @njit(nogil=True)
-def _slot(keys, key):
-    """Return the slot of a key in a hash table, or the free slot (-1) where it belongs."""
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)  # Fibonacci hashing (Knuth, vol. 3, 6.4)
-    at = np.int64(mixed >> np.uint64(32)) & (len(keys) - 1)
-    while keys[at] != key and keys[at] != -1:
-        at = (at + 1) & (len(keys) - 1)
-    return at
-
-
-@njit(nogil=True)
-def _insert(keys, new):
-    """Insert distinct keys into a hash table that has room for them."""
-    for key in new:
-        keys[_slot(keys, key)] = key
-
-
-@njit(nogil=True)
-def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, most):
+def _explore(after, allowed, factors, sizes, slots, queue, begin, stop, seen, most):
     """Append the successors of `queue[begin:stop]` to the queue, which has `seen` entries, and to the hash table.
 
     Returns
@@ -226,9 +211,9 @@ def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, mos
         Number of entries; `most + 1` if there are more than `most`.
     """
     width = len(factors)
-    values = np.empty(width, dtype=np.int64)
+    values, new = np.empty(width, dtype=np.int64), np.empty(1, dtype=np.uint64)
     for done in range(begin, stop):
-        key = queue[done]
+        key = np.int64(queue[done, 0])
         for j in range(width):
             values[j] = key // factors[j] % sizes[j]
         for m in range(len(after)):
@@ -241,14 +226,16 @@ def _explore(after, allowed, factors, sizes, keys, queue, begin, stop, seen, mos
                     target += (after[m, j] - values[j]) * factors[j]
             if target < 0:
                 continue
-            slot = _slot(keys, target)
-            if keys[slot] == target:
+            new[0] = target
+            mixed = hash_of(new)
+            slot = find(slots, queue, new, mixed)
+            if slots[slot] != 0:
                 continue
             if seen == most:
                 return done, most + 1
             if seen == len(queue):
                 return done, seen
-            keys[slot] = target
-            queue[seen] = target
+            slots[slot] = entry_of(mixed, seen)
+            queue[seen, 0] = target
             seen += 1
     return stop, seen

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from ...grounding.task import Fact, Task
 from ...states.packing import Ints
+from ...system.arrays import padded
 
 Colors = NDArray[np.uint64]
 
@@ -69,14 +70,6 @@ class Symmetries:
     def order(self) -> int:
         """Order of the group, including the identity."""
         return prod(len(level.moves) for level in self.levels)
-
-    def apply(self, symmetry: Ints, values: Ints) -> Ints:
-        """Return the images of states, shape (n, variables), under a symmetry."""
-        facts = symmetry[self.first[:-1] + values]
-        variable = np.searchsorted(self.first, facts, side="right") - 1
-        images = np.empty_like(values)
-        np.put_along_axis(images, variable, facts - self.first[variable], axis=1)
-        return images
 
 
 def symmetries(
@@ -142,7 +135,7 @@ class _Search:
         self.goal = np.zeros(facts, dtype=bool)
         self.goal[[number(pair) for pair in task.goal]] = True
         self.variable = np.repeat(np.arange(len(task.variables)), np.diff(self.first))
-        self.needed, self.made = _rows(needed, facts), _rows(made, facts)
+        self.needed, self.made = padded(needed, facts), padded(made, facts)
         self.proof = self._sorted(np.arange(facts))
         operators = facts + len(task.variables) + np.arange(len(task.operators))
         joined = [  # source, target, kind of edge
@@ -270,14 +263,6 @@ class _Search:
         if not levels:
             return None
         return Symmetries(self.first, tuple(reversed(levels)), tuple(generators))
-
-
-def _rows(lists: Sequence[Sequence[int]], filler: int) -> Ints:
-    """Return lists as rows of equal length, padded with `filler`."""
-    rows = np.full((len(lists), max(map(len, lists), default=0)), filler, dtype=np.int64)
-    for row, entries in zip(rows, lists, strict=True):
-        row[: len(entries)] = entries
-    return rows
 
 
 def _edges(vertices: Ints, rows: Ints, filler: int) -> tuple[Ints, Ints]:
