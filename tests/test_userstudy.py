@@ -8,6 +8,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from userstudies import PLAN, SCORES, Part, written
 from assist.live.live_task import InapplicableError
 from assist.live.store import stored
 from assist.reports.userstudy_summary import summarise
+from assist.userstudy import cohort
 from assist.userstudy.assignment import balanced_orders
 from assist.userstudy.cohort import Cohort, FullError, StudyEvent
 from assist.userstudy.plan import FileTable, read
@@ -68,6 +70,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path: Path) -> None
         ("seed = 3", "seed = ", "Invalid value"),
         ('name = "attention"', 'name = "none"', r"conditions\[2\].name: there are two conditions 'none'"),
         ('practice = "', 'practice = "x', "practice: .*no such file"),
+        ("seed = 3", 'withdraw_until = "soon"', 'withdraw_until: "soon"; expected a date such as 2027-03-31'),
         ("seed = 3", 'design = "mixed"', "design: 'mixed'; expected one of between, within"),
     ]
     for right, wrong, message in faults:
@@ -357,6 +360,54 @@ def test_data_can_be_withdrawn_after_the_end_and_are_in_no_table_then(opened: Op
         assert getattr(after, name) == kept
     session.close()
     assert opened().cohort.person("ann")["study"]["kind"] == "withdrew"
+
+
+def test_data_can_be_withdrawn_until_the_studys_date_and_the_report_counts_everybody(
+    opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who withdrew or was excluded is in no mean; the report says how many, and why."""
+    session = opened(PLAN.replace("seed = 3", "seed = 3\nwithdraw_until = 2027-03-31"))
+    parts = {name: Part(session, name) for name in ("ann", "bob", "cid", "dora", "eve", "fay")}
+    for name, part in parts.items():
+        part.come()
+        if name not in ("eve", "fay"):
+            part.to("thanks")
+    parts["eve"].to("task tiny")
+    with pytest.raises(ValueError, match="reason: expected 1 to 200 characters; found 0"):
+        parts["cid"].report("excluded", reason="")
+    parts["cid"].report("excluded", reason="did another study")
+    parts["dora"].report("excluded", reason="by mistake")
+    parts["dora"].report("excluded", reason=None)
+    parts["fay"].report("withdrew")
+
+    def it_is(now: datetime) -> None:
+        clock = type("Clock", (datetime,), {"now": classmethod(lambda *_: now)})
+        monkeypatch.setattr(cohort, "datetime", clock)
+
+    it_is(datetime(2027, 3, 31, 23, 59, tzinfo=UTC))
+    parts["ann"].report("withdrew")
+    it_is(datetime(2027, 4, 1, 0, 1, tzinfo=UTC))
+    with pytest.raises(InapplicableError, match="data could be withdrawn until 2027-03-31"):
+        parts["bob"].report("withdrew")
+    with pytest.raises(InapplicableError, match="the data of ann are in no analysis"):
+        parts["ann"].report("excluded", reason="late")
+    parts["eve"].report("withdrew")  # who takes part can leave at any time
+    session.erase("cid", "wrote a letter")  # and the researchers can erase at any time
+    parts["bob"].report("excluded", reason="did another study")
+    found = tables(session.study, session.folder / JOURNAL)
+    summary = summarise(session.study, found)
+    assert summary["participants"] == {
+        "enrolled": 6, "declined": 1, "full": 0, "randomised": 5, "completed": 2, "withdrew": 3, "gone": 0, "here": 0,
+        "erased": 1, "excluded": {"did another study": 1}, "analysed": 1,
+    }  # fmt: skip
+    assert {row["participant"] for row in found.tasks} == {"bob", "dora"}  # what is excluded stays in the export
+    assert [sum(cell["n"] for cell in one["cells"]) for one in summary["measures"]][:2] == [1, 1]
+    assert [one["n"] for one in summary["questionnaires"]] == [1, 1]
+    session.close()
+    text = session.study.file.read_text()
+    again = opened(text)
+    assert again.cohort.participants["bob"].excluded == "did another study"
+    assert again.cohort.participants["dora"].excluded is None
 
 
 def test_who_leaves_before_the_task_gives_the_place_free_and_may_come_back(opened: Open) -> None:

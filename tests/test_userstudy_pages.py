@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import signal
 import time
 import zipfile
@@ -74,6 +75,30 @@ def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
     assert web.come("ann").status_code == 200
     people = web.ask("GET", "/api/study").json()["participants"]
     assert [one["simulated"] for one in people] == [False]
+
+
+def test_data_are_withdrawn_by_code_after_the_end(web: Web) -> None:
+    ann, bob = (web.come(name).json()["person"] for name in ("ann", "bob"))
+    path = f"/api/study/participants/{ann}"
+    found = web.ask("GET", f"{path}/withdrawal", ann).json()
+    assert found["code"].startswith(f"{ann}-")
+    assert (found["address"], found["until"]) == (f"{web.service.join_url()}?withdraw", None)
+    assert web.onward(ann, "consent").status_code == 200
+    withdrawals = "/api/study/withdrawals"
+    for status, who, code in (
+        (404, VISITOR, f"{ann}-22222222"), (404, VISITOR, ann), (404, VISITOR, "\u00e9"), (422, VISITOR, ""),
+        (403, bob, found["code"]),
+    ):  # fmt: skip
+        refused = web.ask("POST", withdrawals, who, json={"code": code})
+        assert (refused.status_code, set(refused.json())) == (status, {"detail"})
+    assert web.ask("GET", f"/api/people/{ann}", ann).json()["study"]["kind"] == "instructions"
+    for code in (found["code"], f" {found['code'].lower()}"):  # also as people type it; a second time changes nothing
+        assert web.ask("POST", withdrawals, VISITOR, json={"code": code}).json() == {"done": True}
+        assert web.ask("GET", f"/api/people/{ann}", ann).json()["study"]["kind"] == "withdrew"
+    assert web.ask("POST", f"/api/study/participants/{bob}/exclude", bob, json={"reason": "x"}).status_code == 403
+    assert web.ask("POST", f"/api/study/participants/{bob}/exclude", json={"reason": "late"}).json() == {"done": True}
+    people = {one["code"]: one["excluded"] for one in web.ask("GET", "/api/study").json()["participants"]}
+    assert people == {ann: None, bob: "late"}
 
 
 def test_a_fault_of_the_program_is_one_sentence_and_stops_nobody(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,6 +277,16 @@ def test_a_participant_goes_the_whole_way_though_the_service_is_killed(
         with second.expect_download() as download:
             second.click("#export")
         packed = zipfile.ZipFile(download.value.path())
+        withdraws = context.new_page()
+        withdraws.goto(re.search(r"http\S+\?withdraw", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
+        withdraws.fill("#code", "P-222222-22222222")
+        withdraws.click("#withdraw button")
+        withdraws.wait_for_selector("text=there is no such code")
+        is_well(withdraws)
+        withdraws.fill("#code", re.search(r"P-\w{6}-\w{8}", page.inner_text("#withdrawal"))[0])  # type: ignore[index]
+        withdraws.click("#withdraw button")
+        withdraws.wait_for_selector("text=Your data are withdrawn.")
+        page.wait_for_selector('h2:text("You have left the study")')
         second.on("dialog", lambda dialog: dialog.accept("asked by post"))
         second.click('#people button:text("Erase") >> nth=-1')
         second.wait_for_selector('#people td:text("(erased 1)")')

@@ -60,7 +60,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
 def _rows(file: Path, columns: dict[str, str]) -> Iterator[Row]:
     with file.open(newline="", encoding="utf-8") as stream:
         reader = csv.DictReader(stream)
-        before = [name for name in columns if name != "utc"]  # exports of earlier versions
+        before = [name for name in columns if name not in ("utc", "excluded")]  # exports of earlier versions
         if list(reader.fieldnames or ()) not in (list(columns), before):
             raise DamagedFileError(file, 1, f"expected the columns {', '.join(columns)}")
         for row in reader:
@@ -93,6 +93,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
         The folder is neither.
     """
     study, found = of_folder(folder)
+    found = found.analysed()
     summary = summarise(study, found)
     pictures = dict(_pictures(study, found, summary))
     for name, (_, figure) in pictures.items():
@@ -175,21 +176,39 @@ def _sections(study: UserStudy, summary: dict[str, Any], shown: dict[str, str]) 
 
 def _who_took_part(study: UserStudy, summary: dict[str, Any], picture: Iterator[str]) -> Iterator[str]:
     yield "## Participants"
-    flow, conditions = summary["flow"], summary["conditions"]
-    began = sum(one["begun"] for one in conditions)
-    done = sum(one["done"] for one in conditions)
+    counts, conditions = summary["participants"], summary["conditions"]
     drawn, place = ("order of conditions", "an order") if study.is_within else ("condition", "a condition")
     yield (
-        f"{flow[0]['reached']} arrived, {began} were randomised to their {drawn} when they began the first task, "
-        f"{done} completed the study. Participants who left before the first task do not count in {place}; those who "
+        f"{counts['enrolled']} arrived, {counts['randomised']} were randomised to their {drawn} when they began the "
+        f"first task, {counts['completed']} completed the study. Participants who left before the first task do not "
+        f"count in {place}; those who "
         + ("left later were replaced." if study.replace else "left later still count and were not replaced.")
     )
+    yield table(["participants", "number"], _counted(counts))
     head = [drawn, "policy", "randomised", "completed", "left after randomisation", "taking part"]
     yield table(
         head,
         ([one[key] for key in ("condition", "policy", "begun", "done", "left", "under_way")] for one in conditions),
     )
     yield from picture
+
+
+def _counted(counts: dict[str, Any]) -> Iterator[list[Any]]:
+    """Yield the rows of the table of participants: how many there are at each step, with reasons."""
+    yield ["enrolled", counts["enrolled"]]
+    for what, key in (
+        ("no consent", "declined"), ("turned away on return, as the study was full", "full"),
+        ("withdrew; their data are in no table, figure or mean", "withdrew"),
+        ("of them, with all records erased", "erased"),
+        ("dropped out", "gone"),
+    ):  # fmt: skip
+        if counts[key]:
+            yield [what, counts[key]]
+    yield ["randomised", counts["randomised"]]
+    yield ["completed", counts["completed"]]
+    for reason, count in counts["excluded"].items():
+        yield [f"excluded by the researchers: {reason}", count]
+    yield ["completed and analysed", counts["analysed"]]
 
 
 def _what_was_found(study: UserStudy, summary: dict[str, Any]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from statistics import fmean
@@ -96,6 +97,7 @@ def scored(questionnaire: Questionnaire, tables: Tables) -> Iterator[tuple[str, 
 
 def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
     """Return all numbers of the report as JSON data."""
+    tables = tables.analysed()
     names = [one.name for one in study.conditions]
     found = list(measures(study, tables))
     smallest = [min(len(found[0].values[name]), len(found[0].values[study.reference])) for name in names]
@@ -104,6 +106,7 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
         "simulated": any(row["simulated"] for row in tables.participants),
         "design": study.design,
         "reference": study.reference,
+        "participants": _counts(tables),
         "conditions": _conditions(study, tables),
         "flow": _flow(study, tables),
         "measures": [_measure(study, one) for one in found],
@@ -117,6 +120,22 @@ def summarise(study: UserStudy, tables: Tables) -> dict[str, Any]:
             name for name, count in zip(names, smallest, strict=True)
             if len(found[0].values[name]) < FEW
         ],
+    }  # fmt: skip
+
+
+def _counts(tables: Tables) -> dict[str, Any]:
+    """Return how many participants enrolled, were randomised, completed, left or were excluded, and why."""
+    people = tables.participants
+    statuses = Counter(row["status"] for row in people)
+    excluded = Counter(row["excluded"] for row in people if row["excluded"] is not None)
+    done = [row for row in people if row["status"] == "done"]
+    return {
+        "enrolled": len(people), "declined": statuses["declined"], "full": statuses["full"],
+        "randomised": sum(row["condition"] is not None for row in people), "completed": len(done),
+        "withdrew": statuses["withdrew"], "gone": statuses["gone"], "here": statuses["here"],
+        "erased": sum(row["participant"].startswith("(erased") for row in people),
+        "excluded": dict(sorted(excluded.items())),
+        "analysed": sum(row["excluded"] is None for row in done),
     }  # fmt: skip
 
 

@@ -32,8 +32,11 @@ from .plan import Stage, UserStudy
 
 HERE, GONE, DECLINED, WITHDREW, FULL, DONE = "here", "gone", "declined", "withdrew", "full", "done"
 
-KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned"}
+KINDS = {"visited", "onward", "acted", "elapsed", "expired", "withdrew", "left", "returned", "excluded"}
 """Kinds of events."""
+
+LONGEST_REASON = 200
+"""Number of characters of a reason; more would invite personal data."""
 
 LETTERS = "23456789BCDFGHJKLMNPQRSTVWXYZ"
 """Characters of completion codes: no vowels, and none that resembles another."""
@@ -55,11 +58,17 @@ class StudyEvent(Event):
         Answers, if the stage is a questionnaire.
     simulated : bool
         Whether a new participant is simulated.
+    reason : str or None
+        Why the researchers exclude the participant from the analysis; None: no longer.
+    late : bool
+        Whether data can be withdrawn after the study's date, because the researchers do it.
     """
 
     stage: str | None = None
     answers: Mapping[str, Any] | None = None
     simulated: bool = False
+    reason: str | None = None
+    late: bool = False
 
 
 @dataclass
@@ -86,6 +95,8 @@ class Participant:
         The assigned condition; in a within-participants design, the name of the order (`UserStudy.orders`).
     completion : str or None
         Completion code.
+    excluded : str or None
+        Why the researchers exclude the participant from the analysis.
     erased : bool
         Whether the records were erased; `code` is then a label.
     groups : dict of ParticipantTeam
@@ -102,6 +113,7 @@ class Participant:
     expired: bool = False
     condition: str | None = None
     completion: str | None = None
+    excluded: str | None = None
     erased: bool = False
     groups: dict[tuple[str, int], ParticipantTeam] = field(default_factory=dict)
 
@@ -206,7 +218,10 @@ class Cohort:
             if person.status != HERE:
                 raise InapplicableError(f"{person.code} is not taking part")
             return {"status": GONE}
+        if kind == "excluded":
+            return self._excludes(person, event)
         if kind == "withdrew" and person.status in (GONE, FULL, DONE):
+            self._in_time(person, event)
             return {"status": DECLINED if stage.kind == "consent" else WITHDREW}
         facts: dict[str, Any] = {}
         if person.status == GONE and kind in ("acted", "onward"):
@@ -227,6 +242,20 @@ class Cohort:
         if kind == "onward" and isinstance(event, StudyEvent):
             return facts | self._onward(person, event, n, time)
         raise InapplicableError(f"{kind}: not at {stage.name}")
+
+    def _excludes(self, person: Participant, event: Event) -> dict[str, Any]:
+        reason = event.reason if isinstance(event, StudyEvent) else None
+        if person.status in (DECLINED, WITHDREW):
+            raise InapplicableError(f"the data of {person.code} are in no analysis")
+        if reason is not None and not 0 < len(reason) <= LONGEST_REASON:
+            raise InvalidError(f"reason: expected 1 to {LONGEST_REASON} characters; found {len(reason)}")
+        return {"reason": reason}
+
+    def _in_time(self, person: Participant, event: Event) -> None:
+        """Refuse that data are withdrawn after the study's date."""
+        last, late = self.study.withdraw_until, isinstance(event, StudyEvent) and event.late
+        if person.status == DONE and last is not None and datetime.now(UTC).date() > last and not late:
+            raise InapplicableError(f"data could be withdrawn until {last.isoformat()}")
 
     def _onward(self, person: Participant, event: StudyEvent, n: int, time: float) -> dict[str, Any]:
         stage = self.stages[person.at]
@@ -279,6 +308,8 @@ class Cohort:
         person.acted = time
         person.status = HERE if record.get("returned") else record.get("status", person.status)
         person.expired = person.expired or bool(record.get("expired"))
+        if record["event"] == "excluded":
+            person.excluded = record["reason"]
         if "condition" in record:
             person.condition, self.begun = record["condition"], self.begun + 1
         if "completion" in record:
@@ -315,7 +346,7 @@ class Cohort:
             Nothing is recorded of this participant.
         """
         taking_part = self.known(person).status in (HERE, GONE, FULL, DONE)
-        return StudyEvent("withdrew", person) if taking_part else None
+        return StudyEvent("withdrew", person, late=True) if taking_part else None
 
     def without(self, person: str, label: str) -> Change:
         """Return a function that removes what is recorded of a participant from a record and its answer.

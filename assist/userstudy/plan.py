@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import re
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -49,6 +50,7 @@ Minutes = Annotated[float, Meta(gt=0, le=10_000, description="a number of minute
 # More simulated people would keep the robot away from the participant.
 Mates = Annotated[int, Meta(ge=0, le=20, description="a whole number from 0 to 20")]
 Points = Annotated[int, Meta(ge=2, le=11, description="a whole number from 2 to 11")]
+Day = Annotated[date, Meta(description="a date such as 2027-03-31")]
 NAME = re.compile(r"[A-Za-z][\w-]{0,40}")
 
 
@@ -109,6 +111,7 @@ class FileTable(Struct, forbid_unknown_fields=True):
     minutes: Minutes | None = None
     tick: Number = 2.0
     code: Text | None = None
+    withdraw_until: Day | None = None
     seed: Seed = 0
     setting: AnyTable = {}
     population: PopulationTable = PopulationTable()
@@ -193,6 +196,8 @@ class UserStudy:
         Seconds without an action after which the robot decides again.
     code : str or None
         Completion code of all participants; None: a code of their own.
+    withdraw_until : date or None
+        Last day (UTC) on which data can be withdrawn after the end; None: no limit.
     setting : Setting
     population : Population or Mixture
         The robot's prior over people, from which simulated people are drawn too.
@@ -219,6 +224,7 @@ class UserStudy:
     minutes: float | None
     tick: float
     code: str | None
+    withdraw_until: date | None
     setting: Setting
     population: Population | Mixture
     texts: dict[str, str]
@@ -312,6 +318,7 @@ def _study(file: Path, table: FileTable, carried_out: bool) -> UserStudy:
         tuple(Condition(own.name, own.policy) for own in table.conditions), table.design, reference,
         table.participants,
         table.simulated, table.again, table.reasons, table.replace, table.away, table.minutes, table.tick, table.code,
+        table.withdraw_until,
         _setting(file, table.setting), _population(file, table.population),
         {"consent": table.consent, "instructions": table.instructions, "thanks": table.thanks}, questionnaires,
     )  # fmt: skip

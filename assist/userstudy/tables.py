@@ -33,6 +33,7 @@ COLUMNS: dict[str, dict[str, str]] = {
         "stage": "the last stage reached",
         "condition": "assigned when the first task begins, empty before; in a within-participants design, the order",
         "completion_code": "code shown at the end",
+        "excluded": "why the researchers exclude the participant from the report; empty otherwise",
     },
     "tasks": {
         "participant": "code of a participant",
@@ -104,6 +105,15 @@ class Tables:
     answers: list[Row] = field(default_factory=list)
     events: list[Row] = field(default_factory=list)
 
+    def analysed(self) -> Tables:
+        """Return the tables without the data of excluded participants; their rows in `participants` remain."""
+        excluded = {row["participant"] for row in self.participants if row["excluded"] is not None}
+        kept = {
+            name: [row for row in getattr(self, name) if row["participant"] not in excluded]
+            for name in ("tasks", "actions", "answers", "events")
+        }
+        return Tables(self.participants, **kept)
+
     def csv(self, name: str) -> str:
         """Return a table as CSV."""
         return written(COLUMNS[name], getattr(self, name))
@@ -174,7 +184,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
             people[code] = {
                 "participant": code, "simulated": bool(record.get("simulated")), "arrived": record.get("at"),
                 "consented": None, "status": "here", "stage": stages[0].name,
-                "condition": None, "completion_code": None,
+                "condition": None, "completion_code": None, "excluded": None,
             }  # fmt: skip
             at[code] = 0
         person, stage = people[code], stages[at[code]]
@@ -183,6 +193,8 @@ def tables(study: UserStudy, journal: Path) -> Tables:
                 "participant": code, "time": record["time"], "utc": utc, "event": event, "stage": person["stage"],
             })  # fmt: skip
         person["status"] = "here" if record.get("returned") else record.get("status", person["status"])
+        if event == "excluded":
+            person["excluded"] = record["reason"]
         if event == ERASED:
             person["condition"] = record["condition"]
             person["stage"] = next(one.name for one in stages if one.kind == "task")
@@ -214,7 +226,7 @@ def tables(study: UserStudy, journal: Path) -> Tables:
     withdrawn = {code for code, person in people.items() if person["status"] == "withdrew"}
     for person in people.values():
         if person["status"] == "withdrew":
-            person["completion_code"] = None
+            person["completion_code"] = person["excluded"] = None
     for name in ("tasks", "actions", "answers", "events"):
         setattr(found, name, [row for row in getattr(found, name) if row["participant"] not in withdrawn])
     found.participants = list(people.values())

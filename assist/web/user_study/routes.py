@@ -11,10 +11,10 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, HTTPException, Request, Response
 from pydantic import BaseModel, Field
 
-from ...userstudy.cohort import StudyEvent
+from ...userstudy.cohort import LONGEST_REASON, StudyEvent
 from ...userstudy.export import archive
 from ...userstudy.plan import UserStudy
-from ..authorization import WRITE, Operator, Own, refusals
+from ..authorization import READ, WRITE, Operator, Own, refusals
 from ..page_routes import page_of, piece
 from ..routes import plain
 from ..schemas import Once, Person
@@ -35,6 +35,32 @@ class Visit(Once):
         description="Chosen by the visitor's browser. A repeated id returns the same participant.",
     )
     simulated: bool = Field(False, description="Whether this is a rehearsal's simulated participant.")
+
+
+class Withdrawal(BaseModel):
+    """A participant's withdrawal code, the address at which it is entered, and the last day (UTC) for it."""
+
+    code: str
+    address: str
+    until: str | None
+
+
+class Withdrawn(BaseModel):
+    """A withdrawal code."""
+
+    code: str = Field(min_length=1, max_length=64, examples=["P-2B4C6D-23456789"])
+
+
+class Done(BaseModel):
+    """What was asked has been done."""
+
+    done: bool
+
+
+class Excluded(BaseModel):
+    """Why a participant is excluded from the report; null: no longer."""
+
+    reason: str | None = Field(min_length=1, max_length=LONGEST_REASON)
 
 
 class Onward(Once):
@@ -132,6 +158,32 @@ async def onward(name: Own, going: Onward, study: Study) -> Response:
 async def withdraw(name: Own, study: Study, once: Once | None = None) -> Response:
     """Withdraw from the study for good. At the consent stage, this declines consent."""
     return plain(await study.report(StudyEvent("withdrew", name, id=once.id if once else None)))
+
+
+@router.get("/api/study/participants/{name}/withdrawal", tags=["study"], response_model=Withdrawal, responses=READ)
+async def withdrawal(name: Own, study: Study) -> Any:
+    """Return how the participant's data can be withdrawn later, without this page."""
+    until = study.study.withdraw_until
+    return plain({
+        "code": study.withdrawal_code(name), "address": f"{study.join_url()}?withdraw",
+        "until": None if until is None else until.isoformat(),
+    })  # fmt: skip
+
+
+@router.post("/api/study/withdrawals", tags=["study"], response_model=Done, responses=WRITE)
+async def withdraw_by_code(request: Request, given: Withdrawn, study: Study) -> Any:
+    """Withdraw a participant's data by the withdrawal code, with the join link's token, also after the end."""
+    if request.state.caller.person not in (None, VISITOR):
+        raise HTTPException(403, "this link is for visitors; participants withdraw on their own page")
+    await study.withdraw(given.code)
+    return plain({"done": True})
+
+
+@router.post("/api/study/participants/{name}/exclude", tags=["study"], response_model=Done, responses=WRITE)
+async def exclude(_: Operator, name: Own, study: Study, given: Excluded) -> Any:
+    """Exclude a participant from the report, which states the reason; with null, include them again."""
+    await study.report(StudyEvent("excluded", name, reason=given.reason))
+    return plain({"done": True})
 
 
 @router.post("/api/study/participants/{name}/return", tags=["study"], response_model=Participant, responses=WRITE)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+import json
 from typing import Any
 
-from ...live.course import Event
+from ...live.course import AbsentError, Event
 from ...userstudy.cohort import HERE, LETTERS, Cohort, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
@@ -67,6 +68,31 @@ class StudyService(Service):
     def operator_url(self) -> str:
         """Return the address of the experimenter's page."""
         return f"{self.access.base}/study/operator/{self.access.operator}"
+
+    def withdrawal_code(self, code: str) -> str:
+        """Return the code by which a participant's data can be withdrawn, also without the participant's page."""
+        number, signs = int.from_bytes(self._digest(f"withdrawal {code}")[:8], "big"), ""
+        for _ in range(8):
+            number, place = divmod(number, len(LETTERS))
+            signs += LETTERS[place]
+        return f"{code}-{signs}"
+
+    async def withdraw(self, withdrawal: str) -> None:
+        """Withdraw the data of the participant whose withdrawal code this is. A repeated request has no effect.
+
+        Raises
+        ------
+        AbsentError
+            There is no such code.
+        InapplicableError
+            The study's date for withdrawals is over.
+        """
+        code = withdrawal.strip().upper().rpartition("-")[0]
+        real = self.withdrawal_code(code)
+        if not hmac.compare_digest(real.encode(), withdrawal.strip().upper().encode()) or code not in self.views:
+            raise AbsentError("there is no such code; expected one like P-2B4C6D-23456789, from the last page")
+        if json.loads(self.views[code])["study"]["kind"] not in ("withdrew", "declined"):
+            await self.report(StudyEvent("withdrew", code))
 
     def code(self, visit: str) -> str:
         """Return the participant code for a browser's id. The code is always the same and does not reveal the id."""
@@ -141,7 +167,7 @@ class StudyService(Service):
                 "number": person.at + 1, "condition": person.condition, "connected": self.connected(code),
                 "seconds": round(now - person.entered) if person.status == HERE else None,
                 "steps": tasks[-1].seen()["steps"] if tasks else None, "simulated": person.simulated,
-                "erased": person.erased,
+                "erased": person.erased, "excluded": person.excluded,
             })  # fmt: skip
         counts, policies = cohort.counts(), {one.name: one.policy for one in study.conditions}
         return {

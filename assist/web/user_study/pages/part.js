@@ -181,6 +181,10 @@ function ends(study) {
     }
   });
   at("body").append(element("p", { class: "code" }, element("label", { for: "code" }, "Your completion code"), code, copy), element("p", {}, "You can close this page."));
+  askJson(`/api/study/participants/${encodeURIComponent(person)}/withdrawal`).then(({ code, address: place, until }) => {
+    const last = until === null ? "" : ` until ${until}`;
+    at("body").append(element("p", { class: "hint", id: "withdrawal" }, `You can withdraw your data${last}: on this page, or with the code ${code} at ${place}.`));
+  }).catch(() => {}); // the page works without it
 }
 
 const STAGES = {

@@ -86,9 +86,26 @@ function next(seat) {
   tell("A participant has already used this browser. If you are the next participant, begin.", { begin: "Begin as the next participant", before: address(seat.part) });
 }
 
+/** Withdraw data by the code that the last page of the study showed. */
+function withdraws() {
+  tell("Your data will be in no table and no result. This cannot be undone.");
+  at("withdraw").hidden = false;
+  at("withdraw").addEventListener("submit", async (event) => {
+    event.preventDefault();
+    try {
+      await askJson("/api/study/withdrawals", { method: "POST", body: { code: at("code").value } });
+      at("withdraw").hidden = true;
+      tell("Your data are withdrawn. You can close this page.");
+    } catch (error) {
+      tell(error instanceof Refused ? `${error.message}.` : "The study server cannot be reached. Try again.");
+    }
+  });
+}
+
 at("begin").addEventListener("click", () => enter(sent() ?? newId()));
 addEventListener("pageshow", (event) => event.persisted && location.reload());
 askJson("/api/study/form").then((form) => {
   at("title").textContent = document.title = form.title;
 }).catch(() => {});
-begin();
+if (new URLSearchParams(location.search).has("withdraw")) withdraws();
+else begin();
