@@ -1,7 +1,9 @@
 from .costtogo.astar import astar as astar
 from .costtogo.cache import Cache as Cache
 from .costtogo.cost_to_go import CostToGo as CostToGo
+from .costtogo.cost_to_go import TransitionSystem as TransitionSystem
 from .costtogo.cost_to_go import optimal_choices as optimal_choices
+from .costtogo.goals import sweep_goals as sweep_goals
 from .costtogo.on_demand import OnDemand as OnDemand
 from .costtogo.portfolio import cost_to_go as cost_to_go
 from .costtogo.sweep import SweepOptions as SweepOptions

@@ -29,8 +29,8 @@ ROOMS = {
     "planner.search.symmetry": "automorphisms canonical_states",
     "planner.search": """distances search_space successor_generator state_registry orbit_index ranked_index
         forward_search bucket_dijkstra""",
-    "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep orbits table_file on_demand
-        portfolio""",
+    "planner.costtogo": """cost_to_go table astar cache verification first_answer sweep goals orbits table_file
+        on_demand portfolio""",
     "planner.batch": "solve_instance results_folder solve_batch",
     "planner": "engine",
     "assist.people": """arguments choices misconception decision terms memory choice_model human belief
@@ -39,7 +39,7 @@ ROOMS = {
         suggestion_threshold""",
     "assist.learning": """log_files log advice_log trust_scores advice_model replay observations likelihood choosing
         profiles maximum_likelihood logit_likelihood hierarchy misconception_fit diagnostics population person_estimate
-        fit comparison trust_log trust_fit""",
+        fit goals comparison trust_log trust_fit""",
     "assist.team": "travel state settings attention attention_subproblem policy_on_part priority policies",
     "assist.large_tasks": """truncated_task state_cache leaf_estimates compliance_relaxation truncated_bound
         truncated_policy person_problem""",
@@ -62,10 +62,10 @@ ROOMS = {
         page_routes app server client""",
     "assist.web.user_study": "service routes rehearsal server",
     "assist.cli.terminal": "interrupts console",
-    "assist.cli.options": "common task population person travel team policies help live log trust",
+    "assist.cli.options": "common task population person travel team policies help live log goals trust",
     "assist.cli.output": """solve_records solve_progress person_bounds episode_summaries estimate_tables
-        people_estimates trust_estimates""",
-    "assist.cli": """domains solve simulate policy bound export draw fit study user_study serve study_report
+        people_estimates trust_estimates goal_posteriors""",
+    "assist.cli": """domains solve simulate policy bound export draw fit infer study user_study serve study_report
         command_group""",
 }
 """The folders in the order in which they build on each other, and the files of each likewise."""

@@ -15,6 +15,7 @@ COMMANDS = {
     "draw": "Draw a state, a plan or an episode as a picture (.svg, .png) or an animation (.gif, .html).",
     "export": "Write the POMDP of assisting one person to a file for other solvers.",
     "fit": "Estimate people's expertise, influence and trust from a LOG of their actions.",
+    "infer": "Infer which goal people pursue from a LOG of their actions.",
     "policy": "Solve the POMDP of assisting one person, with a lower and an upper bound on the optimal value.",
     "serve": "Run the live assistant: a web service that receives people's actions and returns suggestions.",
     "simulate": "Simulate a team of people and a robot that assists them, and compare policies.",

@@ -12,6 +12,9 @@ from .diagnostics import check as check
 from .fit import FittedPeople as FittedPeople
 from .fit import LogError as LogError
 from .fit import fit as fit
+from .goals import EpisodeGoals as EpisodeGoals
+from .goals import InferredGoals as InferredGoals
+from .goals import infer_goals as infer_goals
 from .hierarchy import Hierarchy as Hierarchy
 from .likelihood import Method as Method
 from .likelihood import log_likelihood as log_likelihood

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from planner import CostToGo, LimitError, Table
+from planner import CostToGo, LimitError, Table, TransitionSystem
 from planner.system.arrays import outline
 from planner.system.progress import Wanted, adding, shows_progress
 
@@ -229,7 +229,7 @@ def replayed(
     return recording, EvaluatedStates.of(costs, wanted, h, wanted, len(costs)), faults
 
 
-def require_actions(log: Log, recording: Recording, costs: CostToGo) -> None:
+def require_actions(log: Log, recording: Recording, costs: TransitionSystem) -> None:
     """Check that some episode of a log can be used."""
     if len(recording):
         return

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from planner import CostToGo
+from planner import CostToGo, TransitionSystem
 from planner.system.arrays import outline, read_only
 
 from ..people.action_names import Matcher, UnmatchedError, Words, words_of
@@ -133,7 +133,7 @@ def situation(recording: Recording, costs: CostToGo) -> Situation:
 
 def replay(
     log: Log,
-    answers: CostToGo,
+    answers: TransitionSystem,
     *,
     drop: Sequence[str] = (),
     rename: Mapping[str, str] | None = None,
@@ -146,8 +146,8 @@ def replay(
     Parameters
     ----------
     log : Log
-    answers : CostToGo
-        Cost-to-go of the task; only its `choices` and `is_goal` are used.
+    answers : TransitionSystem
+        States of the task, such as a `CostToGo`.
     drop : sequence of str
         Actions that are no choices, each by its name and possibly its first arguments; they are ignored. Examples are
         waiting, and ground actions without effect, which the grounded task does not contain.

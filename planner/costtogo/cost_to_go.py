@@ -13,8 +13,8 @@ from ..states.state_space import Transitions
 from ..system.errors import MismatchError
 
 
-class CostToGo(Protocol):
-    """Exact cost-to-go h* of a task, by any method. States are identified by numbers."""
+class TransitionSystem(Protocol):
+    """The states of a task, their transitions and the goal states. States are identified by numbers."""
 
     @property
     def task(self) -> Task:
@@ -23,6 +23,16 @@ class CostToGo(Protocol):
     @property
     def initial(self) -> int:
         """Number of the initial state."""
+
+    def choices(self, states: ArrayLike) -> Transitions:
+        """Return the transitions of states, shape (N,), as compressed rows."""
+
+    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether each state is a goal state, shape (N,)."""
+
+
+class CostToGo(TransitionSystem, Protocol):
+    """Exact cost-to-go h* of a task, by any method."""
 
     @property
     def method(self) -> Literal["sweep", "on-demand"]:
@@ -37,12 +47,6 @@ class CostToGo(Protocol):
 
     def lookup(self, states: ArrayLike) -> NDArray[np.float64]:
         """Return h* of states, shape (N,); infinite at dead ends."""
-
-    def choices(self, states: ArrayLike) -> Transitions:
-        """Return the transitions of states, shape (N,), as compressed rows."""
-
-    def is_goal(self, states: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether each state is a goal state, shape (N,)."""
 
     def values(self, states: ArrayLike) -> Ints:
         """Return the values, shape (N, variables), of states, shape (N,)."""

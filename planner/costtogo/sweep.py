@@ -99,14 +99,19 @@ def sweep(
         A limit is reached, or a cost is larger than `LARGEST_COST`.
     """
     assert callable(progress)
-    if (largest := max(task.costs, default=0)) > LARGEST_COST:
-        raise CostLimitError(f"{task.instance}: a cost of {largest} is too large; expected at most {LARGEST_COST}")
+    require_small_costs(task)
     budget = Budget.within(max_states, memory_limit_mb, deadline, stop, lent)
     threads = threads or processors()
     space, note = explored(task, budget, threads, progress, options or SweepOptions())
     distance = distances(space, task.goal, budget, threads, progress)
     found = StateSpace(task, len(distance), space.initial, space.transitions, space.index, budget.check_memory)
     return Table(found, distance, note)
+
+
+def require_small_costs(task: Task) -> None:
+    """Check that no cost is larger than `LARGEST_COST`."""
+    if (largest := max(task.costs, default=0)) > LARGEST_COST:
+        raise CostLimitError(f"{task.instance}: a cost of {largest} is too large; expected at most {LARGEST_COST}")
 
 
 def explored(

@@ -234,6 +234,7 @@ class RankedSpace:
     def begin(self, goal: Sequence[Fact], distance: NDArray[Any]) -> list[Ints]:
         """Set the distance of the goal states to 0, and return their ranks."""
         states, blocks = self.index.states, list(self.index.ranks_where(goal))
+        self._closed = np.empty(0, dtype=np.uint64)  # of the search for another goal
         for block in blocks:
             rank_set.label(states, distance, 0, block)
         fits = self.nbytes + distance.nbytes + states.bits.nbytes <= self.index.budget.room * CLOSED

@@ -39,6 +39,38 @@ if TYPE_CHECKING:
     from ...learning.replay import Recording
 
 
+def reading_options(command: Command) -> Command:
+    """Add the options for reading a log and for evaluating the states that it visits."""
+    options: tuple[Option[Any], ...] = (
+        click.option(
+            "--drop", multiple=True, metavar="ACTION",
+            help="Ignore actions with this name, or with this name and arguments.",
+        ),
+        click.option(
+            "--rename", multiple=True, metavar="OLD=NEW",
+            help="Replace the name OLD in the log by NEW. May be repeated.",
+        ),
+        click.option(
+            "--columns", multiple=True, metavar="NAME=COLUMN,...",
+            help="Names of the log's columns, such as person=worker,action=move.",
+        ),
+        click.option(
+            "--gaps", is_flag=True, help="Accept gaps in step numbers. Otherwise a gap means that lines are missing."
+        ),
+        click.option(
+            "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
+        ),
+        max_states_option("On a larger task evaluate only states that were visited, and their successors."),
+        seconds_option("Seconds for each of these states."),
+        click.option(
+            "--cache", type=OUTPUT_FOLDER,
+            help="Folder for the cost-to-go of solved states.  [default: kitassist in the user's cache folder]",
+        ),
+        click.option("--jobs", type=JOBS, help="Number of processors. All unless given."),
+    )  # fmt: skip
+    return with_options(command, options)
+
+
 def log_options(command: Command) -> Command:
     """Add the options for reading a log and estimating people. `replayed` takes those that concern the log."""
     options: tuple[Option[Any], ...] = (
@@ -68,31 +100,7 @@ def log_options(command: Command) -> Command:
             help="Upper end of the range of expertise (beta).  [default: 10, divided by the cost of the smallest "
                  "possible mistake]",
         ),
-        click.option(
-            "--drop", multiple=True, metavar="ACTION",
-            help="Ignore actions with this name, or with this name and arguments.",
-        ),
-        click.option(
-            "--rename", multiple=True, metavar="OLD=NEW",
-            help="Replace the name OLD in the log by NEW. May be repeated.",
-        ),
-        click.option(
-            "--columns", multiple=True, metavar="NAME=COLUMN,...",
-            help="Names of the log's columns, such as person=worker,action=move.",
-        ),
-        click.option(
-            "--gaps", is_flag=True, help="Accept gaps in step numbers. Otherwise a gap means that lines are missing."
-        ),
-        click.option(
-            "--strict", is_flag=True, help="Stop if any line cannot be used, or if any state exceeds the time limit."
-        ),
-        max_states_option("On a larger task evaluate only states that were visited, and their successors."),
-        seconds_option("Seconds for each of these states."),
-        click.option(
-            "--cache", type=OUTPUT_FOLDER,
-            help="Folder for the cost-to-go of solved states.  [default: kitassist in the user's cache folder]",
-        ),
-        click.option("--jobs", type=JOBS, help="Number of processors. All unless given."),
+        reading_options,
         click.option("--seed", type=SEED, default=0, show_default=True, help="Random seed of the model check."),
     )  # fmt: skip
     return with_options(command, options)
@@ -134,20 +142,18 @@ def replayed(
     """
     from ...learning.fit import LogError, require_actions
     from ...learning.likelihood import Method
-    from ...learning.log import read_log, told
+    from ...learning.log import told
     from ...learning.replay import replay
 
-    names, named = _renamed(rename), _columns(columns)
+    names = renamed(rename)
     try:
         method = Method(**setting)
-        log = read_log(file, gaps=gaps, columns=named)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+    log = log_of(file, columns, gaps=gaps)
     tell_of_compiling()
     task = load(found)
     tell_note(task)
-    if log.note:
-        click.echo(f"{file}: {log.note}", err=True)
     if task.decided_by_translator:
         why = "the goal is unreachable or holds in the initial state, so nothing can be estimated"
         fail(f"{found}: {why}", EXIT_FAILED)
@@ -214,7 +220,22 @@ def comparison_of(known: Replayed, folds: int) -> Comparison:
         fail(str(error), EXIT_FAILED)
 
 
-def _renamed(pairs: tuple[str, ...]) -> dict[str, str]:
+def log_of(file: Path, columns: tuple[str, ...], *, gaps: bool) -> Log:
+    """Read a log. Invalid columns raise usage errors; what was guessed about the file is printed to stderr."""
+    from ...learning.log import read_log
+
+    named = _columns(columns)
+    try:
+        log = read_log(file, gaps=gaps, columns=named)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    if log.note:
+        click.echo(f"{file}: {log.note}", err=True)
+    return log
+
+
+def renamed(pairs: tuple[str, ...]) -> dict[str, str]:
+    """Return the task's name of each action name that `--rename` maps."""
     names: dict[str, str] = {}
     for pair in pairs:
         old, _, new = (part.strip() for part in pair.partition("="))
