@@ -107,7 +107,7 @@ class RolloutPolicy:
 
 @njit()
 def serve(gain: Floats, use: Floats, rest: Ints, place: Ints, left: float, taken: NDArray[np.bool_], out: Ints) -> None:
-    """Give the resource in descending order of gain per unit to agents that are not `taken`. Writes `out`, shape (N,).
+    """Assign the resource in descending order of gain per unit to agents that are not `taken`; write `out`, shape (N,).
 
     Agents that are taken keep their actions in `out`. Of equal gains, the first agent's first action is taken.
     """

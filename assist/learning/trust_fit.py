@@ -118,7 +118,10 @@ class InfluencePopulation:
         )
 
     def marginal(self, log: TrustLog, logs: Floats) -> Floats:
-        """Return the log probability of all that each person chose, shape (K,); `logs` are of `TrustLog`."""
+        """Return the log probability of all that each person chose, shape (K,).
+
+        `logs` are log likelihoods at the nodes of beta and theta_0, shape (K, B, T).
+        """
         beta, theta = self.weights(log)
         top = logs.max(axis=(1, 2))
         return np.asarray(np.log(np.exp(logs - top[:, None, None]) @ theta @ beta) + top)

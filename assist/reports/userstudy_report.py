@@ -49,7 +49,7 @@ def of_folder(folder: Path) -> tuple[UserStudy, Tables]:
     Raises
     ------
     InputFileError, DamagedFileError, OSError
-        The folder is neither.
+        The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
     study = read(folder / PLAN, carried_out=True)
     if any((folder / name).exists() for name in (JOURNAL, Path(JOURNAL).with_suffix(".jsonl"))):
@@ -90,7 +90,7 @@ def write_report(folder: Path, out: Path) -> dict[str, Any]:
     Raises
     ------
     InputFileError, DamagedFileError, OSError
-        The folder is neither.
+        The folder is neither a study's folder nor an unpacked export, or a file in it is damaged.
     """
     study, found = of_folder(folder)
     found = found.analysed()

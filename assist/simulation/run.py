@@ -198,5 +198,5 @@ class Run:
 
 
 def _rows(array: Floats, rows: NDArray[np.int64] | slice) -> Floats:
-    """Return some rows of a large array; a slice returns a view, and `take` copies a row at a time."""
+    """Return the given rows of a large array: a view for a slice, otherwise a copy (`take` is fastest)."""
     return array[rows] if isinstance(rows, slice) else array.take(rows, axis=0)

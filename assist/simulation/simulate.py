@@ -185,7 +185,7 @@ class _UntilFirstSuggestion:
 
 
 def _few(pool: Pool, episodes: Episodes) -> int:
-    """Return the number of first episodes whose people's problems have at most `SEARCHED_STATES` states in total."""
+    """Return how many episodes, from the first on, involve problems of at most `SEARCHED_STATES` states in total."""
     count = min(len(episodes), BLOCK)
     if pool.truncated:
         return 0

@@ -333,7 +333,7 @@ def backwards(visits: AttentionSubproblem, tail: Floats) -> QMDP:
 
 
 def _choices(choices: Choices, layout: TimeExpansion, final: NDArray[np.bool_]) -> Choices:
-    """Return the person's choices: the same as alone, while the step advances and a robot on its way comes nearer."""
+    """Return the person's choices in the time expansion: each one advances the step, and a travelling robot by one."""
     x, own = layout.x, np.arange(len(layout))
     position = np.where(layout.position > HERE, layout.position - 1, layout.position)
     targets = layout.number(layout.step[:, None] + 1, position[:, None], choices.targets[x])

@@ -55,7 +55,7 @@ class LocalPolicy(Policy, Protocol):
     for_one_step: ClassVar[bool]
 
     def visits(self, entry: float, entry_steps: int, longest: int, price: float, /) -> tuple[AttentionSubproblem, QMDP]:
-        """Return the problem with a robot that comes and goes, and its policy (see `AttentionSubproblem.of`)."""
+        """Return the person's attention subproblem and its policy; arguments as in `AttentionSubproblem.of`."""
         ...
 
 

@@ -489,7 +489,7 @@ class Cohort:
         return NOTHING
 
     def robot(self) -> dict[str, Any]:
-        """Return an empty instruction, since each team has a robot of its own."""
+        """Return an instruction without a destination, since each participant's team has a robot of its own."""
         return {
             "person": None,
             "suggestion": None,

@@ -107,12 +107,12 @@ class Budget:
             raise LimitError(f"out of time {when}")
 
     def check_states(self, states: int) -> None:
-        """Check the number of states."""
+        """Raise `LimitError` if there are more states than allowed."""
         if self.max_states is not None and states > self.max_states:
             raise LimitError(f"more than {_counted(self.max_states)}")
 
     def check_memory(self, needed: float) -> None:
-        """Check a number of bytes before they are allocated."""
+        """Raise `LimitError` if so many bytes may not be allocated; called before the allocation."""
         if needed > self.room:
             needed, allowed = needed + self.held, self.room + self.held
             raise MemoryLimitError(f"{needed / 1e6:.0f} MB of memory needed, {allowed / 1e6:.0f} MB allowed")

@@ -64,7 +64,7 @@ class Excluded(BaseModel):
 
 
 class Onward(Once):
-    """A participant who proceeds to the next stage."""
+    """Request to complete a stage and proceed to the next one."""
 
     stage: str = Field(min_length=1, max_length=120, description="The stage that is completed.")
     answers: dict[str, int | str] | None = Field(None, description="Answers, if the stage is a questionnaire.")
