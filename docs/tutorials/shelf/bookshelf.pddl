@@ -1,5 +1,5 @@
 
-; A bookshelf of three boards: the deep one belongs at the bottom and the short one on top, but each fits elsewhere as well.
+; The deep board belongs at the bottom and the short one on top, but each fits elsewhere as well.
 (define (problem bookshelf)
   (:domain shelf)
   (:objects deep plain short - board bottom middle top - height)

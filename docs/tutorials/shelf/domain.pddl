@@ -1,6 +1,5 @@
 
-; A shelf is put together: boards are set in between its sides and screwed on. It takes both hands to move a board, so the
-; screwdriver has to be put down for that, and a board that is screwed on has to be unscrewed before it comes out.
+; Boards are set in and screwed on. Moving a board takes both hands.
 (define (domain shelf)
   (:requirements :strips :typing :negative-preconditions)
   (:types board height)
