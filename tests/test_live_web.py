@@ -22,7 +22,7 @@ from assist.people.human import Population
 from assist.team.settings import Setting
 from assist.web import server
 from assist.web.app import make_app
-from assist.web.request_limits import LARGEST, Allowance
+from assist.web.request_limits import LARGEST, Allowance, networks
 from assist.web.service import Service
 from assist.web.tokens import AccessTokens
 from planner import Table
@@ -382,6 +382,24 @@ def test_a_waiting_room_opens_the_page_at_the_same_second(tiny: Table, tmp_path:
             for name in (*names, *["connection.js"] * (15 - len(names))):
                 path = f"/pages/{name.rpartition('/')[2]}"
                 assert web.client.get(path).status_code == 200, path
+
+
+def test_behind_a_trusted_proxy_everybody_has_a_limit_of_their_own(tiny: Table, tmp_path: Path) -> None:
+    """Addresses that clients claim themselves do not count."""
+    limit = Allowance(rate=1.0, burst=5.0, clock=lambda: 0.0)
+    web = Web(tiny, tmp_path, allowance=limit, trusted_proxies=networks(["10.0.0.0/8", "2001:db8::1"]))
+    found = []
+    with web.client:
+        for proxy, claims in (
+            ("10.0.0.9", "192.0.2.1"), ("10.0.0.9", "192.0.2.2"), ("10.0.0.9", "192.0.2.77, 192.0.2.2"),
+            ("10.0.0.9", "192.0.2.3, 10.1.1.1"), ("2001:db8::1", "192.0.2.3"), ("192.0.2.9", "192.0.2.4"),
+            ("192.0.2.9", "192.0.2.5"), ("10.0.0.9", "nonsense"),
+        ):  # fmt: skip
+            client = TestClient(web.app, client=(proxy, 1))
+            found.append([client.get(ANN, headers={"X-Forwarded-For": claims}).status_code for _ in range(5)])
+    assert [codes.count(429) for codes in found] == [0, 0, 5, 0, 5, 0, 5, 0]
+    with pytest.raises(ValueError, match=r"proxy: expected an address such as 127\.0\.0\.1"):
+        networks(["proxy"])
 
 
 def test_connections_count_like_requests(tiny: Table, tmp_path: Path) -> None:

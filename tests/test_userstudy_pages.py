@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from serving import served
@@ -75,6 +76,32 @@ def test_nobody_can_mark_a_study_as_a_rehearsal(web: Web) -> None:
     assert web.come("ann").status_code == 200
     people = web.ask("GET", "/api/study").json()["participants"]
     assert [one["simulated"] for one in people] == [False]
+
+
+def test_nobody_takes_the_seat_of_somebody_elses_id(web: Web) -> None:
+    """An id that others know is bound to the browser that used it first, or to a signed link."""
+
+    def come(**body: str) -> Any:
+        return web.ask("POST", "/api/study/seats", VISITOR, json=body)
+
+    mine, other = {"key": "k" * 24}, {"key": "o" * 24}
+    assert come(id="participant 7").status_code == 403
+    first = come(id="participant 7", **mine).json()
+    assert come(id="participant 7", **mine).json() == first
+    taken = come(id="participant 7", **other)
+    assert (taken.status_code, taken.json()["detail"][:44]) == (409, "this participant has joined on another devic")
+    assert web.ask("POST", "/api/study/links", VISITOR, json={"participants": ["7"]}).status_code == 403
+    links = web.ask("POST", "/api/study/links", json={"participants": ["7", "a&b"]}).json()["links"]
+    signed = {one: parse_qs(urlsplit(link).query) for one, link in links.items()}
+    assert [query["participant"] for query in signed.values()] == [["7"], ["a&b"]]
+    seven, ab = (query["signature"][0] for query in signed.values())
+    assert come(id="participant 7", signature=seven).json() == first  # on any device
+    assert come(id="participant 7", signature=ab).status_code == 403
+    second = come(id="participant a&b", signature=ab).json()
+    assert second["person"] != first["person"]
+    assert come(id="participant a&b", signature=ab).json() == second
+    assert come(id="participant a&b", **other).status_code == 409
+    assert web.ask("GET", "/api/study").json()["taken"] == 2
 
 
 def test_data_are_withdrawn_by_code_after_the_end(web: Web) -> None:

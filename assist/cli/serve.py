@@ -15,9 +15,10 @@ from .options.common import INPUT_FILE
 from .options.help import command
 from .options.live import live_options, plan_of
 from .options.policies import policy_errors
-from .user_study import PORT, conduct, listen, live_server, public_url_option
+from .user_study import PORT, conduct, listen, live_server, public_url_option, trusted_proxy_option
 
 if TYPE_CHECKING:
+    from ..web.request_limits import Networks
     from ..web.tokens import AccessTokens
 
 
@@ -36,10 +37,11 @@ if TYPE_CHECKING:
 )
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on; 0.0.0.0 for all networks.")
 @public_url_option
+@trusted_proxy_option
 @live_options
 def serve(
     instances: tuple[str, ...], study: Path | None, rehearse: int | None, port: int | None, host: str,
-    public_url: str | None, **team: Any,
+    public_url: str | None, trusted_proxy: Networks, **team: Any,
 ) -> None:  # fmt: skip
     """Run the live assistant: a web service that receives people's actions and returns suggestions.
 
@@ -47,7 +49,7 @@ def serve(
     """
     server = live_server()
     if study is not None:
-        conduct(study, team["data"], host, port, rehearse or 0, public_url)
+        conduct(study, team["data"], host, port, rehearse or 0, public_url, trusted_proxy)
         return
     if rehearse is not None:
         raise click.UsageError("--rehearse: expected --study FILE.toml as well")
@@ -57,7 +59,7 @@ def serve(
             f"{' and '.join(missing)}: missing; expected INSTANCE and --humans K, or --study FILE.toml"
         )
     with policy_errors():
-        plan = replace(plan_of(instances, **team), public_url=public_url)
+        plan = replace(plan_of(instances, **team), public_url=public_url, trusted_proxies=trusted_proxy)
         try:
             session = plan.session()
         except (ResultsExistError, DamagedFileError):

@@ -23,10 +23,11 @@ if TYPE_CHECKING:
     from planner import CostToGo
 
     from ..userstudy.plan import UserStudy
+    from ..web.request_limits import Networks
     from ..web.user_study.service import StudyService
 
 PORT = 8000  # usual port of local web servers that need no privileges
-OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "data"}
+OF_STUDIES = {"study", "rehearse", "port", "host", "public_url", "trusted_proxy", "data"}
 """Options that can be combined with `--study`. The study's file settles everything else."""
 
 
@@ -60,6 +61,23 @@ public_url_option = click.option(
 )  # fmt: skip
 
 
+def _networks(_context: click.Context, _option: click.Parameter, given: tuple[str, ...]) -> Networks:
+    if not given:
+        return ()
+    from ..web.request_limits import networks
+
+    try:
+        return networks(given)
+    except ValueError as error:
+        raise click.UsageError(f"--trusted-proxy {error}") from None
+
+
+trusted_proxy_option = click.option(
+    "--trusted-proxy", callback=_networks, multiple=True, metavar="ADDRESS",
+    help="Address or network of a proxy whose X-Forwarded-For names the client. Can be repeated.",
+)  # fmt: skip
+
+
 def listen(host: str, port: int | None, public_url: str | None) -> socket.socket:
     """Return a listening socket. If no port is given, use `PORT`, or any free port if `PORT` is taken."""
     server = live_server()
@@ -74,7 +92,10 @@ def new_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="kitassist-"))
 
 
-def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse: int, public_url: str | None) -> None:
+def conduct(
+    file: Path, data: Path | None, host: str, port: int | None, rehearse: int, public_url: str | None,
+    trusted_proxies: Networks,
+) -> None:  # fmt: skip
     """Serve a user study. After a rehearsal, write its export and report."""
     context = click.get_current_context()
     for name in context.params:
@@ -109,7 +130,10 @@ def conduct(file: Path, data: Path | None, host: str, port: int | None, rehearse
 
     try:
         listening = listen(host, port, public_url)
-        serving.serve(study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url)
+        serving.serve(
+            study, tasks, folder, listening, ready, participants=rehearse, public_url=public_url,
+            trusted_proxies=trusted_proxies,
+        )  # fmt: skip
     except PolicyError as error:
         fail(str(error), EXIT_USAGE)
     if rehearse:

@@ -21,12 +21,18 @@ from ..live.course import AbsentError
 from ..live.live_task import InapplicableError
 from ..live.store import JournalError
 from . import page_routes, routes, websocket
-from .request_limits import Allowance, Guard
+from .request_limits import Allowance, Guard, Networks
 from .service import BusyError, Service
 from .task_drawings import Pictures
 
 
-def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequence[APIRouter] = ()) -> FastAPI:
+def make_app(
+    service: Service,
+    *,
+    allowance: Allowance | None = None,
+    more: Sequence[APIRouter] = (),
+    trusted_proxies: Networks = (),
+) -> FastAPI:
     """Return the application of a service. The application starts and stops the service.
 
     Parameters
@@ -36,6 +42,8 @@ def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequ
         Limit on the rate of requests.
     more : sequence of APIRouter
         Further requests and pages. They use the dependencies `Desk`, `Own` and `Operator`.
+    trusted_proxies : sequence of networks
+        Proxies whose header X-Forwarded-For names the client's address.
     """
 
     @asynccontextmanager
@@ -53,7 +61,7 @@ def make_app(service: Service, *, allowance: Allowance | None = None, more: Sequ
     _says_what_is_wrong(app)
     for router in (routes.router, websocket.router, page_routes.router, *more):
         app.include_router(router)
-    app.add_middleware(Guard, access=service.access, allowance=allowance)
+    app.add_middleware(Guard, access=service.access, allowance=allowance, trusted=trusted_proxies)
     return app
 
 

@@ -6,10 +6,11 @@ address to no other server.
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -28,6 +29,44 @@ HEADERS = [
     (b"x-content-type-options", b"nosniff"),
     (b"cache-control", b"no-store"),
 ]
+
+
+Networks = Sequence[ipaddress.IPv4Network | ipaddress.IPv6Network]
+
+
+def networks(texts: Sequence[str]) -> Networks:
+    """Return the networks of proxies, given as addresses such as 127.0.0.1 or networks such as 10.0.0.0/8.
+
+    Raises
+    ------
+    ValueError
+        A text is neither.
+    """
+    found = []
+    for text in texts:
+        try:
+            found.append(ipaddress.ip_network(text.strip(), strict=False))
+        except ValueError:
+            raise ValueError(f"{text[:60]}: expected an address such as 127.0.0.1, or a network 10.0.0.0/8") from None
+    return found
+
+
+def address_of(scope: Scope, trusted: Networks) -> str:
+    """Return the network address of a client; trusted proxies report it in the header X-Forwarded-For.
+
+    Every proxy appends the address from which it was called. So the last address that is no trusted proxy's is the
+    client's; those before it are claims of the client.
+    """
+    address = str((scope.get("client") or ("",))[0])
+    claimed = [value.decode("latin-1") for name, value in scope["headers"] if name == b"x-forwarded-for"]
+    for before in reversed(",".join(claimed).split(",") if claimed else []):
+        try:
+            if not any(ipaddress.ip_address(address) in network for network in trusted):
+                break
+            address = str(ipaddress.ip_address(before.strip()))
+        except ValueError:
+            break
+    return address
 
 
 class Allowance:
@@ -83,8 +122,10 @@ class Guard:
     caller is stored in the scope's state as `caller`; the scope's path is made relative to the service.
     """
 
-    def __init__(self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None) -> None:
-        self.app, self._access, self._allowance = app, access, allowance or Allowance()
+    def __init__(
+        self, app: ASGIApp, access: AccessTokens, allowance: Allowance | None = None, trusted: Networks = ()
+    ) -> None:
+        self.app, self._access, self._allowance, self._trusted = app, access, allowance or Allowance(), trusted
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle a request or a connection."""
@@ -113,7 +154,7 @@ class Guard:
         if caller is not None:
             share = self._allowance.for_operator if caller.person is None else 1.0
             return self._allowance.wait(f"caller {caller.person}", share)
-        address = (scope.get("client") or ("",))[0]
+        address = address_of(scope, self._trusted)
         if scope["path"].startswith("/api/"):
             return self._allowance.wait(f"address {address}")
         return self._allowance.wait(f"pages {address}", self._allowance.for_pages)

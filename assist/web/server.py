@@ -30,7 +30,7 @@ from ..people.human import Mixture, Population
 from ..team.settings import Setting
 from ..team.state import TeamPolicy
 from .app import make_app
-from .request_limits import LARGEST
+from .request_limits import LARGEST, Networks
 from .service import BusyError, Service
 from .tokens import AccessTokens
 
@@ -189,6 +189,8 @@ class ServedTeam:
         Seconds without an event after which the robot decides again.
     public_url : str or None
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
+    trusted_proxies : sequence of networks
+        Proxies that report the client's address, as `networks` returns them.
     """
 
     tasks: Mapping[str, CostToGo]
@@ -203,6 +205,7 @@ class ServedTeam:
     seed: int
     tick: float
     public_url: str | None = None
+    trusted_proxies: Networks = ()
 
     def session(self) -> Session:
         """Open the session. The initial people join a new session.
@@ -257,7 +260,7 @@ async def _serve(plan: ServedTeam, session: Session, listening: socket.socket, r
     access = AccessTokens.kept(plan.folder / "secret", plan.public_url or address(listening))
     service = Service(session, access, tick=plan.tick)
     service.simulated = frozenset(plan.simulated)
-    app = make_app(service)
+    app = make_app(service, trusted_proxies=plan.trusted_proxies)
     seats = plan.seats().fill(service, alone=set(plan.simulated) >= set(service.session.people))
     await run(app, listening, lambda: ready(access, service.session.people), seats)
 

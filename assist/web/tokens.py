@@ -118,6 +118,14 @@ class AccessTokens:
         known = self.operator if caller.person is None else self._people[caller.person]
         return caller if hmac.compare_digest(token.encode(), known.encode()) else None
 
+    def signature(self, text: str) -> str:
+        """Return the signature of a text, which only the owner of the secret can make."""
+        return self._token(f"signed {text}")
+
+    def is_signed(self, text: str, signature: str) -> bool:
+        """Return whether this is the signature of a text."""
+        return hmac.compare_digest(self.signature(text).encode(), signature.encode(errors="replace"))
+
     def join_url(self, person: str) -> str:
         """Return the address of a person's page."""
         return f"{self.base}/join/{quote(person, safe='')}/{self.token(person)}"

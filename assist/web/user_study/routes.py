@@ -19,7 +19,7 @@ from ..page_routes import page_of, piece
 from ..routes import plain
 from ..schemas import Once, Person
 from ..tokens import Caller
-from .service import VISITOR, StudyService
+from .service import VISITOR, ForgedError, StudyService
 
 PAGES = Path(__file__).parent / "pages"
 
@@ -34,7 +34,24 @@ class Visit(Once):
         max_length=128,
         description="Chosen by the visitor's browser. A repeated id returns the same participant.",
     )
+    key: str | None = Field(
+        None, min_length=16, max_length=128,
+        description="Drawn by the browser; required for an id 'participant ID' without a signature.",
+    )  # fmt: skip
+    signature: str | None = Field(None, max_length=128, description="Signature of the id, from a signed link.")
     simulated: bool = Field(False, description="Whether this is a rehearsal's simulated participant.")
+
+
+class Identified(BaseModel):
+    """Ids of participants in another system."""
+
+    participants: list[Annotated[str, Field(min_length=1, max_length=100)]] = Field(max_length=1000)
+
+
+class Links(BaseModel):
+    """A signed join link for each participant, valid on any device."""
+
+    links: dict[str, str]
 
 
 class Withdrawal(BaseModel):
@@ -132,11 +149,20 @@ async def visit(request: Request, coming: Visit, study: Study) -> Any:
         raise HTTPException(403, "this link is for visitors; participants have joined already")
     if coming.simulated and not study.rehearsal:
         raise HTTPException(403, "simulated participants are admitted in a rehearsal only")
-    seen = await study.visit(coming.id, simulated=coming.simulated)
+    try:
+        seen = await study.visit(coming.id, key=coming.key, signature=coming.signature, simulated=coming.simulated)
+    except ForgedError as error:
+        raise HTTPException(403, str(error)) from None
     code = seen["person"]
     part = study.access.join_url(code).removeprefix(study.access.base).replace("/join/", "/part/", 1)
     now = json.loads(study.views[code])  # may be later than the answer
     return plain({"person": code, "part": part, "study": now["study"]})
+
+
+@router.post("/api/study/links", tags=["study"], response_model=Links, responses=refusals(403, 422))
+async def links(_: Operator, wanted: Identified, study: Study) -> Any:
+    """Return a signed join link for each participant whom another system identifies."""
+    return plain({"links": {one: study.participant_url(one) for one in wanted.participants}})
 
 
 @router.get("/api/study/form", tags=["study"], responses=refusals())

@@ -13,7 +13,7 @@ from planner import CostToGo
 from ...userstudy.plan import UserStudy
 from ...userstudy.session import StudySession
 from ..app import make_app
-from ..request_limits import Allowance
+from ..request_limits import Allowance, Networks
 from ..server import address, run
 from ..tokens import AccessTokens
 from .rehearsal import rehearse
@@ -24,6 +24,7 @@ from .service import StudyService
 def serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
     ready: Callable[[StudyService], None], *, participants: int = 0, public_url: str | None = None,
+    trusted_proxies: Networks = (),
 ) -> None:  # fmt: skip
     """Serve a study until a signal ends it, or until a rehearsal is complete.
 
@@ -41,14 +42,16 @@ def serve(
         Number of simulated participants of a rehearsal; 0 for a real study.
     public_url : str, optional
         Public address of the service, as `public_address` returns it, if it differs from where the service listens.
+    trusted_proxies : sequence of networks
+        Proxies that report the client's address, as `networks` returns them.
     """
     logging.getLogger("uvicorn.error").setLevel(logging.WARNING)
-    asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url))
+    asyncio.run(_serve(study, tasks, folder, listening, ready, participants, public_url, trusted_proxies))
 
 
 async def _serve(
     study: UserStudy, tasks: Mapping[str, CostToGo], folder: Path, listening: socket.socket,
-    ready: Callable[[StudyService], None], participants: int, public_url: str | None,
+    ready: Callable[[StudyService], None], participants: int, public_url: str | None, trusted_proxies: Networks,
 ) -> None:  # fmt: skip
     session = StudySession(study, tasks, folder)
     access = AccessTokens.kept(folder / "secret", public_url or address(listening))
@@ -66,5 +69,5 @@ async def _serve(
 
     # Simulated participants send requests faster than people do.
     allowance = Allowance(rate=1e6, burst=1e6) if participants else None
-    app = make_app(service, allowance=allowance, more=[router])
+    app = make_app(service, allowance=allowance, more=[router], trusted_proxies=trusted_proxies)
     await run(app, listening, is_ready, rehearsing(), ends=participants > 0)

@@ -7,15 +7,25 @@ import hashlib
 import hmac
 import json
 from typing import Any
+from urllib.parse import urlencode
 
 from ...live.course import AbsentError, Event
-from ...userstudy.cohort import HERE, LETTERS, Cohort, StudyEvent
+from ...live.live_task import InapplicableError
+from ...userstudy.cohort import HERE, LETTERS, Cohort, FullError, StudyEvent
 from ...userstudy.session import StudySession
 from ..service import Service, Watcher
 from ..tokens import AccessTokens
 
 VISITOR = "?"
 """Owner of the join link's token. It is no participant's code, since codes contain letters."""
+
+
+PARTICIPANT = "participant "
+"""Begins the ids of participants whom another system, such as a recruiting service, identifies."""
+
+
+class ForgedError(ValueError):
+    """A participant's link is not signed, or not with this signature."""
 
 
 class StudyService(Service):
@@ -102,10 +112,53 @@ class StudyService(Service):
             signs += LETTERS[place]
         return f"P-{signs}"
 
-    async def visit(self, visit: str, *, simulated: bool) -> dict[str, Any]:
-        """Admit a participant, or readmit one. The browser's id may identify a person and is not stored."""
-        once = self._digest(visit)[8:].hex()
-        return await self.report(StudyEvent("visited", self.code(visit), id=once, simulated=simulated))
+    def participant_url(self, participant: str) -> str:
+        """Return the join link of a participant whom another system identifies, signed, for any device."""
+        query = {"participant": participant, "signature": self.access.signature(PARTICIPANT + participant)}
+        return f"{self.join_url()}?{urlencode(query)}"
+
+    async def visit(
+        self, visit: str, *, key: str | None = None, signature: str | None = None, simulated: bool = False
+    ) -> dict[str, Any]:
+        """Admit a participant, or readmit one; neither the id nor the key is stored.
+
+        Parameters
+        ----------
+        visit : str
+            An id that the browser has drawn, which nobody else knows; or `PARTICIPANT` and the id of another system,
+            which others may know.
+        key : str, optional
+            A key that the browser has drawn. It is required for the id of another system without a signature; the
+            participant is then readmitted from this browser only.
+        signature : str, optional
+            The signature of the id. The participant is then readmitted from any device.
+        simulated : bool
+
+        Raises
+        ------
+        ForgedError
+            The signature is wrong, or there is neither a signature nor a key.
+        InapplicableError
+            The participant has joined on another device.
+        """
+        code, once = self.code(visit), visit
+        if signature is not None:
+            if not self.access.is_signed(visit, signature):
+                raise ForgedError("the link has another participant's signature; use the complete link")
+            if code in self.views:
+                found: dict[str, Any] = json.loads(self.views[code])
+                return found
+        elif visit.startswith(PARTICIPANT):
+            if key is None:
+                raise ForgedError("expected a signed link, or the key of a browser")
+            once = f"{visit} {key}"
+        event = StudyEvent("visited", code, id=self._digest(once)[8:].hex(), simulated=simulated)
+        try:
+            return await self.report(event)
+        except FullError:
+            raise
+        except InapplicableError:
+            raise InapplicableError("this participant has joined on another device; continue there") from None
 
     def _digest(self, visit: str) -> bytes:
         return hmac.new(self.access.operator.encode(), visit.encode(errors="replace"), hashlib.sha256).digest()

@@ -21,10 +21,27 @@ function keep(visit) {
   }
 }
 
-/** Participants sent by another system bring its id, and are the same participant on every device. */
+/** Participants sent by another system bring its id. With a signature they are the same participant on every device. */
 function sent() {
   const id = new URLSearchParams(location.search).get("participant");
   return id ? `participant ${id}`.slice(0, 128) : null;
+}
+
+/** The key of this browser, without which nobody else can use an id that is not signed. */
+function browserKey() {
+  try {
+    const key = localStorage.getItem(`${KEY} key`) ?? newId();
+    localStorage.setItem(`${KEY} key`, key);
+    return key;
+  } catch {
+    return newId(); // no storage: the address of the next page identifies the participant
+  }
+}
+
+function bodyOf(id) {
+  if (id !== sent()) return { id };
+  const signature = new URLSearchParams(location.search).get("signature");
+  return signature ? { id, signature } : { id, key: browserKey() };
 }
 
 function tell(text, { begin = null, before = null } = {}) {
@@ -40,7 +57,7 @@ const wait = (milliseconds) => new Promise((resolve) => setTimeout(resolve, mill
 async function visit(id) {
   for (let pause = 250; ; pause = Math.min(2 * pause, 3000)) {
     try {
-      return await askJson("/api/study/seats", { method: "POST", body: { id } });
+      return await askJson("/api/study/seats", { method: "POST", body: bodyOf(id) });
     } catch (error) {
       if (!passes(error)) throw error;
       tell("The study server cannot be reached. Trying again.");
@@ -58,6 +75,7 @@ async function enter(id) {
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     if (error.status !== 409) tell(`This link is not valid: ${error.message}.`);
+    else if (!error.message.includes("full")) tell(`Sorry, ${error.message}.`);
     else tell("The study is full at the moment. You can try again later, since places may become free.", { begin: "Try again" });
   }
 }
