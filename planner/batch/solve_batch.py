@@ -93,12 +93,8 @@ def solve_batch(
     with tempfile.TemporaryDirectory(prefix="kitassist-") as folder, ExitStack() as at_the_end:
         ongoing = _Ongoing(Path(folder), records, results, tell)
         work: list[Work] = [
-            (
-                instance,
-                None if results is None else results.place(instance),
-                None if scheduler is not None else ongoing.file(instance),
-            )
-            for instance in todo
+            (one, None if results is None else results.place(one), None if scheduler is not None else ongoing.file(one))
+            for one in todo
         ]
 
         def hear(item: Work, what: str, *stage: Any) -> None:
@@ -115,12 +111,10 @@ def solve_batch(
         try:
             for (instance, *_), outcome in coming:
                 if isinstance(outcome, Exception):
-                    record = _ended(instance, outcome, options, ongoing.latest(instance))
-                else:
-                    record = outcome
-                ongoing.end(instance, record)
+                    outcome = _ended(instance, outcome, options, ongoing.latest(instance))
+                ongoing.end(instance, outcome)
                 if progress is not None:
-                    progress(record)
+                    progress(outcome)
         except BaseException:
             for instance in todo:
                 with suppress(OSError):
@@ -208,17 +202,8 @@ class _Ongoing:
 def _ended(
     instance: Instance, error: Exception, options: SolveOptions, latest: tuple[SolveRecord, bool] | None
 ) -> SolveRecord:
-    """Return the record of an instance whose worker ended early."""
-    record = _unsolved(instance, error, options)
-    if latest is None or record["status"] != "limit":
-        return record
-    return unfinished(latest[0], record["error"]["message"])
-
-
-def _unsolved(instance: Instance, error: Exception, options: SolveOptions) -> SolveRecord:
-    """Return the record for an exception of a worker. An internal error affects one instance only."""
-    if isinstance(error, TimeoutError):
-        return unsolved(instance, "limit", f"out of time ({options.time_limit:g} s)")
-    if isinstance(error, WorkerDiedError):
-        return unsolved(instance, "limit", str(error))
-    return unsolved(instance, "invalid", f"internal error: {error!r}")
+    """Return the record of an instance whose worker ended early. An internal error affects one instance only."""
+    if not isinstance(error, TimeoutError | WorkerDiedError):
+        return unsolved(instance, "invalid", f"internal error: {error!r}")
+    why = str(error) if isinstance(error, WorkerDiedError) else f"out of time ({options.time_limit:g} s)"
+    return unsolved(instance, "limit", why) if latest is None else unfinished(latest[0], why)

@@ -73,6 +73,11 @@ def listed(at: Expression | Place, *parts: Expression) -> Expression:
     return Expression(at.line, "", parts, at.column)
 
 
+def entry(at: Expression | Place, name: str, kind: str) -> list[Expression]:
+    """Return an entry of a typed list, a name with its type, at the place of another expression."""
+    return [word(at, name), word(at, "-"), word(at, kind)]
+
+
 def whole_number(expression: Expression) -> int | None:
     """Return the whole number of 0 or more that an expression denotes; None if it denotes none."""
     found = re.fullmatch(r"(\d+)(\.0*)?", expression.word)
@@ -125,11 +130,7 @@ class Formulas:
 
     def variables(self, found: Iterable[Typed]) -> tuple[Expression, ...]:
         """Return a typed list of variables."""
-        return tuple(
-            part
-            for each in found
-            for part in (word(each.place, each.name), word(each.place, "-"), word(each.place, self.kind(each.kinds)))
-        )
+        return tuple(part for each in found for part in entry(each.place, each.name, self.kind(each.kinds)))
 
     def _quantified(self, part: Expression, scope: Scope) -> tuple[tuple[Expression, ...], Scope]:
         """Read the variables of a quantifier. Return them as a typed list, with the scope inside the quantifier."""

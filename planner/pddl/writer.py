@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import groupby
 
 from .declarations import OBJECT, Symbol, Typed
-from .formulas import listed, word
+from .formulas import entry, listed, word
 from .reader import Action, Reading, Rule
 from .s_expressions import Expression, Place
 
@@ -94,30 +95,24 @@ def _types(reading: Reading) -> list[Expression]:
     """Return the typed list of types, each after its supertypes."""
     types, found = reading.domain.types, list[Expression]()
     for kinds, union in reading.unions.items():
-        place = types.places.get(kinds[0], START)
-        found += [word(place, union), word(place, "-"), word(place, types.common(kinds))]
+        found += entry(types.places.get(kinds[0], START), union, types.common(kinds))
     for name in types.ordered:
         if name == OBJECT:
             continue
-        place = types.places[name]
         unions = [union for kinds, union in reading.unions.items() if name in kinds]
         implied = {types.common(kinds) for kinds in reading.unions if name in kinds}
         for parent in [*unions, *(parent for parent in types.parents[name] if parent not in implied)]:
-            found += [word(place, name), word(place, "-"), word(place, parent)]
+            found += entry(types.places[name], name, parent)
     return found
 
 
 def _objects(objects: Iterable[Typed]) -> list[Expression]:
     """Return the typed list of objects; neighbours of the same type share it."""
     found: list[Expression] = []
-    before: Typed | None = None
-    for each in objects:
-        if before is not None and before.kinds != each.kinds:
-            found += [word(before.place, "-"), word(before.place, before.kinds[0])]
-        found.append(word(each.place, each.name))
-        before = each
-    if before is not None:
-        found += [word(before.place, "-"), word(before.place, before.kinds[0])]
+    for _, alike in groupby(objects, key=lambda each: each.kinds):
+        *others, last = alike
+        found += [word(each.place, each.name) for each in others]
+        found += entry(last.place, last.name, last.kinds[0])
     return found
 
 
@@ -126,12 +121,8 @@ def _symbol(symbol: Symbol, reading: Reading) -> Expression:
     found = [word(symbol.place, symbol.name)]
     differ = len({each.name for each in symbol.parameters}) == len(symbol.parameters)
     for number, each in enumerate(symbol.parameters):
-        kind = reading.domain.types.common(each.kinds)
-        found += [
-            word(each.place, each.name if differ else f"?x{number}"),
-            word(each.place, "-"),
-            word(each.place, kind),
-        ]
+        name = each.name if differ else f"?x{number}"
+        found += entry(each.place, name, reading.domain.types.common(each.kinds))
     return listed(symbol.place, *found)
 
 
@@ -151,7 +142,7 @@ def _variables(found: Iterable[Typed], reading: Reading) -> list[Expression]:
     for each in found:
         kinds = reading.domain.types.reduced(each.kinds)
         kind = reading.unions.get(kinds, kinds[0])
-        written += [word(each.place, each.name), word(each.place, "-"), word(each.place, kind)]
+        written += entry(each.place, each.name, kind)
     return written
 
 

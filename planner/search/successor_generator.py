@@ -125,8 +125,7 @@ class _ChangeTables:
 
     def __init__(self, coding: StateRanking, check: Check) -> None:
         self.coding, self.check = coding, check
-        self.kinds: dict[int, dict[bytes, int]] = {}  # by cluster and by the hash of a column
-        self.columns: dict[int, list[NDArray[np.int32]]] = {}
+        self.columns: dict[int, dict[bytes, tuple[int, NDArray[np.int32]]]] = {}  # numbered, by cluster and hash
         self.size = 0
 
     def add(self, move: TNFOperator) -> tuple[int, list[tuple[int, int]]] | None:
@@ -137,20 +136,20 @@ class _ChangeTables:
             return None
         wanted = []
         for cluster, column in change.lookups:
-            kinds = self.kinds.setdefault(cluster, {})
+            known = self.columns.setdefault(cluster, {})
             key = hashlib.blake2b(column.data, digest_size=16).digest()
-            if key not in kinds:
-                kinds[key] = len(kinds)
-                self.columns.setdefault(cluster, []).append(column)
+            if key not in known:
+                known[key] = len(known), column
                 self.size += len(column)
-            wanted.append((cluster, kinds[key]))
+            wanted.append((cluster, known[key][0]))
         return change.constant, wanted
 
     def laid_out(self) -> tuple[NDArray[np.int32], dict[int, int]]:
         """Return the concatenated tables, and the offset of each cluster's table."""
         self.check(8 * self.size)
         table, begin, at = np.empty(self.size, dtype=np.int32), {}, 0
-        for cluster, columns in self.columns.items():
+        for cluster, known in self.columns.items():
+            columns = [column for _, column in known.values()]
             begin[cluster] = at
             at += len(columns) * len(columns[0])
             np.stack(columns, axis=1, out=table[begin[cluster] : at].reshape(-1, len(columns)))
@@ -186,7 +185,7 @@ def build_tests(
         wanted += change[1]
         looks.append(len(wanted))
     lookups = [
-        (*coding.field[cluster], len(tables.kinds[cluster]), begin[cluster] + kind, int(coding.stride[cluster]))
+        (*coding.field[cluster], len(tables.columns[cluster]), begin[cluster] + kind, int(coding.stride[cluster]))
         for cluster, kind in wanted
     ]
     ordered = [moves[number] for number in builder.order]

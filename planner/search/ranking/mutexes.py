@@ -91,6 +91,35 @@ class Mutexes:
 
 
 @njit(nogil=True)
+def _beside(together, facts, fact):
+    """Whether a fact may hold together with each of the given facts, which end at the first negative entry."""
+    for other in facts:
+        if other < 0:
+            break
+        if not together[other, fact]:
+            return False
+    return True
+
+
+@njit(nogil=True)
+def _add(together, facts, fact):
+    """Let a fact hold together with each of the given facts."""
+    for other in facts:
+        if other < 0:
+            break
+        together[other, fact] = together[fact, other] = True
+
+
+@njit(nogil=True)
+def _mark(marks, variable, facts, value):
+    """Set the marks of the variables of the given facts."""
+    for fact in facts:
+        if fact < 0:
+            break
+        marks[variable[fact]] = value
+
+
+@njit(nogil=True)
 def _close(needs, gains, keeps, variable, together, possible, begin, stop):
     """Add the pairs that the moves `begin` to `stop` make possible; return whether anything was added."""
     facts = len(variable)
@@ -99,58 +128,22 @@ def _close(needs, gains, keeps, variable, together, possible, begin, stop):
     for m in range(begin, stop):
         if not possible[m]:
             can = True
-            for i in range(needs.shape[1]):
-                if needs[m, i] < 0 or not can:
-                    break
-                for j in range(i + 1):
-                    if not together[needs[m, i], needs[m, j]]:
-                        can = False
-                        break
+            for fact in needs[m]:
+                can = can and (fact < 0 or _beside(together, needs[m], fact))
             if not can:
                 continue
             possible[m] = change = True
-            for i in range(gains.shape[1]):
-                a = gains[m, i]
-                if a < 0:
-                    break
-                for j in range(gains.shape[1]):
-                    if gains[m, j] >= 0:
-                        together[a, gains[m, j]] = True
-                for j in range(keeps.shape[1]):
-                    if keeps[m, j] >= 0:
-                        together[a, keeps[m, j]] = together[keeps[m, j], a] = True
-        for i in range(needs.shape[1]):
-            if needs[m, i] < 0:
-                break
-            fixed[variable[needs[m, i]]] = True
-        for f in range(facts):
-            if fixed[variable[f]] or not together[f, f]:
-                continue
-            fresh = False
-            for i in range(gains.shape[1]):
-                if gains[m, i] < 0:
-                    break
-                if not together[gains[m, i], f]:
-                    fresh = True
-                    break
-            if not fresh:
-                continue
-            beside = True
-            for i in range(needs.shape[1]):
-                if needs[m, i] < 0:
-                    break
-                if not together[needs[m, i], f]:
-                    beside = False
-                    break
-            if beside:
+            for fact in gains[m]:
+                if fact >= 0:
+                    _add(together, gains[m], fact)
+                    _add(together, keeps[m], fact)
+        _mark(fixed, variable, needs[m], True)
+        for fact in range(facts):
+            may = not fixed[variable[fact]] and together[fact, fact]
+            if may and not _beside(together, gains[m], fact) and _beside(together, needs[m], fact):
                 change = True
-                for i in range(gains.shape[1]):
-                    if gains[m, i] >= 0:
-                        together[gains[m, i], f] = together[f, gains[m, i]] = True
-        for i in range(needs.shape[1]):
-            if needs[m, i] < 0:
-                break
-            fixed[variable[needs[m, i]]] = False
+                _add(together, gains[m], fact)
+        _mark(fixed, variable, needs[m], False)
     return change
 
 
